@@ -1,0 +1,1 @@
+"""Certified collision detection between convex pieces."""
