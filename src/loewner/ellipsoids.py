@@ -1,0 +1,251 @@
+"""Ellipsoids, one or a batch, in any dimension: E = {c + F u : |u| <= 1}, Q = F Fᵀ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _check
+from loewner._check import Floats
+from loewner.errors import GeometryError, InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoids:
+    """One ellipsoid or a batch, stored as center and factor.
+
+    Parameters
+    ----------
+    center : array_like, shape (..., n)
+        Centers, in metres.
+    factor : array_like, shape (..., n, n)
+        Invertible F with E = {c + F u : |u| <= 1}, in metres.
+
+    Raises
+    ------
+    InputError
+        On wrong shapes or entries that are not finite.
+    GeometryError
+        If a factor is singular (a flat ellipsoid).
+
+    Examples
+    --------
+    >>> E = Ellipsoids.from_semi_axes([0, 0, 0], [3, 2, 1])
+    >>> E.semi_axes
+    array([3., 2., 1.])
+    >>> bool(E.contains([2.9, 0, 0]))
+    True
+    """
+
+    center: Floats
+    factor: Floats
+
+    def __init__(self, center: ArrayLike, factor: ArrayLike) -> None:
+        c = _check.finite_array(center, "center", ("...", None))
+        F = _check.finite_array(factor, "factor", ("...", None, None))
+        n = c.shape[-1]
+        if n == 0 or F.shape[-2:] != (n, n) or F.shape[:-2] != c.shape[:-1]:
+            raise InputError(
+                f"factor: expected shape {_check.shape_text((*c.shape, n))} for a center of shape "
+                f"{_check.shape_text(c.shape)}, found {_check.shape_text(F.shape)}"
+            )
+        if F.size and not (np.linalg.svd(F, compute_uv=False)[..., -1] > 0).all():
+            raise GeometryError("factor: expected an invertible matrix, found a singular one (a flat ellipsoid)")
+        self._freeze(c, F)
+
+    def _freeze(self, c: Floats, F: Floats) -> None:
+        c, F = np.array(c), np.array(F)
+        c.setflags(write=False)
+        F.setflags(write=False)
+        object.__setattr__(self, "center", c)
+        object.__setattr__(self, "factor", F)
+
+    @classmethod
+    def _trusted(cls, c: Floats, F: Floats) -> Ellipsoids:
+        """Wrap arrays that a fit or a rigid motion made, without checking them again."""
+        self = object.__new__(cls)
+        self._freeze(c, F)
+        return self
+
+    @classmethod
+    def from_shape_matrix(cls, center: ArrayLike, shape_matrix: ArrayLike) -> Ellipsoids:
+        """Build from Q, E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1}.
+
+        Parameters
+        ----------
+        center : array_like, shape (..., n)
+        shape_matrix : array_like, shape (..., n, n)
+            Symmetric positive definite, in square metres.
+
+        Raises
+        ------
+        GeometryError
+            If Q is not symmetric (to 1e-9 of its largest entry) and positive definite.
+        """
+        Q = _check.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
+        if Q.shape[-1] != Q.shape[-2]:
+            raise InputError(f"shape_matrix: expected square matrices, found shape {_check.shape_text(Q.shape)}")
+        if Q.size and np.abs(Q - np.swapaxes(Q, -1, -2)).max() > 1e-9 * np.abs(Q).max():
+            raise GeometryError("shape_matrix: expected a symmetric matrix, found Q != Qᵀ")
+        try:
+            return cls(center, np.linalg.cholesky((Q + np.swapaxes(Q, -1, -2)) / 2))
+        except np.linalg.LinAlgError:
+            raise GeometryError("shape_matrix: expected a positive definite matrix") from None
+
+    @classmethod
+    def from_semi_axes(
+        cls, center: ArrayLike, semi_axes: ArrayLike, rotation: ArrayLike | None = None
+    ) -> Ellipsoids:
+        """Build from semi-axis lengths and an orthogonal matrix whose columns are the axes.
+
+        Parameters
+        ----------
+        center : array_like, shape (..., n)
+        semi_axes : array_like, shape (..., n)
+            Lengths > 0, in metres.
+        rotation : array_like, shape (..., n, n), optional
+            Orthogonal; the identity by default.
+        """
+        axes = _check.finite_array(semi_axes, "semi_axes", ("...", None))
+        if not (axes > 0).all():
+            raise GeometryError(f"semi_axes: expected lengths > 0, found {axes.min():g}")
+        F = axes[..., None, :] * np.eye(axes.shape[-1])
+        if rotation is not None:
+            R = _check.finite_array(rotation, "rotation", ("...", axes.shape[-1], axes.shape[-1]))
+            defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
+            if defect > _check.ROTATION_TOLERANCE:
+                raise InputError(f"rotation: expected an orthogonal matrix, found a departure of {defect:.3g}")
+            F = R @ F
+        c = _check.finite_array(center, "center", ("...", axes.shape[-1]))
+        batch = np.broadcast_shapes(c.shape[:-1], F.shape[:-2])
+        return cls(np.broadcast_to(c, (*batch, c.shape[-1])), np.broadcast_to(F, (*batch, *F.shape[-2:])))
+
+    # -- what it is ---------------------------------------------------------------------------
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return self.center.shape[-1]
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Shape of the batch; ``()`` for one ellipsoid."""
+        return self.center.shape[:-1]
+
+    def __len__(self) -> int:
+        if not self.batch_shape:
+            raise TypeError("one ellipsoid has no length; a batch has")
+        return self.batch_shape[0]
+
+    def __getitem__(self, index: int | slice | tuple[int | slice, ...] | Floats) -> Ellipsoids:
+        if not self.batch_shape:
+            raise IndexError("one ellipsoid cannot be indexed; a batch can")
+        c = self.center[index]
+        return Ellipsoids._trusted(c, self.factor[index].reshape(*c.shape, self.dim))
+
+    def __repr__(self) -> str:
+        if self.batch_shape:
+            return f"Ellipsoids({_check.shape_text(self.batch_shape)}, n={self.dim})"
+        return f"Ellipsoids(center={self.center.tolist()}, semi_axes={self.semi_axes.tolist()})"
+
+    @property
+    def shape_matrix(self) -> Floats:
+        """Q = F Fᵀ, shape (..., n, n), in square metres."""
+        return self.factor @ np.swapaxes(self.factor, -1, -2)
+
+    @property
+    def semi_axes(self) -> Floats:
+        """Semi-axis lengths, longest first, shape (..., n), in metres."""
+        return np.linalg.svd(self.factor, compute_uv=False)
+
+    @property
+    def rotation(self) -> Floats:
+        """Orthogonal matrix whose columns are the axes, in the order of `semi_axes`; determinant +1."""
+        U = np.linalg.svd(self.factor)[0]
+        flip = np.where(np.linalg.det(U) < 0, -1.0, 1.0)
+        U[..., :, -1] *= flip[..., None]
+        return U
+
+    @property
+    def log_volume(self) -> Floats:
+        """Natural logarithm of the volume, shape (...)."""
+        n = self.dim
+        unit_ball = 0.5 * n * math.log(math.pi) - math.lgamma(0.5 * n + 1)
+        return np.asarray(unit_ball + np.linalg.slogdet(self.factor)[1])
+
+    @property
+    def volume(self) -> Floats:
+        """Volume (area for n = 2), shape (...), in m^n."""
+        return np.exp(self.log_volume)
+
+    # -- what it answers ----------------------------------------------------------------------
+
+    def support(self, direction: ArrayLike) -> Floats:
+        """Point of each ellipsoid farthest along a direction.
+
+        Parameters
+        ----------
+        direction : array_like, shape (..., n)
+            Non-zero; broadcasts with the batch.
+
+        Returns
+        -------
+        ndarray, shape (..., n)
+        """
+        d = _check.finite_array(direction, "direction", ("...", self.dim))
+        w = np.einsum("...ji,...j->...i", self.factor, d)
+        length = np.linalg.norm(w, axis=-1, keepdims=True)
+        if not (length > 0).all():
+            raise InputError("direction: expected a non-zero vector, found zero")
+        return self.center + np.einsum("...ij,...j->...i", self.factor, w / length)
+
+    def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Tell whether points lie inside or on the ellipsoid, in plain float64 arithmetic.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., n)
+            Broadcasts with the batch.
+        """
+        x = _check.finite_array(points, "points", ("...", self.dim)) - self.center
+        batch = np.broadcast_shapes(x.shape[:-1], self.batch_shape)
+        x = np.broadcast_to(x, (*batch, self.dim))
+        F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
+        u = np.linalg.solve(F, x[..., None])[..., 0]
+        return np.asarray((u * u).sum(axis=-1) <= 1.0)
+
+    def bounding_box(self) -> tuple[Floats, Floats]:
+        """Lower and upper corner of the axis-aligned box, each of shape (..., n)."""
+        half = np.sqrt((self.factor**2).sum(axis=-1))
+        return self.center - half, self.center + half
+
+    # -- how it moves -------------------------------------------------------------------------
+
+    def transformed(self, T: ArrayLike | None) -> Ellipsoids:
+        """Move by rigid motions of 3-space.
+
+        Parameters
+        ----------
+        T : array_like, shape (..., 4, 4), or None
+            Broadcasts with the batch; ``None`` is the identity.
+        """
+        if self.dim != 3:
+            raise InputError(f"transformed: expected ellipsoids in 3-D, found dimension {self.dim}; use affine")
+        P = _check.poses(T, "T")
+        return self._mapped(P[..., :3, :3], P[..., :3, 3])
+
+    def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
+        """Image under x -> A x + b, with A of shape (..., n, n) invertible and b of shape (..., n)."""
+        A_ = _check.finite_array(A, "A", ("...", self.dim, self.dim))
+        b_ = _check.finite_array(b, "b", ("...", self.dim))
+        if A_.size and not (np.linalg.svd(A_, compute_uv=False)[..., -1] > 0).all():
+            raise GeometryError("A: expected an invertible matrix, found a singular one")
+        return self._mapped(A_, b_)
+
+    def _mapped(self, A: Floats, b: Floats) -> Ellipsoids:
+        c = np.einsum("...ij,...j->...i", A, self.center) + b
+        F = A @ self.factor
+        return Ellipsoids._trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
