@@ -1,0 +1,194 @@
+"""Families of random convex pieces, and pairs of them at poses near contact. Same seed, same data."""
+
+from collections.abc import Callable
+
+import numpy as np
+from oracles import HullPool, signed_distances
+
+Maker = Callable[[np.random.Generator], np.ndarray]
+
+
+def _ball(count: int) -> Maker:
+    """Points uniform in the unit ball: 8, 20, 50 or 200 of them give 8 to about 80 hull vertices."""
+
+    def make(rng: np.random.Generator) -> np.ndarray:
+        x = rng.normal(size=(count, 3))
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        return x * rng.uniform(size=(count, 1)) ** (1 / 3)
+
+    return make
+
+
+def box_corners(size: np.ndarray) -> np.ndarray:
+    """The eight corners of a box of full edges `size` about the origin."""
+    signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, 8).T
+    return signs * size
+
+
+def _scaled(maker: Maker, scale: tuple[float, float, float]) -> Maker:
+    return lambda rng: maker(rng) * scale
+
+
+def _either(first: Maker, second: Maker) -> Maker:
+    return lambda rng: first(rng) if rng.uniform() < 0.5 else second(rng)
+
+
+def _box(rng: np.random.Generator) -> np.ndarray:
+    return box_corners(rng.uniform(0.3, 1.5, size=3))
+
+
+def _cube(rng: np.random.Generator) -> np.ndarray:
+    return box_corners(np.ones(3))
+
+
+def _tetrahedron(rng: np.random.Generator) -> np.ndarray:
+    while True:
+        x = _ball(4)(rng)
+        edges = x[1:] - x[0]
+        # Flat ones belong to the slivers.
+        if abs(np.linalg.det(edges)) > 0.02:
+            return x
+
+
+def polygon(sides: int, radius: float = 1.0) -> np.ndarray:
+    turn = 2 * np.pi * np.arange(sides) / sides
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+
+
+def prism(sides: int, height: float) -> np.ndarray:
+    ring = polygon(sides)
+    return np.concatenate([np.c_[ring, np.full(sides, z)] for z in (-0.5 * height, 0.5 * height)])
+
+
+def pyramid(sides: int, height: float) -> np.ndarray:
+    ring = polygon(sides)
+    return np.concatenate([np.c_[ring, np.full(sides, -0.5 * height)], [[0, 0, 0.5 * height]]])
+
+
+def _prism(rng: np.random.Generator) -> np.ndarray:
+    return prism(int(rng.integers(3, 13)), rng.uniform(0.2, 2))
+
+
+def _cone(rng: np.random.Generator) -> np.ndarray:
+    return pyramid(int(rng.integers(8, 25)), rng.uniform(0.3, 2))
+
+
+def _sliver(rng: np.random.Generator) -> np.ndarray:
+    """A tetrahedron whose four corners lie within 1e-3 of a plane."""
+    return rng.uniform(-1, 1, size=(4, 3)) * [1, 1, 1e-3] + [[0, 0, 0.001], [0, 0, -0.001], [0, 0, 0.001], [0, 0, -0.001]]
+
+
+def _mixed_scale(rng: np.random.Generator) -> np.ndarray:
+    return _ball(20)(rng) * 10 ** rng.uniform(-3, 0)
+
+
+def _plate(s: float) -> Maker:
+    scale = (1.0, 1.0, s)
+    return _either(lambda rng: box_corners(np.array(scale)), _scaled(_ball(20), scale))
+
+
+def _rod(s: float) -> Maker:
+    scale = (1.0, s, s)
+    return _either(lambda rng: box_corners(np.array(scale)), _scaled(_ball(20), scale))
+
+
+EIGHT: dict[str, Maker] = {
+    "ball 8": _ball(8),
+    "ball 20": _ball(20),
+    "ball 50": _ball(50),
+    "ball 200": _ball(200),
+    "boxes": _box,
+    "plates 1:1:0.05": _plate(0.05),
+    "rods 1:0.05:0.05": _rod(0.05),
+    "tetrahedra": _tetrahedron,
+}
+
+MORE: dict[str, Maker] = {
+    "cubes": _cube,
+    "prisms": _prism,
+    "cones": _cone,
+    "needles 1:1e-3:1e-3": _rod(1e-3),
+    "slivers": _sliver,
+    "mixed scales": _mixed_scale,
+}
+
+FAMILIES = {**EIGHT, **MORE}
+
+
+def pieces(family: str, count: int, seed: int = 0) -> list[np.ndarray]:
+    """`count` vertex arrays of one family, sizes within a factor of four of each other."""
+    rng = np.random.default_rng([seed, sum(family.encode())])
+    return [FAMILIES[family](rng) * 2 ** rng.uniform(-1, 1) for _ in range(count)]
+
+
+def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Uniform rotations, shape (count, 3, 3)."""
+    q = rng.normal(size=(count, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    w, x, y, z = q.T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=1,
+    )
+
+
+def random_poses(rng: np.random.Generator, count: int, spread: float = 2.0) -> np.ndarray:
+    """Uniform rotations with translations uniform in a cube, shape (count, 4, 4)."""
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = rotations(rng, count)
+    T[:, :3, 3] = rng.uniform(-spread, spread, size=(count, 3))
+    return T
+
+
+def sizes(pool: HullPool) -> np.ndarray:
+    """Largest distance of a vertex from the centroid, for each hull."""
+    out = np.empty(pool.size)
+    for k in range(pool.size):
+        v = pool.vertices[pool.vertex_start[k] : pool.vertex_start[k + 1]]
+        out[k] = np.linalg.norm(v - v.mean(axis=0), axis=1).max()
+    return out
+
+
+def near_contact(
+    rng: np.random.Generator,
+    a: HullPool,
+    ia: np.ndarray,
+    b: HullPool,
+    ib: np.ndarray,
+    *,
+    grazing: float = 0.1,
+    deep: float = 0.02,
+    spread: float = 2.0,
+    stretch: tuple[float, float] = (0.0, 1.6),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of pairs so that free, ambiguous and colliding are about a third each.
+
+    The bodies lie along a random direction, a multiple in `stretch` of the sum of their supports
+    apart (1 is where planes across that direction would touch). Of the pairs, the fraction `deep`
+    has one centroid inside the other body, and `grazing` is moved along the separating axis to a
+    gap of plus or minus 1e-12 to 1e-2 of the size.
+    """
+    count = len(ia)
+    Ta, Tb = random_poses(rng, count, spread), random_poses(rng, count, spread)
+    along = rng.normal(size=(count, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    reach, centre_a, centre_b = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    for p in range(count):
+        A = a.vertices[a.vertex_start[ia[p]] : a.vertex_start[ia[p] + 1]] @ Ta[p, :3, :3].T
+        B = b.vertices[b.vertex_start[ib[p]] : b.vertex_start[ib[p] + 1]] @ Tb[p, :3, :3].T
+        centre_a[p], centre_b[p] = A.mean(axis=0), B.mean(axis=0)
+        reach[p] = ((A - centre_a[p]) @ along[p]).max() - ((B - centre_b[p]) @ along[p]).min()
+    factor = rng.uniform(*stretch, size=count)
+    factor[rng.uniform(size=count) < deep] *= 0.05
+    Tb[:, :3, 3] = Ta[:, :3, 3] + centre_a + (factor * reach)[:, None] * along - centre_b
+
+    chosen = np.flatnonzero(rng.uniform(size=count) < grazing)
+    gap, axis = signed_distances(a, ia[chosen], Ta[chosen], b, ib[chosen], Tb[chosen])
+    wanted = rng.choice([-1, 1], size=len(chosen)) * 10 ** rng.uniform(-12, -2, size=len(chosen))
+    wanted *= np.minimum(sizes(a)[ia[chosen]], sizes(b)[ib[chosen]])
+    Tb[chosen, :3, 3] += (wanted - gap)[:, None] * axis
+    return Ta, Tb
