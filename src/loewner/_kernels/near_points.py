@@ -192,6 +192,18 @@ def _turn(m, n, f, g):
 
 
 @njit()
+def orthogonal_columns(m0, m1, m2):
+    """Columns of M V with V the rotation that makes them orthogonal (one-sided Jacobi)."""
+    for _ in range(30):
+        m0, m1, _, _, turned01 = _turn(m0, m1, m0, m1)
+        m0, m2, _, _, turned02 = _turn(m0, m2, m0, m2)
+        m1, m2, _, _, turned12 = _turn(m1, m2, m1, m2)
+        if not (turned01 or turned02 or turned12):
+            break
+    return m0, m1, m2
+
+
+@njit()
 def touch(F1, G2, r):
     """Point of E1 that the growing level surfaces of E2 touch first, and the level there.
 

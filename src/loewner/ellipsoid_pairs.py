@@ -1,0 +1,267 @@
+"""Two ellipsoids: do they overlap, and where do they come closest.
+
+Every function takes two `Ellipsoids`, single or batches, whose batch shapes broadcast. Only the
+difference of the centers enters, so a far-away world frame costs no digits, and every number is
+relative to the ellipsoids' own size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import near_points as _near
+from loewner._kernels import pair_contact as _contact
+from loewner.ellipsoids import Ellipsoids
+from loewner.errors import ConvergenceError, InputError, UnknownNameError
+
+OVERLAP_METHODS = ("perram-wertheim", "eigenvalue")
+NEAR_POINT_METHODS = {"rimon-boyd": _near.RIMON_BOYD, "lin-han": _near.LIN_HAN, "center-line": _near.CENTER_LINE}
+
+# How far off E2 the touching point of appendix A may lie, relative to E2, before its eigenvalue is refused.
+# The eigenproblem squares the axis ratio: from about 1 : 100 on some pairs come out wrong.
+EIGENVALUE_MISS = 1e-6
+
+
+@dataclass(frozen=True)
+class NearPoints:
+    """Near points of ellipsoid pairs.
+
+    Attributes
+    ----------
+    point_1, point_2 : ndarray, shape (..., 3)
+        On the first and on the second ellipsoid, in metres. Where an overlap was found both are the
+        same point, which lies in both.
+    distance : ndarray, shape (...)
+        |point_2 - point_1|, in metres; 0 where an overlap was found.
+    iterations : ndarray of int, shape (...)
+        Steps taken; 1 for the closed-form methods.
+    """
+
+    point_1: Floats
+    point_2: Floats
+    distance: Floats
+    iterations: NDArray[np.int64]
+
+
+def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> NDArray[np.bool_]:
+    """Tell whether ellipsoids overlap; touching counts.
+
+    Parameters
+    ----------
+    E1, E2 : Ellipsoids
+        Batches broadcast. Dimension 3, or any dimension with ``method="eigenvalue"``.
+    method : {"perram-wertheim", "eigenvalue"}
+        "perram-wertheim" compares the contact function with 1. "eigenvalue" is the paper's appendix A
+        word for word, a 2n x 2n eigenproblem: the reference; slower, and with fewer digits.
+
+    Returns
+    -------
+    ndarray of bool, shape (...)
+        In plain float64 arithmetic; for answers that are proven see `loewner.classify`.
+
+    Raises
+    ------
+    InputError
+        If dimensions differ or do not suit the method, or batch shapes do not broadcast.
+    UnknownNameError
+        If the method is none of the two.
+    ConvergenceError
+        If the eigenproblem lost its digits, as it does for thin ellipsoids.
+
+    References
+    ----------
+    Perram and Wertheim (1985), doi:10.1016/0021-9991(85)90171-8; the paper, appendix A.
+
+    Examples
+    --------
+    >>> a = Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
+    >>> b = Ellipsoids.from_semi_axes([2.5, 0, 0], [2, 1, 1])
+    >>> bool(overlap(a, b))
+    True
+    """
+    if method not in OVERLAP_METHODS:
+        raise UnknownNameError(f"method: expected one of {', '.join(OVERLAP_METHODS)}, found {method!r}")
+    if method == "eigenvalue":
+        return _overlap_by_eigenvalue(*_pair(E1, E2, "overlap", dim=None))
+    return np.asarray(contact_function(E1, E2) <= 1.0)[()]
+
+
+def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
+    """Perram and Wertheim's contact function, maximised: ellipsoids overlap exactly if it is at most 1.
+
+    F = max over s in [0, 1] of s(1-s) rᵀ[(1-s)Q1 + sQ2]⁻¹ r. Scaling both ellipsoids about their
+    centers by sqrt(F) makes them touch.
+
+    Parameters
+    ----------
+    E1, E2 : Ellipsoids
+        In 3-D; batches broadcast.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Without unit, >= 0.
+
+    Raises
+    ------
+    InputError
+        If an argument is not 3-D or batch shapes do not broadcast.
+    """
+    c1, F1, c2, F2, batch = _pair(E1, E2, "contact_function")
+    value = np.empty(len(c1))
+    _contact.contact_of_pairs(c1, F1, c2, F2, value)
+    return value.reshape(batch)[()]
+
+
+def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
+    """Near points of ellipsoids.
+
+    Parameters
+    ----------
+    E1, E2 : Ellipsoids
+        In 3-D; batches broadcast.
+    method : {"lin-han", "rimon-boyd", "center-line"}
+        "lin-han": the true nearest points, to `angle`. "rimon-boyd": on each ellipsoid the point that the other's
+        level surfaces touch first. "center-line": where the segment between the centers crosses
+        the surfaces. The last two are closed forms whose distance is never below the true one, and
+        "center-line" sees an overlap only on its segment.
+    angle : float
+        For "lin-han": at both points the outward normal and the direction to the other point differ
+        by at most this many radians. 0.01 is the paper's; 1e-8 gives the distance to about 1e-16
+        of its size or the rounding of float64, whichever is larger. An overlap so shallow that the
+        angle is met first is reported as a small distance.
+
+    Returns
+    -------
+    NearPoints
+
+    Raises
+    ------
+    InputError
+        If an argument is not 3-D, batch shapes do not broadcast, or `angle` is not a number > 0.
+    UnknownNameError
+        If the method is none of the three.
+    ConvergenceError
+        If a pair did not reach `angle`; no number is returned for any pair then.
+
+    References
+    ----------
+    Lin and Han (2002), doi:10.1137/S1052623401396510; Rimon and Boyd (1997), doi:10.1023/A:1007960531949.
+
+    Examples
+    --------
+    >>> a = Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
+    >>> b = Ellipsoids.from_semi_axes([5, 0, 0], [2, 1, 1])
+    >>> near_points(a, b).distance.round(12).item()
+    2.0
+    """
+    if method not in NEAR_POINT_METHODS:
+        raise UnknownNameError(f"method: expected one of {', '.join(NEAR_POINT_METHODS)}, found {method!r}")
+    tolerance = _check.positive_scalar(angle, "angle")
+    c1, F1, c2, F2, batch = _pair(E1, E2, "near_points")
+    n = len(c1)
+    x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
+    _near.near_points_of_pairs(
+        NEAR_POINT_METHODS[method], c1, F1, c2, F2, tolerance, x1, x2, distance, iterations, status
+    )
+    failed = np.flatnonzero(status == _near.UNCONVERGED)
+    if failed.size:
+        raise ConvergenceError(
+            f"near_points: expected every pair to reach {tolerance:g} rad, found {failed.size} of {n} that did not "
+            f"(first at index {failed[0]}); allow a larger angle"
+        )
+    points = (*batch, 3)
+    return NearPoints(
+        x1.reshape(points), x2.reshape(points), distance.reshape(batch)[()], iterations.reshape(batch)[()]
+    )
+
+
+def _pair(
+    E1: Ellipsoids, E2: Ellipsoids, caller: str, dim: int | None = 3
+) -> tuple[Floats, Floats, Floats, Floats, tuple[int, ...]]:
+    """Check two ellipsoids; return flat centers and factors of the broadcast batch, and its shape."""
+    for name, E in (("E1", E1), ("E2", E2)):
+        if not isinstance(E, Ellipsoids):
+            raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
+    if E1.dim != E2.dim:
+        raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
+    if dim is not None and E1.dim != dim:
+        raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
+    try:
+        batch = np.broadcast_shapes(E1.batch_shape, E2.batch_shape)
+    except ValueError:
+        raise InputError(
+            f"{caller}: expected batch shapes that broadcast, found "
+            f"{_check.shape_text(E1.batch_shape)} and {_check.shape_text(E2.batch_shape)}"
+        ) from None
+    n = E1.dim
+
+    def flat(x: Floats, *tail: int) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(x, (*batch, *tail)).reshape(-1, *tail))
+
+    return flat(E1.center, n), flat(E1.factor, n, n), flat(E2.center, n), flat(E2.factor, n, n), batch
+
+
+def _overlap_by_eigenvalue(a: Floats, F1: Floats, b: Floats, F2: Floats, batch: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Appendix A of the paper, in its own letters.
+
+    The paper asks first whether either center lies in the other ellipsoid. "Is a in E2" is the case
+    the eigenproblem cannot answer (no scaled E1 touches E2 from outside); b in E1 it gets right by itself.
+    """
+    if not len(a):
+        return np.zeros(batch, np.bool_)
+    n = a.shape[-1]
+
+    # A^(1/2) and A^(-1/2), A = (F1 F1ᵀ)⁻¹, from the singular values of the factor.
+    U, s, _ = np.linalg.svd(F1)
+    root_A = (U / s[:, None, :]) @ _transposed(U)
+    inverse_root_A = (U * s[:, None, :]) @ _transposed(U)
+
+    inside = (_solved(F2, a - b) ** 2).sum(axis=-1) <= 1.0
+
+    # B bar = A^(-1/2) B A^(-1/2), so B tilde = B bar⁻¹ = H Hᵀ with H = A^(1/2) F2.
+    H = root_A @ F2
+    V, h, _ = np.linalg.svd(H)
+    B_tilde = (V * h[:, None, :] ** 2) @ _transposed(V)
+    root_B_tilde = (V * h[:, None, :]) @ _transposed(V)
+    b_bar = np.einsum("kij,kj->ki", root_A, b - a)
+    b_tilde = np.einsum("kij,kj->ki", root_B_tilde, b_bar)
+
+    block = np.empty((len(a), 2 * n, 2 * n))
+    block[:, :n, :n] = block[:, n:, n:] = B_tilde
+    block[:, :n, n:] = -np.eye(n)
+    block[:, n:, :n] = -b_tilde[:, :, None] * b_tilde[:, None, :]
+    eigenvalues = np.linalg.eigvals(block)
+    lam = eigenvalues[np.arange(len(a)), np.argmin(eigenvalues.real, axis=-1)].real
+
+    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar; the inverse by the singular values already at hand. A point off
+    # E2 (or NaN) tells that the eigenvalue lost its digits, and then it decides nothing.
+    with np.errstate(all="ignore"):
+        coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
+        y = np.einsum("kij,kj->ki", V, coordinates)
+        miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
+        touches = (y**2).sum(axis=-1) <= 1.0
+    lost = np.flatnonzero(~inside & ~(miss <= EIGENVALUE_MISS))
+    if lost.size:
+        raise ConvergenceError(
+            f"overlap: expected touching points on the second ellipsoid within {EIGENVALUE_MISS:g}, found {lost.size} "
+            f'of {len(a)} that miss it (first at index {lost[0]}); thin ellipsoids need method="perram-wertheim"'
+        )
+    return (inside | touches).reshape(batch)[()]
+
+
+def _transposed(M: Floats) -> Floats:
+    return np.swapaxes(M, -1, -2)
+
+
+def _solved(M: Floats, v: Floats) -> Floats:
+    """M⁻¹ v for batches."""
+    x: Any = np.linalg.solve(M, v[..., None])
+    return np.asarray(x[..., 0])
