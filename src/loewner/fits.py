@@ -1,0 +1,224 @@
+"""Löwner–John ellipsoids: the largest inside a polytope (`mvie`), the smallest around points (`mvce`).
+
+Every fit carries `gap`, a computed bound on log(volume / optimal volume) of the very ellipsoid returned, after it was
+scaled to hold, or stay inside, in spite of rounding. A fit that misses its tolerance is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import fits as kernel
+from loewner._kernels import mvce as mvce_kernel
+from loewner.ellipsoids import Ellipsoids
+from loewner.errors import ConvergenceError, GeometryError, InputError
+from loewner.polytopes import FLATNESS, Polytope, check_enough, flat_error, writeable
+
+Ints = NDArray[np.int64]
+
+# The paper's tolerance: volumes within a factor e^0.0001.
+DEFAULT_TOLERANCE = 1e-4
+# Below this the certificate itself is rounding noise.
+SMALLEST_TOLERANCE = 1e-12
+# Pieces per block of a batch: a progress report about every 10 ms, and work enough for every thread.
+BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """An ellipsoid and how good it is.
+
+    Attributes
+    ----------
+    ellipsoid : Ellipsoids
+        One ellipsoid; its factor is lower triangular.
+    gap : float
+        Certified bound on |log(volume / optimal volume)|, at most the tolerance asked for.
+    iterations : int
+        Interior-point steps taken.
+    """
+
+    ellipsoid: Ellipsoids
+    gap: float
+    iterations: int
+
+
+def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direct") -> Fit:
+    """Smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
+
+    Parameters
+    ----------
+    points : array_like, shape (m, n)
+        m > n >= 1, in metres.
+    tol : float
+        Largest certified gap in log-volume, in [1e-12, 1].
+    method : {"direct", "lifted-mvie"}
+        ``direct`` solves the dual by an interior point, with an active set when there are many points. ``lifted-mvie`` is the paper's
+        reduction to an inscribed ellipsoid in dimension n + 1 (its Appendix B), slower, kept as a check.
+
+    Returns
+    -------
+    Fit
+        Every point is inside the ellipsoid exactly as stored, whatever the rounding.
+
+    Raises
+    ------
+    InputError
+        On a wrong shape, entries that are not finite, a tolerance out of range or an unknown method.
+    GeometryError
+        On fewer than n + 1 points or points in a flat.
+    ConvergenceError
+        If the gap asked for was not reached.
+
+    References
+    ----------
+    Todd, Minimum-Volume Ellipsoids (2016); Kumar and Yıldırım (2005), doi:10.1007/s10957-005-2653-6.
+
+    Examples
+    --------
+    >>> fit = mvce([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    >>> fit.ellipsoid.semi_axes.round(4)
+    array([1.4142, 1.4142])
+    """
+    x = writeable(_check.finite_array(points, "points", (None, None)))
+    check_enough(x, "points")
+    tolerance = _tolerance(tol)
+    n = x.shape[1]
+    center, factor = np.empty(n), np.empty((n, n))
+    code, gap, iterations, axis, width, size = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
+    if code == mvce_kernel.FLAT:
+        raise flat_error("points", n, axis, width, size)
+    return _finished("mvce", center, factor, gap, iterations, tolerance)
+
+
+def mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
+    """Largest ellipsoid inside the hull of points."""
+    tolerance = _tolerance(tol)
+    piece = Polytope.from_points(points)
+    starts = np.array([0, len(piece.vertices)]), np.array([0, len(piece.normals)])
+    inner, _, info = _fit_all(starts[0], piece.vertices, starts[1], piece.normals, tolerance, None)
+    return _finished("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance)
+
+
+def fit_pieces(
+    vert_start: Ints,
+    vertices: Floats,
+    face_start: Ints,
+    normals: Floats,
+    offsets: Floats,
+    tol: float = DEFAULT_TOLERANCE,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Inner and outer ellipsoids of many 3-D pieces, compiled and on all threads.
+
+    Parameters
+    ----------
+    vert_start, face_start : ndarray of int, shape (P + 1,)
+        Piece i has the vertices ``vert_start[i]:vert_start[i+1]`` and likewise the faces.
+    vertices : ndarray, shape (total vertices, 3)
+        In metres.
+    normals : ndarray, shape (total faces, 3)
+        Outward, from `polytopes.hulls`: each face passes through its own vertices to rounding.
+    offsets : ndarray, shape (total faces,)
+        Taken for the record only: slacks are measured from the vertices, which carry no rounding.
+    tol : float
+        Largest certified gap of every fit, in log-volume.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each block.
+
+    Returns
+    -------
+    inner_center (P, 3), inner_factor (P, 3, 3), outer_center (P, 3), outer_factor (P, 3, 3),
+    inner_gap (P,), outer_gap (P,) : ndarray
+        Factors are lower triangular with positive diagonals.
+
+    Raises
+    ------
+    GeometryError, ConvergenceError
+        With the index of the piece.
+    """
+    tolerance = _tolerance(tol)
+    V = _check.finite_array(vertices, "vertices", (None, 3))
+    A = _check.finite_array(normals, "normals", (None, 3))
+    _check.finite_array(offsets, "offsets", (len(A),))
+    vs, fs = _starts(vert_start, "vert_start", len(V)), _starts(face_start, "face_start", len(A))
+    if len(vs) != len(fs):
+        raise InputError(f"face_start: expected {len(vs)} entries like vert_start, found {len(fs)}")
+    inner, outer, info = _fit_all(vs, V, fs, A, tolerance, progress)
+    bad = np.flatnonzero((info[:, 0] != 0) | (info[:, 2] != 0))
+    if len(bad):
+        i = int(bad[0])
+        if info[i, 0] == mvce_kernel.FLAT:
+            raise GeometryError(f"piece {i}: expected vertices that span all 3 dimensions, found a flat piece")
+        side, gap = ("outer", info[i, 1]) if info[i, 0] != 0 else ("inner", info[i, 3])
+        raise ConvergenceError(f"piece {i}: the {side} ellipsoid reached a gap of {gap:.3g}, expected {tolerance:g}")
+    return (*inner, *outer, info[:, 3].copy(), info[:, 1].copy())
+
+
+def _fit_all(
+    vert_start: Ints,
+    vertices: Floats,
+    face_start: Ints,
+    normals: Floats,
+    tol: float,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
+    """Run the kernel over blocks of pieces, on as many threads as Numba is set to use."""
+    total, n = len(vert_start) - 1, vertices.shape[1]
+    vertices, normals = writeable(vertices), writeable(normals)
+    inner = np.empty((total, n)), np.empty((total, n, n))
+    outer = np.empty((total, n)), np.empty((total, n, n))
+    info = np.empty((total, 5))
+
+    def run(first: int) -> int:
+        last = min(first + BLOCK, total)
+        kernel.fit_range(
+            first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info
+        )
+        return last - first
+
+    blocks = range(0, total, BLOCK)
+    if len(blocks) <= 1:
+        for first in blocks:
+            run(first)
+        if progress is not None:
+            progress(total, total)
+        return inner, outer, info
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        done = 0
+        for count in pool.map(run, blocks):
+            done += count
+            if progress is not None:
+                progress(done, total)
+    return inner, outer, info
+
+
+def _tolerance(tol: float) -> float:
+    value = _check.positive_scalar(tol, "tol")
+    if not SMALLEST_TOLERANCE <= value <= 1.0:
+        raise InputError(f"tol: expected a gap in log-volume between {SMALLEST_TOLERANCE:g} and 1, found {value:g}")
+    return value
+
+
+def _starts(x: Ints, name: str, total: int) -> Ints:
+    starts = writeable(np.ascontiguousarray(x, dtype=np.int64))
+    if starts.ndim != 1 or len(starts) < 1 or starts[0] != 0 or starts[-1] != total or (np.diff(starts) < 0).any():
+        raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {np.asarray(x).tolist()[:8]}")
+    return starts
+
+
+def _finished(name: str, center: Floats, factor: Floats, gap: float, iterations: int, tol: float) -> Fit:
+    if not gap <= tol:
+        raise ConvergenceError(
+            f"{name}: reached a gap of {gap:.3g} in log-volume, expected {tol:g}; a thin body far from the origin "
+            "may not have that many digits: ask for a larger tol, or move it to the origin"
+        )
+    return Fit(Ellipsoids._trusted(center, factor), float(max(gap, 0.0)), int(iterations))

@@ -1,0 +1,213 @@
+"""A convex polytope in any dimension: its vertices and its faces, from points or from half-spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import hulls as kernel
+from loewner._kernels.mvce import FLAT
+from loewner.errors import GeometryError, InputError
+
+Ints = NDArray[np.int64]
+Progress = Callable[[int, int], None]
+
+# A set of points is flat if its width in some direction is at most this times its length. Below it float64
+# coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
+FLATNESS = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """A bounded convex polytope with an interior.
+
+    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of `vertices` as they stand; the faces are
+    derived, and rounded.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (v, n)
+        In metres.
+    normals : ndarray, shape (f, n)
+        Unit outward normals of the faces; coplanar facets are merged.
+    offsets : ndarray, shape (f,)
+        The polytope is {x : normals x <= offsets}, to rounding: each offset is the largest normal·vertex.
+    simplices : ndarray of int, shape (s, n)
+        The boundary cut into simplices (triangles for n = 3), as indices of vertices; for n = 3 counter-clockwise
+        seen from outside.
+    face_of_simplex : ndarray of int, shape (s,)
+        The face each simplex lies in.
+
+    Examples
+    --------
+    >>> square = Polytope.from_points([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]])
+    >>> len(square.vertices), len(square.normals)
+    (4, 4)
+    """
+
+    vertices: Floats
+    normals: Floats
+    offsets: Floats
+    simplices: Ints
+    face_of_simplex: Ints
+
+    def __post_init__(self) -> None:
+        for array in (self.vertices, self.normals, self.offsets, self.simplices, self.face_of_simplex):
+            array.setflags(write=False)
+
+    @property
+    def dim(self) -> int:
+        """Dimension n of the space."""
+        return self.vertices.shape[1]
+
+    @classmethod
+    def from_points(cls, points: ArrayLike) -> Polytope:
+        """Convex hull of points.
+
+        Duplicates, interior points and points within rounding of a face (about 1e-14 of the width) are dropped.
+
+        Parameters
+        ----------
+        points : array_like, shape (m, n)
+            m > n >= 2, in metres.
+
+        Raises
+        ------
+        InputError
+            On a wrong shape or entries that are not finite.
+        GeometryError
+            On fewer than n + 1 points, or points that lie in a flat of lower dimension (`FLATNESS`).
+
+        References
+        ----------
+        Barber, Dobkin and Huhdanpaa, The Quickhull algorithm (1996), doi:10.1145/235815.235821.
+        """
+        return cls(*_hull(_check.finite_array(points, "points", (None, None)), "points"))
+
+    def __repr__(self) -> str:
+        return f"Polytope({len(self.vertices)} vertices, {len(self.normals)} faces, n={self.dim})"
+
+
+def check_enough(points: Floats, name: str, least_dim: int = 1) -> None:
+    """Raise unless there are n + 1 points in a space of a sensible dimension."""
+    m, n = points.shape
+    if n < least_dim:
+        raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
+    if m < n + 1:
+        raise GeometryError(f"{name}: expected at least {n + 1} points in dimension {n}, found {m}")
+
+
+def writeable(array: NDArray[Any]) -> NDArray[Any]:
+    """Return `array`, or a copy if it is read-only: to Numba that is another type, compiled all over again."""
+    return array if array.flags.writeable else array.copy()
+
+
+def flat_error(name: str, n: int, axis: int, width: float, size: float) -> GeometryError:
+    """Say how flat the points are, and in how many directions they do extend."""
+    what = {0: "in one place", 1: "on a line", 2: "in a plane"}.get(axis, f"in a flat of dimension {axis}")
+    return GeometryError(
+        f"{name}: expected points that span all {n} dimensions, found all of them {what}: "
+        f"the next width is {width:.3g} m against a length of {size:.3g} m (flat means at most {FLATNESS:g} of it, "
+        "or lost in the rounding of the coordinates)"
+    )
+
+
+def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
+    """Vertices, normals, offsets, simplices and the face of each simplex."""
+    check_enough(points, name, least_dim=2)
+    points = writeable(points)
+    code, axis, width, size, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
+    if code == FLAT:
+        raise flat_error(name, points.shape[1], axis, width, size)
+    try:
+        qhull = ConvexHull(coordinates)
+    except QhullError as error:
+        raise GeometryError(f"{name}: no hull found: {str(error).strip().splitlines()[0]}") from None
+    simplices = qhull.simplices.astype(np.int64)
+    code, worst, used, face_of, normals, offsets = kernel.finish_hull(
+        points, frame, coordinates, simplices, qhull.neighbors.astype(np.int64), qhull.equations
+    )
+    if code != 0:
+        raise GeometryError(f"{name}: {_HULL_FAULTS[code].format(worst=worst)}")
+    rename = np.cumsum(used) - 1
+    return points[used], normals, offsets, rename[simplices], face_of
+
+
+_HULL_FAULTS = {
+    kernel.OPEN: "the hull does not close up; the points are too close to flat for their rounding",
+    kernel.WIDE: "a face of the hull misses its own vertices by {worst:.3g} m; the points are too close to flat",
+    kernel.INSIDE_OUT: "the hull cannot be oriented; the points are too close to flat for their rounding",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Hulls:
+    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of the arrays that start belongs to.
+
+    Attributes
+    ----------
+    vert_start, face_start, triangle_start : ndarray of int, shape (P + 1,)
+    vertices : ndarray, shape (total vertices, 3)
+    normals : ndarray, shape (total faces, 3)
+    offsets : ndarray, shape (total faces,)
+    triangles : ndarray of int, shape (total triangles, 3)
+        Indices within the hull's own vertices, counter-clockwise from outside.
+    """
+
+    vert_start: Ints
+    vertices: Floats
+    face_start: Ints
+    normals: Floats
+    offsets: Floats
+    triangle_start: Ints
+    triangles: Ints
+
+    def __len__(self) -> int:
+        return len(self.vert_start) - 1
+
+
+def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
+    """Convex hulls of many sets of points in 3-D, packed into flat arrays.
+
+    Parameters
+    ----------
+    point_sets : sequence of array_like, each of shape (m_i, 3)
+        In metres.
+    progress : callable, optional
+        Called as ``progress(done, total)`` from time to time.
+
+    Raises
+    ------
+    InputError, GeometryError
+        As `Polytope.from_points`; the message begins with the index of the set.
+    """
+    total = len(point_sets)
+    parts: list[tuple[Floats, Floats, Floats, Ints, Ints]] = []
+    for i, points in enumerate(point_sets):
+        name = f"point_sets[{i}]"
+        parts.append(_hull(_check.finite_array(points, name, (None, 3)), name))
+        if progress is not None and (i + 1 == total or (i + 1) % 1000 == 0):
+            progress(i + 1, total)
+
+    def start(column: int) -> Ints:
+        return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(np.int64)
+
+    def packed(column: int, empty: tuple[int, ...]) -> Any:
+        return np.concatenate([part[column] for part in parts]) if parts else np.empty(empty)
+
+    return Hulls(
+        vert_start=start(0),
+        vertices=packed(0, (0, 3)),
+        face_start=start(1),
+        normals=packed(1, (0, 3)),
+        offsets=packed(2, (0,)),
+        triangle_start=start(3),
+        triangles=packed(3, (0, 3)).astype(np.int64),
+    )
