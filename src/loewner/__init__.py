@@ -1,1 +1,50 @@
-"""Certified collision detection between convex pieces."""
+"""Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
+
+from loewner.bodies import Bodies, Body, Piece
+from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
+from loewner.ellipsoids import Ellipsoids
+from loewner.errors import (
+    ConvergenceError,
+    FileError,
+    GeometryError,
+    InputError,
+    LoewnerError,
+    MissingExtraError,
+    PoseError,
+    UnknownNameError,
+)
+from loewner.fits import Fit, mvce, mvie
+from loewner.meshes import Covering
+from loewner.polytopes import Polytope
+from loewner.queries import Distance, Verdict, classify, collide, distance
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bodies",
+    "Body",
+    "ConvergenceError",
+    "Covering",
+    "Distance",
+    "Ellipsoids",
+    "FileError",
+    "Fit",
+    "GeometryError",
+    "InputError",
+    "LoewnerError",
+    "MissingExtraError",
+    "NearPoints",
+    "Piece",
+    "Polytope",
+    "PoseError",
+    "UnknownNameError",
+    "Verdict",
+    "classify",
+    "collide",
+    "contact_function",
+    "distance",
+    "mvce",
+    "mvie",
+    "near_points",
+    "overlap",
+]

@@ -1,0 +1,338 @@
+"""Penetration depth of two placed pieces by an expanding polytope inside A - B.
+
+The depth is the smallest support value h(n) of the Minkowski difference A - B over unit n. A
+polytope of support points grows inside A - B; its face with the smallest offset is pushed out to the
+support plane until the two agree. Offsets may be negative, so the polytope need not hold the
+origin when it starts.
+
+References
+----------
+van den Bergen (2001), "Proximity queries and penetration depth computation on 3D game objects".
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+from loewner._kernels.contact import POSITION_ROUNDINGS
+from loewner._kernels.gjk import minkowski_support, rounding_error
+
+# A polytope pair ends when it meets a true face of A - B, after tens of faces. The cap is for
+# curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius at the very
+# worst (all directions equally deep) and far better elsewhere.
+MAX_POINTS = 1500
+MAX_FACES = 2 * MAX_POINTS
+DEPTH_TOLERANCE = 1e-11  # relative to the lengths involved; at most this much is left between the bounds
+
+
+@njit()
+def _face(S, corners, normals, offsets, f):
+    """Form the outward unit normal and offset of face f; False if it has no area to speak of."""
+    a = corners[f, 0]
+    b = corners[f, 1]
+    c = corners[f, 2]
+    ux = S[b, 0] - S[a, 0]
+    uy = S[b, 1] - S[a, 1]
+    uz = S[b, 2] - S[a, 2]
+    wx = S[c, 0] - S[a, 0]
+    wy = S[c, 1] - S[a, 1]
+    wz = S[c, 2] - S[a, 2]
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    longest = np.sqrt((ux * ux + uy * uy + uz * uz) * (wx * wx + wy * wy + wz * wz))
+    if not area > 1e-14 * longest:
+        normals[f, 0] = 0.0
+        normals[f, 1] = 0.0
+        normals[f, 2] = 0.0
+        offsets[f] = np.inf
+        return False
+    normals[f, 0] = nx / area
+    normals[f, 1] = ny / area
+    normals[f, 2] = nz / area
+    offsets[f] = (
+        normals[f, 0] * (S[a, 0] + S[b, 0] + S[c, 0])
+        + normals[f, 1] * (S[a, 1] + S[b, 1] + S[c, 1])
+        + normals[f, 2] * (S[a, 2] + S[b, 2] + S[c, 2])
+    ) / 3.0
+    return True
+
+
+@njit()
+def _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S):
+    """Four support points that span a volume, written to rows 0..3 of S."""
+    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, 1.0, 0.0, 0.0, S, 0)
+    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -1.0, 0.0, 0.0, S, 1)
+    # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
+    ex = S[1, 0] - S[0, 0]
+    ey = S[1, 1] - S[0, 1]
+    ez = S[1, 2] - S[0, 2]
+    if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
+        px, py, pz = 0.0, -ez, ey
+    elif abs(ey) <= abs(ez):
+        px, py, pz = ez, 0.0, -ex
+    else:
+        px, py, pz = -ey, ex, 0.0
+    _farther(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, px, py, pz, S, 2)
+    ux = S[2, 0] - S[0, 0]
+    uy = S[2, 1] - S[0, 1]
+    uz = S[2, 2] - S[0, 2]
+    _farther(
+        ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz,
+        ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, 3,
+    )  # fmt: skip
+
+
+@njit()
+def _volume(S):
+    """Six times the signed volume of rows 0..3."""
+    ux = S[1, 0] - S[0, 0]
+    uy = S[1, 1] - S[0, 1]
+    uz = S[1, 2] - S[0, 2]
+    vx = S[2, 0] - S[0, 0]
+    vy = S[2, 1] - S[0, 1]
+    vz = S[2, 2] - S[0, 2]
+    return (
+        (S[3, 0] - S[0, 0]) * (uy * vz - uz * vy)
+        + (S[3, 1] - S[0, 1]) * (uz * vx - ux * vz)
+        + (S[3, 2] - S[0, 2]) * (ux * vy - uy * vx)
+    )
+
+
+@njit()
+def _farther(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k):
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if not length > 0.0:
+        nx, ny, nz, length = 1.0, 0.0, 0.0, 1.0
+    nx /= length
+    ny /= length
+    nz /= length
+    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k)
+    one = nx * (S[k, 0] - S[0, 0]) + ny * (S[k, 1] - S[0, 1]) + nz * (S[k, 2] - S[0, 2])
+    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, k + 1)
+    two = nx * (S[k + 1, 0] - S[0, 0]) + ny * (S[k + 1, 1] - S[0, 1]) + nz * (S[k + 1, 2] - S[0, 2])
+    if abs(two) > abs(one):
+        for c in range(9):
+            S[k, c] = S[k + 1, c]
+
+
+@njit()
+def _visible(S, normals, offsets, f, w, error):
+    """Tell whether the new point w lies in front of face f (a face without area always gives way)."""
+    if offsets[f] == np.inf:
+        return True
+    return normals[f, 0] * S[w, 0] + normals[f, 1] * S[w, 1] + normals[f, 2] * S[w, 2] > offsets[f] + error
+
+
+@njit()
+def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first, w, error, horizon, stack):
+    """Replace all faces seen from point w by a fan around it. False if the rim does not close."""
+    rim = 0
+    alive[first] = False
+    free[counts[1]] = first
+    counts[1] += 1
+    # Depth-first over edges, leaving the edges of each face in order, yields the rim in order.
+    top = 0
+    for e in range(2, -1, -1):
+        stack[top, 0] = first
+        stack[top, 1] = e
+        top += 1
+    while top > 0:
+        top -= 1
+        f = stack[top, 0]
+        e = stack[top, 1]
+        g = neighbors[f, e]
+        if not alive[g]:
+            continue
+        back = 0
+        for c in range(3):
+            if neighbors[g, c] == f and corners[g, c] == corners[f, (e + 1) % 3]:
+                back = c
+        if _visible(S, normals, offsets, g, w, error):
+            alive[g] = False
+            free[counts[1]] = g
+            counts[1] += 1
+            if top + 2 > stack.shape[0]:
+                return False
+            stack[top, 0] = g
+            stack[top, 1] = (back + 2) % 3
+            stack[top + 1, 0] = g
+            stack[top + 1, 1] = (back + 1) % 3
+            top += 2
+        else:
+            if rim >= horizon.shape[0]:
+                return False
+            horizon[rim, 0] = g
+            horizon[rim, 1] = back
+            rim += 1
+    if rim < 3:
+        return False
+    for r in range(rim):
+        g = horizon[r, 0]
+        e = horizon[r, 1]
+        h = horizon[(r + 1) % rim, 0]
+        e2 = horizon[(r + 1) % rim, 1]
+        # In the seen face the rim edge runs from corner e+1 to corner e of g.
+        if corners[g, e] != corners[h, (e2 + 1) % 3]:
+            return False
+    if counts[1] + (MAX_FACES - counts[0]) < rim:
+        return False
+    made_first = -1
+    previous = -1
+    for r in range(rim):
+        g = horizon[r, 0]
+        e = horizon[r, 1]
+        if counts[1] > 0:
+            counts[1] -= 1
+            f = free[counts[1]]
+        else:
+            f = counts[0]
+            counts[0] += 1
+        corners[f, 0] = corners[g, (e + 1) % 3]
+        corners[f, 1] = corners[g, e]
+        corners[f, 2] = w
+        neighbors[f, 0] = g
+        neighbors[g, e] = f
+        alive[f] = True
+        _face(S, corners, normals, offsets, f)
+        if previous >= 0:
+            neighbors[f, 2] = previous
+            neighbors[previous, 1] = f
+        else:
+            made_first = f
+        previous = f
+    neighbors[made_first, 2] = previous
+    neighbors[previous, 1] = made_first
+    return True
+
+
+@njit()
+def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, neighbors, normals, offsets, alive, free,
+                horizon, stack, result):  # fmt: skip
+    """Depth of the cores' penetration.
+
+    Parameters
+    ----------
+    S ... stack : ndarray
+        Work space, see `workspace`.
+    result : ndarray, shape (9,)
+        Receives the normal (from A to B) and the two deepest points.
+
+    Returns
+    -------
+    lower, upper : float
+        Bounds on the depth, to within `rounding_error`; `upper` belongs to the normal and the points.
+    """
+    error = rounding_error(ta, i, tb, j, dx, dy, dz)
+    tolerance = error * (DEPTH_TOLERANCE / POSITION_ROUNDINGS)
+    _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S)
+    for f in range(4):
+        alive[f] = True
+    # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
+    if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
+        for c in range(9):
+            S[0, c], S[1, c] = S[1, c], S[0, c]
+    table = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+    for f in range(4):
+        for c in range(3):
+            corners[f, c] = table[f][c]
+    for f in range(4):
+        for e in range(3):
+            a = corners[f, e]
+            b = corners[f, (e + 1) % 3]
+            for g in range(4):
+                for c in range(3):
+                    if corners[g, c] == b and corners[g, (c + 1) % 3] == a:
+                        neighbors[f, e] = g
+        _face(S, corners, normals, offsets, f)
+    counts = np.array([4, 0])
+    used = 4
+    upper = np.inf
+    lower = -np.inf
+    best_face = -1
+    while used < MAX_POINTS:
+        nearest = -1
+        least = np.inf
+        for f in range(counts[0]):
+            if alive[f] and offsets[f] < least:
+                least = offsets[f]
+                nearest = f
+        if nearest < 0:
+            break
+        lower = least
+        nx = normals[nearest, 0]
+        ny = normals[nearest, 1]
+        nz = normals[nearest, 2]
+        # The least along -n is the farthest along n.
+        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, used)
+        height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
+        if height < upper:
+            upper = height
+            best_face = nearest
+            _witness(S, corners, normals, height, nearest, result)
+        if upper - least <= tolerance or height - least <= 4.0 * error:
+            break
+        if not _expand(
+            S, corners, neighbors, normals, offsets, alive, free, counts, nearest, used, error, horizon, stack
+        ):
+            break
+        used += 1
+    if best_face < 0:
+        return -np.inf, np.inf
+    return lower, upper
+
+
+@njit()
+def _witness(S, corners, normals, height, f, result):
+    """Normal and deepest points: the foot of the origin on face f, in barycentric coordinates."""
+    a = corners[f, 0]
+    b = corners[f, 1]
+    c = corners[f, 2]
+    nx = normals[f, 0]
+    ny = normals[f, 1]
+    nz = normals[f, 2]
+    # Twice the areas seen along n of the triangles (origin, b, c), (origin, c, a), (origin, a, b).
+    wa = (
+        nx * (S[b, 1] * S[c, 2] - S[b, 2] * S[c, 1])
+        + ny * (S[b, 2] * S[c, 0] - S[b, 0] * S[c, 2])
+        + nz * (S[b, 0] * S[c, 1] - S[b, 1] * S[c, 0])
+    )
+    wb = (
+        nx * (S[c, 1] * S[a, 2] - S[c, 2] * S[a, 1])
+        + ny * (S[c, 2] * S[a, 0] - S[c, 0] * S[a, 2])
+        + nz * (S[c, 0] * S[a, 1] - S[c, 1] * S[a, 0])
+    )
+    wc = (
+        nx * (S[a, 1] * S[b, 2] - S[a, 2] * S[b, 1])
+        + ny * (S[a, 2] * S[b, 0] - S[a, 0] * S[b, 2])
+        + nz * (S[a, 0] * S[b, 1] - S[a, 1] * S[b, 0])
+    )
+    wa = max(wa, 0.0)
+    wb = max(wb, 0.0)
+    wc = max(wc, 0.0)
+    total = wa + wb + wc
+    if not total > 0.0:
+        wa, wb, wc, total = 1.0, 1.0, 1.0, 3.0
+    result[0] = nx
+    result[1] = ny
+    result[2] = nz
+    for m in range(6):
+        result[3 + m] = (wa * S[a, 3 + m] + wb * S[b, 3 + m] + wc * S[c, 3 + m]) / total
+
+
+@njit()
+def workspace(wanted):
+    """Arrays that `penetration` writes to; one set serves any number of calls in turn."""
+    points = MAX_POINTS + 2 if wanted else 1
+    faces = MAX_FACES if wanted else 1
+    return (
+        np.empty((points, 9)),
+        np.empty((faces, 3), np.int64),
+        np.empty((faces, 3), np.int64),
+        np.empty((faces, 3)),
+        np.empty(faces),
+        np.zeros(faces, np.bool_),
+        np.empty(faces, np.int64),
+        np.empty((faces, 2), np.int64),
+        np.empty((faces, 2), np.int64),
+    )

@@ -1,0 +1,148 @@
+"""GJK on two placed pieces: a proof of separation, a common point, or the distance.
+
+Works in the world's axes with the origin at the first body's translation, so that a pair far from
+the world's origin loses nothing: only the difference of the translations enters.
+
+References
+----------
+Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083; van den Bergen (1999),
+doi:10.1080/10867651.1999.10487502 (termination by the support plane).
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+from loewner._kernels.contact import POSITION_ROUNDINGS, UNIT_ROUNDOFF
+from loewner._kernels.shapes import REACH, ROUNDING, placed_support
+from loewner._kernels.simplex import closest
+
+APART, TOUCHING, UNSETTLED = 0, 1, 2
+
+# Pairs of polytopes stop after a handful of rounds because they have finitely many vertices;
+# curved ones converge at least linearly. The cap is only there to make a hang impossible.
+MAX_ROUNDS = 512
+
+# Relative gap of upper and lower bound at which a distance is final.
+DISTANCE_TOLERANCE = 2e-15
+
+
+@njit()
+def minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k):
+    """Write to row k of S the point of A - B that lies least far along n, and where it came from."""
+    ax, ay, az = placed_support(ta, la, xa, i, Ta, -nx, -ny, -nz)
+    bx, by, bz = placed_support(tb, lb, xb, j, Tb, nx, ny, nz)
+    bx += dx
+    by += dy
+    bz += dz
+    S[k, 0] = ax - bx
+    S[k, 1] = ay - by
+    S[k, 2] = az - bz
+    S[k, 3] = ax
+    S[k, 4] = ay
+    S[k, 5] = az
+    S[k, 6] = bx
+    S[k, 7] = by
+    S[k, 8] = bz
+
+
+@njit()
+def rounding_error(ta, i, tb, j, dx, dy, dz):
+    """Bound on the error of any computed dot product of a unit vector with a point of A - B."""
+    return POSITION_ROUNDINGS * (ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz))
+
+
+@njit()
+def stretch(T):
+    """Bound on how much a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
+    squares = 0.0
+    for a in range(3):
+        for b in range(3):
+            entry = T[0, a] * T[0, b] + T[1, a] * T[1, b] + T[2, a] * T[2, b] - (1.0 if a == b else 0.0)
+            squares += entry * entry
+    return np.sqrt(1.0 + np.sqrt(squares) + 16.0 * UNIT_ROUNDOFF)
+
+
+@njit()
+def swollen_radii(ta, i, Ta, tb, j, Tb):
+    """Sum of the rounding radii, as large as the two poses can make them."""
+    if ta[i, ROUNDING] == 0.0 and tb[j, ROUNDING] == 0.0:
+        return 0.0
+    return ta[i, ROUNDING] * stretch(Ta) + tb[j, ROUNDING] * stretch(Tb)
+
+
+@njit()
+def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v):
+    """Run GJK from the separating direction n (from A to B; any non-zero vector will do).
+
+    Parameters
+    ----------
+    limit : float
+        Margin the pieces must keep; the rounding radii of the pieces are added here.
+    settle : bool
+        True: stop as soon as "apart" or "touching" is proven. False: go on to the distance.
+
+    Returns
+    -------
+    status : int
+        APART: proven farther apart than `limit`. TOUCHING: the upper bound is within `limit`, or
+        within rounding error of it. UNSETTLED: neither, after all that arithmetic allows.
+    lower, upper : float
+        Bounds on the distance of the cores less the rounding radii; both may be negative for
+        cores that are apart by less than the radii; upper is -inf if the cores intersect.
+    k : int
+        Rows of the simplex left, with `weights` and `v` (from B's near point to A's).
+    """
+    radii = ta[i, ROUNDING] + tb[j, ROUNDING]
+    reach = limit + radii
+    far = limit + swollen_radii(ta, i, Ta, tb, j, Tb)
+    error = rounding_error(ta, i, tb, j, dx, dy, dz)
+    lower = -np.inf
+    # The first direction comes from outside; from then on it is the closest point v itself.
+    v[0] = -nx
+    v[1] = -ny
+    v[2] = -nz
+    k = 0
+    length = np.inf
+    stalls = 0
+    for _ in range(MAX_ROUNDS):
+        norm = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        if not norm > 0.0:
+            break
+        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, v[0] / norm, v[1] / norm, v[2] / norm, S, k)
+        plane = (v[0] * S[k, 0] + v[1] * S[k, 1] + v[2] * S[k, 2]) / norm
+        if plane - error > lower:
+            lower = plane - error
+        if settle and lower > far:
+            return APART, lower - radii, length - radii, k
+        if k > 0:
+            if length - plane <= DISTANCE_TOLERANCE * length:
+                break
+            repeated = False
+            for row in range(k):
+                if S[row, 0] == S[k, 0] and S[row, 1] == S[k, 1] and S[row, 2] == S[k, 2]:
+                    repeated = True
+            if repeated:
+                break
+        before = length
+        k = closest(S, k + 1, weights, v)
+        if k == 4:
+            return TOUCHING, -np.inf, -np.inf, k
+        length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        if settle and length <= reach:
+            return TOUCHING, lower - radii, length - radii, k
+        if length <= error:
+            break
+        # Rounding can make a round useless; two in a row mean that no more is to be had.
+        if length >= before * (1.0 - UNIT_ROUNDOFF):
+            stalls += 1
+            if stalls > 2:
+                break
+        else:
+            stalls = 0
+    if lower > far:
+        status = APART
+    elif length <= reach + 2.0 * error or length - lower <= 4.0 * error:
+        status = TOUCHING
+    else:
+        status = UNSETTLED
+    return status, lower - radii, length - radii, k

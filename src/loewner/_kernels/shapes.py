@@ -1,0 +1,155 @@
+"""Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
+
+A packed set of pieces is a tuple of seven arrays:
+
+``table`` (P, COLUMNS) float64
+    One row per piece; the columns are named below. Lengths in metres, body frame.
+``layout`` (P, 5) int64
+    Kind, first and last+1 row of its points, first and last+1 row of its planes.
+``points`` (V, 3), ``planes`` (F, 4) float64
+    Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+``piece_start`` (n+1,) int64
+    Body i owns pieces piece_start[i] .. piece_start[i+1].
+``inner_factor``, ``outer_factor`` (P, 3, 3) float64
+    Factors of the ellipsoids, for the rules that need more than the shape matrix.
+
+Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
+C (ball, cylinder, cone, segment), and a rounding radius (zero but for a capsule).
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+
+POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT = 0, 1, 2, 3, 4
+
+OUTER_CENTER, OUTER_SHAPE, INNER_CENTER, INNER_SHAPE = 0, 3, 9, 12
+INNER_SIGMA = 18  # lower bound on the smallest semi-axis of the inner ellipsoid
+REACH = 19  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+OUTER_RADIUS = 20  # upper bound on the largest semi-axis of the outer ellipsoid
+ROUNDING = 21  # radius of the ball added to the core
+FRAME_CENTER, FRAME_FACTOR = 22, 25  # c and F (row by row) of the image of a unit shape
+OUTER_SIGMA = 34  # lower bound on the smallest semi-axis of the outer ellipsoid
+COLUMNS = 36
+
+KIND, POINTS_FROM, POINTS_TO, PLANES_FROM, PLANES_TO = 0, 1, 2, 3, 4
+
+
+@inline
+def farthest(points, start, stop, x, y, z):
+    """Row of the point with the largest dot product."""
+    best = start
+    most = points[start, 0] * x + points[start, 1] * y + points[start, 2] * z
+    for i in range(start + 1, stop):
+        value = points[i, 0] * x + points[i, 1] * y + points[i, 2] * z
+        if value > most:
+            most = value
+            best = i
+    return best
+
+
+@njit()
+def unit_support(kind, x, y, z):
+    """Farthest point of a unit shape: ball, cylinder, cone (apex at +1, base at -1) or segment."""
+    if kind == ELLIPSOID:
+        length = np.sqrt(x * x + y * y + z * z)
+        if length == 0.0:
+            return 0.0, 0.0, 1.0
+        return x / length, y / length, z / length
+    if kind == SEGMENT:
+        return 0.0, 0.0, np.copysign(1.0, z)
+    length = np.sqrt(x * x + y * y)
+    if kind == CYLINDER:
+        if length == 0.0:
+            return 0.0, 0.0, np.copysign(1.0, z)
+        return x / length, y / length, np.copysign(1.0, z)
+    # The cone's base circle and its apex compete: |xy| - z against z.
+    if length == 0.0:
+        return 0.0, 0.0, np.copysign(1.0, z)
+    if z > length - z:
+        return 0.0, 0.0, 1.0
+    return x / length, y / length, -1.0
+
+
+@njit()
+def core_support(table, layout, points, piece, x, y, z):
+    """Farthest point of a piece's core along a direction, both in the body frame."""
+    kind = layout[piece, KIND]
+    if kind == POLYTOPE:
+        i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], x, y, z)
+        return points[i, 0], points[i, 1], points[i, 2]
+    row = table[piece]
+    f = FRAME_FACTOR
+    ux, uy, uz = unit_support(
+        kind,
+        row[f] * x + row[f + 3] * y + row[f + 6] * z,
+        row[f + 1] * x + row[f + 4] * y + row[f + 7] * z,
+        row[f + 2] * x + row[f + 5] * y + row[f + 8] * z,
+    )
+    c = FRAME_CENTER
+    return (
+        row[c] + row[f] * ux + row[f + 1] * uy + row[f + 2] * uz,
+        row[c + 1] + row[f + 3] * ux + row[f + 4] * uy + row[f + 5] * uz,
+        row[c + 2] + row[f + 6] * ux + row[f + 7] * uy + row[f + 8] * uz,
+    )
+
+
+@njit()
+def placed_support(table, layout, points, piece, T, x, y, z):
+    """Farthest point of a rotated (not translated) core along a direction in the world's axes."""
+    a, b, c = core_support(
+        table,
+        layout,
+        points,
+        piece,
+        T[0, 0] * x + T[1, 0] * y + T[2, 0] * z,
+        T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
+        T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
+    )
+    return (
+        T[0, 0] * a + T[0, 1] * b + T[0, 2] * c,
+        T[1, 0] * a + T[1, 1] * b + T[1, 2] * c,
+        T[2, 0] * a + T[2, 1] * b + T[2, 2] * c,
+    )
+
+
+@njit()
+def inside_by(table, layout, planes, piece, x, y, z):
+    """How far inside a piece a point of the body frame lies: a lower bound, negative outside.
+
+    For a polytope the distance to the nearest face plane; for the others a bound that is positive
+    exactly inside.
+    """
+    kind = layout[piece, KIND]
+    row = table[piece]
+    if kind == POLYTOPE:
+        depth = np.inf
+        for i in range(layout[piece, PLANES_FROM], layout[piece, PLANES_TO]):
+            depth = min(depth, planes[i, 3] - (planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z))
+        return depth
+    # Coordinates in the unit shape's frame; the columns of F are orthogonal for every primitive
+    # but scaled, so the inverse is Fᵀ over squared column lengths.
+    f = FRAME_FACTOR
+    px = x - row[FRAME_CENTER]
+    py = y - row[FRAME_CENTER + 1]
+    pz = z - row[FRAME_CENTER + 2]
+    s0 = row[f] * row[f] + row[f + 3] * row[f + 3] + row[f + 6] * row[f + 6]
+    s1 = row[f + 1] * row[f + 1] + row[f + 4] * row[f + 4] + row[f + 7] * row[f + 7]
+    s2 = row[f + 2] * row[f + 2] + row[f + 5] * row[f + 5] + row[f + 8] * row[f + 8]
+    w = (row[f + 2] * px + row[f + 5] * py + row[f + 8] * pz) / s2
+    if kind == SEGMENT:
+        w = min(1.0, max(-1.0, w))
+        dx = px - w * row[f + 2]
+        dy = py - w * row[f + 5]
+        dz = pz - w * row[f + 8]
+        return row[ROUNDING] - np.sqrt(dx * dx + dy * dy + dz * dz)
+    u = (row[f] * px + row[f + 3] * py + row[f + 6] * pz) / s0
+    v = (row[f + 1] * px + row[f + 4] * py + row[f + 7] * pz) / s1
+    if kind == ELLIPSOID:
+        return (1.0 - np.sqrt(u * u + v * v + w * w)) * np.sqrt(min(s0, min(s1, s2)))
+    radial = np.sqrt(u * u + v * v)
+    if kind == CYLINDER:
+        return min((1.0 - radial) * np.sqrt(min(s0, s1)), (1.0 - abs(w)) * np.sqrt(s2))
+    # Cone: the slanted side |xy| <= (1 - z)/2 and the base z >= -1.
+    side = (0.5 * (1.0 - w) - radial) * np.sqrt(min(s0, min(s1, s2))) * 0.7
+    return min(side, (1.0 + w) * np.sqrt(s2))

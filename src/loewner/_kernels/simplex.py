@@ -1,0 +1,204 @@
+"""Closest point of a simplex to the origin: the inner step of GJK.
+
+A simplex is the first k rows of ``S`` (4, 9): a point of the Minkowski difference A - B, then the
+points of A and of B it came from. Each solver keeps the rows that carry the closest point,
+writes their barycentric weights to ``weights`` and the closest point to ``v``, and returns how
+many rows are left. Four left means that the origin is inside.
+
+The regions are found by signs of dot products (Ericson, Real-Time Collision Detection, 2005,
+section 5.1). Every answer is a point of the simplex, whatever rounding did to the signs, so |v| is
+always an upper bound on the distance; GJK proves the lower bound by itself.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+
+
+@njit()
+def _keep(S, target, source):
+    if target != source:
+        for j in range(9):
+            S[target, j] = S[source, j]
+
+
+@njit()
+def _combine(S, k, weights, v):
+    for j in range(3):
+        v[j] = 0.0
+    for i in range(k):
+        for j in range(3):
+            v[j] += weights[i] * S[i, j]
+
+
+@njit()
+def segment_weight(ax, ay, az, bx, by, bz):
+    """Weight of b in the point of the segment ab closest to the origin."""
+    dx = bx - ax
+    dy = by - ay
+    dz = bz - az
+    squared = dx * dx + dy * dy + dz * dz
+    if squared <= 0.0:
+        return 0.0
+    # Measure from the nearer end: the product loses nothing there.
+    if ax * ax + ay * ay + az * az <= bx * bx + by * by + bz * bz:
+        t = -(ax * dx + ay * dy + az * dz) / squared
+    else:
+        t = 1.0 - (bx * dx + by * dy + bz * dz) / squared
+    return min(1.0, max(0.0, t))
+
+
+@njit()
+def triangle_weights(ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Barycentric weights of the point of a triangle closest to the origin."""
+    abx = bx - ax
+    aby = by - ay
+    abz = bz - az
+    acx = cx - ax
+    acy = cy - ay
+    acz = cz - az
+    d1 = -(abx * ax + aby * ay + abz * az)
+    d2 = -(acx * ax + acy * ay + acz * az)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return 1.0, 0.0, 0.0
+    d3 = -(abx * bx + aby * by + abz * bz)
+    d4 = -(acx * bx + acy * by + acz * bz)
+    if d3 >= 0.0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    d5 = -(abx * cx + aby * cy + abz * cz)
+    d6 = -(acx * cx + acy * cy + acz * cz)
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    # Edge and face regions from the normal: differences of products d1 d4 - d3 d2 lose twice the digits.
+    nx = aby * acz - abz * acy
+    ny = abz * acx - abx * acz
+    nz = abx * acy - aby * acx
+    wc = nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
+    if wc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = segment_weight(ax, ay, az, bx, by, bz)
+        return 1.0 - t, t, 0.0
+    wb = nx * (cy * az - cz * ay) + ny * (cz * ax - cx * az) + nz * (cx * ay - cy * ax)
+    if wb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = segment_weight(ax, ay, az, cx, cy, cz)
+        return 1.0 - t, 0.0, t
+    wa = nx * (by * cz - bz * cy) + ny * (bz * cx - bx * cz) + nz * (bx * cy - by * cx)
+    if wa <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = segment_weight(bx, by, bz, cx, cy, cz)
+        return 0.0, 1.0 - t, t
+    total = wa + wb + wc
+    if not (total > 0.0 and wa >= 0.0 and wb >= 0.0 and wc >= 0.0):
+        # A triangle too thin for its own normal: the best of its edges is as good.
+        return _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz)
+    return wa / total, wb / total, wc / total
+
+
+@njit()
+def _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz):
+    t = segment_weight(ax, ay, az, bx, by, bz)
+    u = segment_weight(bx, by, bz, cx, cy, cz)
+    w = segment_weight(cx, cy, cz, ax, ay, az)
+    px = ax + t * (bx - ax)
+    py = ay + t * (by - ay)
+    pz = az + t * (bz - az)
+    qx = bx + u * (cx - bx)
+    qy = by + u * (cy - by)
+    qz = bz + u * (cz - bz)
+    rx = cx + w * (ax - cx)
+    ry = cy + w * (ay - cy)
+    rz = cz + w * (az - cz)
+    p = px * px + py * py + pz * pz
+    q = qx * qx + qy * qy + qz * qz
+    r = rx * rx + ry * ry + rz * rz
+    if p <= q and p <= r:
+        return 1.0 - t, t, 0.0
+    if q <= r:
+        return 0.0, 1.0 - u, u
+    return w, 0.0, 1.0 - w
+
+
+@njit()
+def _compact(S, k, weights, v):
+    """Drop the rows of weight zero and form the closest point."""
+    m = 0
+    for i in range(k):
+        if weights[i] > 0.0:
+            _keep(S, m, i)
+            weights[m] = weights[i]
+            m += 1
+    _combine(S, m, weights, v)
+    return m
+
+
+@njit()
+def _beyond(S, i, j, k, opposite):
+    """Tell whether the origin is not strictly on the inner side of face ijk."""
+    ux = S[j, 0] - S[i, 0]
+    uy = S[j, 1] - S[i, 1]
+    uz = S[j, 2] - S[i, 2]
+    wx = S[k, 0] - S[i, 0]
+    wy = S[k, 1] - S[i, 1]
+    wz = S[k, 2] - S[i, 2]
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    inner = (
+        nx * (S[opposite, 0] - S[i, 0]) + ny * (S[opposite, 1] - S[i, 1]) + nz * (S[opposite, 2] - S[i, 2])
+    )
+    origin = -(nx * S[i, 0] + ny * S[i, 1] + nz * S[i, 2])
+    # A flat tetrahedron (inner = 0) counts as beyond: then its faces are tried, never "inside".
+    return not ((inner > 0.0 and origin > 0.0) or (inner < 0.0 and origin < 0.0))
+
+
+@njit()
+def closest(S, k, weights, v):
+    """Reduce the simplex to the part that carries its point closest to the origin."""
+    if k == 1:
+        weights[0] = 1.0
+        _combine(S, 1, weights, v)
+        return 1
+    if k == 2:
+        t = segment_weight(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2])
+        weights[0] = 1.0 - t
+        weights[1] = t
+        return _compact(S, 2, weights, v)
+    if k == 3:
+        wa, wb, wc = triangle_weights(
+            S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2], S[2, 0], S[2, 1], S[2, 2]
+        )
+        weights[0] = wa
+        weights[1] = wb
+        weights[2] = wc
+        return _compact(S, 3, weights, v)
+    best = np.inf
+    b0 = 0.0
+    b1 = 0.0
+    b2 = 0.0
+    b3 = 0.0
+    for face in range(4):
+        i = 0 if face != 0 else 1
+        j = 1 if face > 1 else 2
+        m = 2 if face == 3 else 3
+        if _beyond(S, i, j, m, face):
+            wa, wb, wc = triangle_weights(
+                S[i, 0], S[i, 1], S[i, 2], S[j, 0], S[j, 1], S[j, 2], S[m, 0], S[m, 1], S[m, 2]
+            )
+            x = wa * S[i, 0] + wb * S[j, 0] + wc * S[m, 0]
+            y = wa * S[i, 1] + wb * S[j, 1] + wc * S[m, 1]
+            z = wa * S[i, 2] + wb * S[j, 2] + wc * S[m, 2]
+            squared = x * x + y * y + z * z
+            if squared < best:
+                best = squared
+                b0 = wa if i == 0 else 0.0
+                b1 = wa if i == 1 else (wb if j == 1 else 0.0)
+                b2 = wb if j == 2 else (wc if m == 2 else 0.0)
+                b3 = wc if m == 3 else 0.0
+    if best == np.inf:
+        v[0] = 0.0
+        v[1] = 0.0
+        v[2] = 0.0
+        return 4
+    weights[0] = b0
+    weights[1] = b1
+    weights[2] = b2
+    weights[3] = b3
+    return _compact(S, 4, weights, v)
