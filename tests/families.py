@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+
 from oracles import HullPool, signed_distances
 
 Maker = Callable[[np.random.Generator], np.ndarray]
@@ -75,7 +76,7 @@ def _cone(rng: np.random.Generator) -> np.ndarray:
 
 def _sliver(rng: np.random.Generator) -> np.ndarray:
     """A tetrahedron whose four corners lie within 1e-3 of a plane."""
-    return rng.uniform(-1, 1, size=(4, 3)) * [1, 1, 1e-3] + [[0, 0, 0.001], [0, 0, -0.001], [0, 0, 0.001], [0, 0, -0.001]]
+    return rng.uniform(-1, 1, size=(4, 3)) * [1, 1, 1e-3]
 
 
 def _mixed_scale(rng: np.random.Generator) -> np.ndarray:

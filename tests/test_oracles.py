@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+
 from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, rotations
 from oracles import (
     Hull,

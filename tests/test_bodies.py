@@ -1,0 +1,211 @@
+"""Bodies: what they hold, that they travel through files unharmed, that moving one never fits again."""
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loewner
+from families import FAMILIES, box_corners, pieces, random_poses
+from loewner import Bodies, Body
+from oracles import hull
+
+ALL_KINDS = {
+    "polytope": lambda: Body.from_points(pieces("ball 20", 1)[0]),
+    "union": lambda: Body.from_pieces(pieces("boxes", 3)),
+    "box": lambda: Body.box([1, 2, 3]),
+    "sphere": lambda: Body.sphere(0.5),
+    "cylinder": lambda: Body.cylinder(0.5, 2),
+    "capsule": lambda: Body.capsule(0.5, 2),
+    "cone": lambda: Body.cone(0.5, 2),
+    "ellipsoid": lambda: Body.ellipsoid([3, 2, 1]),
+    "mixed": lambda: Body.union([Body.sphere(0.5), Body.box([1, 1, 1]), Body.cone(1, 2)]),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_inner_in_piece_in_outer(family: str):
+    """Inner ellipsoid inside every face plane, every vertex inside the outer one."""
+    points = pieces(family, 5, seed=6)
+    for body, P in zip(Bodies.from_points(points), points, strict=True):
+        assert len(body.pieces) == 1
+        h = hull(P)
+        c, F = body.inner.center[0], body.inner.factor[0]
+        reach = h.normals @ c + np.linalg.norm(h.normals @ F, axis=1)
+        offset = (h.vertices @ h.normals.T).max(axis=0)
+        # Two hulls of the same points differ by rounding in the normals of thin facets.
+        assert (reach <= offset + 1e-12 * np.abs(P).max()).all()
+        u = np.linalg.solve(body.outer.factor[0], (P - body.outer.center[0]).T)
+        assert np.linalg.norm(u, axis=0).max() <= 1 + 1e-13
+
+
+def test_ellipsoids_of_primitives():
+    """Known optimal ellipsoids: sphere and ellipsoid are their own; box, cylinder and cone by formula."""
+    half3 = 3**0.5
+    for body, inner, outer in [
+        (Body.sphere(0.5), [0.5] * 3, [0.5] * 3),
+        (Body.ellipsoid([3, 2, 1]), [3, 2, 1], [3, 2, 1]),
+        (Body.box([2, 4, 6]), [3, 2, 1], [3 * half3, 2 * half3, half3]),
+        (Body.cylinder(1, 4), [2, 1, 1], [2 * half3, 1.5**0.5, 1.5**0.5]),
+    ]:
+        assert body.inner.semi_axes[0] == pytest.approx(inner, rel=1e-3)
+        assert body.outer.semi_axes[0] == pytest.approx(outer, rel=1e-3)
+    cone = Body.cone(1, 4)  # the limit of the k-pyramid: both centred a quarter of the way up
+    assert cone.inner.center[0] == pytest.approx([0, 0, -1], abs=1e-3)
+    assert cone.outer.center[0] == pytest.approx([0, 0, -1], abs=1e-3)
+    assert cone.inner.semi_axes[0] == pytest.approx([1, 0.5**0.5, 0.5**0.5], rel=1e-3)
+    assert cone.outer.semi_axes[0] == pytest.approx([3, 3 / 8**0.5, 3 / 8**0.5], rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_save_and_load(kind: str, tmp_path: Path):
+    """What comes back answers like what was saved, bit by bit."""
+    body = ALL_KINDS[kind]()
+    path = tmp_path / "body.npz"
+    body.save(path)
+    again = Body.load(path)
+    assert len(again.pieces) == len(body.pieces)
+    assert np.array_equal(again.inner.factor, body.inner.factor)
+    assert np.array_equal(again.outer.center, body.outer.center)
+    for p, q in zip(body.pieces, again.pieces, strict=True):
+        assert p.kind == q.kind
+        for name in ("vertices", "normals", "offsets", "triangles"):
+            x, y = getattr(p, name), getattr(q, name)
+            assert (x is None) == (y is None)
+            assert x is None or np.array_equal(x, y)
+    T = random_poses(np.random.default_rng(0), 50, 1.5)
+    other = Body.box([1, 0.5, 0.5])
+    assert np.array_equal(loewner.classify(body, T, other, None), loewner.classify(again, T, other, None))
+    one, two = (loewner.distance(x, T, other, None, exact=True) for x in (body, again))
+    assert np.array_equal(one.distance, two.distance)
+
+
+def test_bodies_save_and_load(tmp_path: Path):
+    bodies = Bodies([make() for make in ALL_KINDS.values()])
+    bodies.save(tmp_path / "all.npz")
+    again = Bodies.load(tmp_path / "all.npz")
+    assert len(again) == len(bodies) == len(ALL_KINDS)
+    assert np.array_equal(again.piece_start, bodies.piece_start)
+    assert np.array_equal(again.inner.factor, bodies.inner.factor)
+    T = random_poses(np.random.default_rng(0), len(bodies), 1.0)
+    other = Body.sphere(0.5)
+    assert np.array_equal(loewner.collide(bodies, T, other, None), loewner.collide(again, T, other, None))
+
+
+def test_files_hold_plain_arrays_only(tmp_path: Path):
+    """A body file is a zip of .npy arrays that loads without pickle: opening a stranger's file runs no code."""
+    path = tmp_path / "body.npz"
+    Body.from_pieces(pieces("boxes", 2)).save(path)
+    assert zipfile.is_zipfile(path)
+    with np.load(path, allow_pickle=False) as data:
+        assert data.files
+        for name in data.files:
+            assert data[name].dtype != object
+
+
+def test_save_leaves_the_old_file_or_the_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A save that dies half way leaves the old file whole and no debris."""
+    path = tmp_path / "body.npz"
+    Body.sphere(1).save(path)
+    before = path.read_bytes()
+
+    def full_disc(*args: object, **kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for target in ("replace", "rename", "fsync"):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, target, full_disc)
+            failed = None
+            try:
+                Body.box([1, 2, 3]).save(path)
+            except OSError as error:
+                failed = error
+        assert [p.name for p in tmp_path.iterdir()] == ["body.npz"]
+        if failed is None:
+            # That call is not part of a save: then the new file is whole.
+            assert len(Body.load(path).pieces) == 1
+            Body.sphere(1).save(path)
+        else:
+            assert isinstance(failed, loewner.FileError)
+            assert path.read_bytes() == before
+    with pytest.raises(loewner.FileError):
+        Body.sphere(1).save(tmp_path / "no such folder" / "body.npz")
+    assert [p.name for p in tmp_path.iterdir()] == ["body.npz"]
+
+
+def test_moving_never_fits_again():
+    """The moved body's ellipsoids are the moved ellipsoids; its answers are those of the moved pose."""
+    rng = np.random.default_rng(2)
+    for make in ALL_KINDS.values():
+        body = make()
+        T, S = random_poses(rng, 2, 1.0)
+        moved = body.transformed(T)
+        expected = body.outer.transformed(T)
+        assert moved.outer.center == pytest.approx(expected.center, abs=1e-14)
+        # Moving may inflate by roundings so that containment survives, no more.
+        assert moved.outer.shape_matrix == pytest.approx(expected.shape_matrix, rel=1e-12, abs=1e-12)
+        assert moved.inner.volume == pytest.approx(body.inner.volume, rel=1e-12)
+        other = Body.box([1, 0.5, 0.5])
+        one = loewner.distance(body, S @ T, other, None, exact=True)
+        two = loewner.distance(moved, S, other, None, exact=True)
+        assert float(one.distance) == pytest.approx(float(two.distance), abs=1e-9)
+
+
+def test_moved_piece_still_nests():
+    """After a move the outer ellipsoid still holds every vertex and the inner is still inside every face."""
+    rng = np.random.default_rng(9)
+    for family in FAMILIES:
+        (P,) = pieces(family, 1, seed=5)
+        moved = Body.from_points(P).transformed(random_poses(rng, 1)[0])
+        piece = moved.pieces[0]
+        u = np.linalg.solve(moved.outer.factor[0], (piece.vertices - moved.outer.center[0]).T)
+        assert np.linalg.norm(u, axis=0).max() <= 1 + 1e-13
+        reach = piece.normals @ moved.inner.center[0] + np.linalg.norm(piece.normals @ moved.inner.factor[0], axis=1)
+        assert (reach <= piece.offsets + 1e-13).all()
+
+
+def test_packing():
+    """Bodies are their bodies: pieces counted, rows in order, slices and single ones equal what went in."""
+    each = [make() for make in ALL_KINDS.values()]
+    bodies = Bodies(each)
+    counts = [len(b.pieces) for b in each]
+    assert bodies.piece_start.tolist() == np.cumsum([0, *counts]).tolist()
+    assert len(bodies.inner) == len(bodies.outer) == sum(counts)
+    for k, body in enumerate(each):
+        rows = slice(bodies.piece_start[k], bodies.piece_start[k + 1])
+        assert np.array_equal(bodies.inner.center[rows], body.inner.center)
+        assert np.array_equal(bodies[k].outer.factor, body.outer.factor)
+    part = bodies[2:5]
+    assert isinstance(part, Bodies)
+    assert len(part) == 3
+    assert np.array_equal(part[0].outer.factor, each[2].outer.factor)
+    assert isinstance(bodies[-1], Body)
+    with pytest.raises(IndexError):
+        bodies[len(bodies)]
+    assert [len(b.pieces) for b in bodies] == counts
+
+
+def test_batch_of_fits_equals_single_fits():
+    """Fitted in one go or one by one: the same ellipsoids."""
+    points = pieces("ball 20", 6) + pieces("boxes", 3) + pieces("needles 1:1e-3:1e-3", 3)
+    for body, P in zip(Bodies.from_points(points), points, strict=True):
+        one = Body.from_points(P)
+        assert body.inner.log_volume == pytest.approx(one.inner.log_volume, abs=1e-9)
+        assert body.outer.log_volume == pytest.approx(one.outer.log_volume, abs=1e-9)
+
+
+def test_bodies_cannot_be_changed():
+    """Arrays handed out are read-only, and the caller's own array is copied."""
+    P = box_corners(np.ones(3))
+    body = Body.from_points(P)
+    before = body.outer.center.copy()
+    P *= 10
+    assert np.array_equal(body.outer.center, before)
+    assert np.abs(body.pieces[0].vertices).max() == 0.5
+    for array in (body.inner.center, body.outer.factor, body.pieces[0].vertices, body.pieces[0].normals):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    with pytest.raises(AttributeError):
+        body.pieces = ()

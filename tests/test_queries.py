@@ -1,0 +1,474 @@
+"""The laws of classify, collide and distance, on pairs whose truth the oracles know."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loewner
+from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes
+from loewner import Bodies, Body, Verdict
+
+FREE, COLLIDING, AMBIGUOUS = Verdict
+from oracles import (
+    HullPool,
+    Support,
+    capsule_support,
+    cone_support,
+    cylinder_support,
+    directional_distance,
+    ellipsoid_support,
+    exact_collides,
+    exact_squared_distance,
+    hull,
+    naive_distance,
+    pack,
+    polytope_support,
+    posed_support,
+    signed_distances,
+)
+
+# Closer to touching than this, relative to the size of the pair, float64 input itself decides.
+GRAZING = 1e-9
+
+BODIES = 12  # of each family
+ROUNDS = 13  # poses of each body: 14 families x 12 x 13 = 2,184 pairs
+
+
+def translation(*t: float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = t
+    return T
+
+
+class Pairs(NamedTuple):
+    """All pairs of one family, in the order of the poses' last two batch axes."""
+
+    points: list[np.ndarray]
+    pool: HullPool
+    a: Bodies
+    b: Bodies
+    Ta: np.ndarray  # (ROUNDS, BODIES, 4, 4)
+    Tb: np.ndarray
+    gap: np.ndarray  # (ROUNDS, BODIES): sign of the truth; the depth where negative
+    distance: np.ndarray  # the true signed distance
+    size: np.ndarray
+
+    def flat(self):
+        for p in range(self.gap.size):
+            r, i = divmod(p, BODIES)
+            j = BODIES - 1 - i
+            yield (r, i), i, j, self.Ta[r, i], self.Tb[r, i]
+
+
+@pytest.fixture(scope="module")
+def world() -> dict[str, Pairs]:
+    out = {}
+    rng = np.random.default_rng(11)
+    for family in FAMILIES:
+        points = pieces(family, BODIES, seed=1)
+        pool = pack(map(hull, points))
+        i = np.tile(np.arange(BODIES), ROUNDS)
+        j = BODIES - 1 - i
+        Ta, Tb = near_contact(rng, pool, i, pool, j)
+        gap, _ = signed_distances(pool, i, Ta, pool, j, Tb)
+        truth = gap.copy()
+        for p in np.flatnonzero(gap > 0):
+            truth[p] = naive_distance(pool.hull(i[p]), Ta[p], pool.hull(j[p]), Tb[p])[0]
+        a = Bodies.from_points(points)
+        b = Bodies([a[k] for k in range(BODIES)][::-1])
+        size = (sizes(pool)[i] + sizes(pool)[j]).reshape(ROUNDS, BODIES)
+        poses = (T.reshape(ROUNDS, BODIES, 4, 4) for T in (Ta, Tb))
+        out[family] = Pairs(
+            points, pool, a, b, *poses, gap.reshape(ROUNDS, BODIES), truth.reshape(ROUNDS, BODIES), size
+        )
+    return out
+
+
+def check_witnesses(
+    result: loewner.Distance, a: Support, b: Support, tolerance: float, index: tuple[int, ...] = ()
+) -> None:
+    """The witnesses and the normal prove the distance: one from above, the other from below.
+
+    Apart: the segment between points of the bodies is as long as the gap between the planes across
+    it. Overlapping: the planes across the normal overlap by just the depth, and moving b that far
+    brings the witnesses together.
+    """
+    d = float(np.asarray(result.distance)[index])
+    wa, wb, n = result.witness_a[index], result.witness_b[index], result.normal[index]
+    assert np.linalg.norm(n) == pytest.approx(1, abs=1e-12)
+    assert wb - wa == pytest.approx(d * n, abs=tolerance)
+    gap = float((n * (b(-n[None]) - a(n[None]))).sum())
+    assert gap == pytest.approx(d, abs=tolerance)
+    # The witnesses are in their bodies: no direction of many sees them stick out.
+    directions = rotations(np.random.default_rng(0), 200).reshape(-1, 3)
+    for w, support in ((wa, a), (wb, b)):
+        assert (np.einsum("ki,ki->k", directions, w - support(directions)) <= tolerance).all()
+
+
+# -- right answers -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_verdicts_are_true(world: dict[str, Pairs], family: str):
+    """FREE only where the pieces are apart, COLLIDING only where they meet; none set apart as too close."""
+    w = world[family]
+    verdict = loewner.classify(w.a, w.Ta, w.b, w.Tb)
+    assert verdict.dtype == np.int8
+    assert verdict.shape == w.gap.shape
+    assert set(np.unique(verdict)) <= {FREE, COLLIDING, AMBIGUOUS}
+    doubtful = np.abs(w.gap) < 1e-13
+    assert not ((verdict == FREE) & (w.gap <= 0) & ~doubtful).any()
+    assert not ((verdict == COLLIDING) & (w.gap > 0) & ~doubtful).any()
+    for where, i, j, Ta, Tb in w.flat():
+        if doubtful[where] and verdict[where] != AMBIGUOUS:
+            assert exact_collides(w.points[i], Ta, w.points[j], Tb) == (verdict[where] == COLLIDING)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_exact_answers_are_true(world: dict[str, Pairs], family: str):
+    """Exact agrees with the truth on every pair that is not grazing."""
+    w = world[family]
+    found = loewner.collide(w.a, w.Ta, w.b, w.Tb)
+    assert found.dtype == bool
+    clear = np.abs(w.distance) > GRAZING * w.size
+    assert np.array_equal(found[clear], w.gap[clear] <= 0)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_distances_are_true(world: dict[str, Pairs], family: str):
+    """Lower <= true distance <= upper, and the exact distance is the true one, depth included."""
+    w = world[family]
+    result = loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True)
+    slack = 1e-12 * w.size
+    assert (result.lower <= w.distance + slack).all()
+    assert (w.distance <= result.upper + slack).all()
+    assert (np.abs(result.distance - w.distance) <= 1e-9 * w.size).all()
+    bounds = loewner.distance(w.a, w.Ta, w.b, w.Tb)
+    assert bounds.distance is None
+    assert bounds.witness_a is None
+    assert bounds.witness_b is None
+    assert bounds.normal is None
+    assert (bounds.lower <= w.distance + slack).all()
+    assert (w.distance <= bounds.upper + slack).all()
+    assert np.isfinite(bounds.estimate).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_witnesses_prove_the_distance(world: dict[str, Pairs], family: str):
+    """Witnesses lie in the pieces, are the distance apart along the normal, and the planes there agree."""
+    w = world[family]
+    result = loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True)
+    for where, i, j, Ta, Tb in w.flat():
+        if abs(w.distance[where]) < 1e-6 * w.size[where]:
+            continue  # the normal of a short segment is rounding
+        a = posed_support(polytope_support(w.points[i]), Ta)
+        b = posed_support(polytope_support(w.points[j]), Tb)
+        check_witnesses(result, a, b, 1e-9 * float(w.size[where]), where)
+
+
+def test_mix_is_mixed(world: dict[str, Pairs]):
+    """Over all families each of free, ambiguous and colliding has its fair share."""
+    counts = np.zeros(3)
+    for w in world.values():
+        counts += np.bincount(loewner.classify(w.a, w.Ta, w.b, w.Tb).ravel(), minlength=3)
+    assert (counts > 0.15 * counts.sum()).all()
+
+
+@pytest.mark.parametrize("rule", ["contact-product", "rimon-boyd", "lin-han", "center-line"])
+def test_estimate_keeps_what_is_certain(world: dict[str, Pairs], rule: str):
+    """An estimate never overrules a certified verdict, and does much better than a coin on the rest."""
+    right = total = 0
+    for w in world.values():
+        verdict = loewner.classify(w.a, w.Ta, w.b, w.Tb)
+        guess = loewner.collide(w.a, w.Ta, w.b, w.Tb, method="estimate", rule=rule)
+        assert not guess[verdict == FREE].any()
+        assert guess[verdict == COLLIDING].all()
+        right += (guess == (w.gap <= 0)).sum()
+        total += guess.size
+    assert right > 0.8 * total
+
+
+# -- laws ------------------------------------------------------------------------------------------------
+
+
+def opposite(w: Pairs) -> tuple:
+    return w.b, w.Tb, w.a, w.Ta
+
+
+def test_order_of_the_bodies_does_not_matter(world: dict[str, Pairs]):
+    """Swapping a and b keeps every answer, swaps the witnesses and turns the normal."""
+    for w in world.values():
+        there, back = loewner.classify(w.a, w.Ta, w.b, w.Tb), loewner.classify(*opposite(w))
+        contradiction = ((there == FREE) & (back == COLLIDING)) | ((there == COLLIDING) & (back == FREE))
+        assert not contradiction.any()
+        assert np.mean(there == back) > 0.99  # a witness may fall one rounding either side of proof
+        clear = np.abs(w.distance) > GRAZING * w.size
+        assert np.array_equal(
+            loewner.collide(w.a, w.Ta, w.b, w.Tb)[clear], loewner.collide(*opposite(w))[clear]
+        )
+        d, e = loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True), loewner.distance(*opposite(w), exact=True)
+        assert (np.abs(d.distance - e.distance) <= 2e-9 * w.size).all()
+
+
+def test_margin_is_a_distance(world: dict[str, Pairs]):
+    """With a margin, collide means "within the margin", and verdicts stay true."""
+    for w in world.values():
+        for margin in (1e-3, 0.05, 0.5):
+            verdict = loewner.classify(w.a, w.Ta, w.b, w.Tb, margin=margin)
+            within = w.distance <= margin
+            doubtful = np.abs(w.distance - margin) < 1e-12
+            assert not ((verdict == FREE) & within & ~doubtful).any()
+            assert not ((verdict == COLLIDING) & ~within & ~doubtful).any()
+            clear = np.abs(w.distance - margin) > GRAZING * w.size
+            found = loewner.collide(w.a, w.Ta, w.b, w.Tb, margin=margin)
+            assert np.array_equal(found[clear], within[clear])
+
+
+def test_margin_is_monotone(world: dict[str, Pairs]):
+    """A larger margin never makes a colliding pair free."""
+    for w in world.values():
+        before = np.zeros(w.gap.shape, bool)
+        for margin in (0.0, 1e-6, 0.01, 0.1, 1.0):
+            verdict = loewner.classify(w.a, w.Ta, w.b, w.Tb, margin=margin)
+            now = loewner.collide(w.a, w.Ta, w.b, w.Tb, margin=margin)
+            assert not (before & ~now).any()
+            assert not (before & (verdict == FREE)).any()
+            assert not now[verdict == FREE].any()
+            assert now[verdict == COLLIDING].all()
+            before = now
+
+
+seeds = st.integers(0, 2**32 - 1)
+families = st.sampled_from(sorted(FAMILIES))
+
+
+def random_pair(family: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    A, B = (FAMILIES[family](rng) for _ in range(2))
+    pool, zero = pack([hull(A), hull(B)]), np.zeros(1, np.int64)
+    Ta, Tb = near_contact(rng, pool, zero, pool, zero + 1)
+    return A, Ta[0], B, Tb[0]
+
+
+@given(families, seeds)
+def test_one_pair_agrees_with_rationals(family: str, seed: int):
+    """One pair at a time: certified, exact and distance answers against exact arithmetic."""
+    A, Ta, B, Tb = random_pair(family, seed)
+    a, b = Body.from_points(A), Body.from_points(B)
+    squared = exact_squared_distance(A, Ta, B, Tb)
+    verdict = loewner.classify(a, Ta, b, Tb)
+    assert isinstance(verdict, Verdict)
+    assert verdict == AMBIGUOUS or (verdict == COLLIDING) == (squared == 0)
+    result = loewner.distance(a, Ta, b, Tb, exact=True)
+    size = np.ptp(A, axis=0).max() + np.ptp(B, axis=0).max()
+    if abs(result.distance) > GRAZING * size:
+        assert bool(loewner.collide(a, Ta, b, Tb)) == (squared == 0)
+        assert (result.distance <= 0) == (squared == 0)
+    if squared:
+        assert float(result.distance) == pytest.approx(float(squared) ** 0.5, abs=1e-9 * size)
+
+
+@given(families, seeds, st.integers(2, 4))
+def test_union_is_the_union(family: str, seed: int, count: int):
+    """A union is FREE only if every piece pair is, COLLIDING if any is; its distance is the least."""
+    rng = np.random.default_rng(seed)
+    parts = [FAMILIES[family](rng) + rng.uniform(-1, 1, size=3) for _ in range(count)]
+    whole = Body.from_pieces(parts)
+    assert len(whole.pieces) == count
+    same = Body.union([Body.from_points(P) for P in parts])
+    other = Body.from_points(FAMILIES[family](rng))
+    T = random_poses(rng, 1, 1.5)[0]
+    verdicts = [loewner.classify(Body.from_points(P), None, other, T) for P in parts]
+    apart = all(v == FREE for v in verdicts)
+    expected = COLLIDING if COLLIDING in verdicts else FREE if apart else AMBIGUOUS
+    assert loewner.classify(whole, None, other, T) == expected
+    assert loewner.classify(same, None, other, T) == expected
+    assert loewner.collide(whole, None, other, T) == any(
+        loewner.collide(Body.from_points(P), None, other, T) for P in parts
+    )
+    each = [loewner.distance(Body.from_points(P), None, other, T, exact=True) for P in parts]
+    result = loewner.distance(whole, None, other, T, exact=True)
+    assert float(result.distance) == pytest.approx(min(float(e.distance) for e in each), abs=1e-9)
+    assert result.lower <= result.distance + 1e-12
+    assert result.distance <= result.upper + 1e-12
+
+
+# -- shapes of the answers -----------------------------------------------------------------------------------
+
+
+def test_none_is_the_identity(world: dict[str, Pairs]):
+    w = world["ball 20"]
+    a, b, T = w.a[0], w.b[0], w.Tb[0, 0]
+    assert loewner.classify(a, None, b, T) == loewner.classify(a, np.eye(4), b, T)
+    assert loewner.collide(a, T, b, None) == loewner.collide(a, T, b, np.eye(4))
+    assert loewner.distance(a, None, b, T).lower == loewner.distance(a, np.eye(4), b, T).lower
+
+
+def test_poses_broadcast(world: dict[str, Pairs]):
+    """Any mix of batch shapes gives what the pairs give one at a time."""
+    w = world["ball 20"]
+    a, b = w.a[0], w.b[0]
+    Ta, Tb = w.Ta[:4, :3], w.Tb[:4, :3]
+    each = np.array([[loewner.classify(a, Ta[r, 0], b, Tb[0, c]) for c in range(3)] for r in range(4)])
+    assert np.array_equal(loewner.classify(a, Ta[:, :1], b, Tb[0]), each)
+    assert np.array_equal(loewner.classify(a, Ta[:, 0, None], b, Tb[:1]), each)
+    assert loewner.classify(a, Ta[:, 0], b, None).shape == (4,)
+    assert loewner.classify(a, None, b, Tb).shape == (4, 3)
+    full = loewner.distance(a, Ta, b, Tb, exact=True)
+    assert full.distance.shape == full.lower.shape == full.upper.shape == full.estimate.shape == (4, 3)
+    assert full.witness_a.shape == full.witness_b.shape == full.normal.shape == (4, 3, 3)
+    for r in range(4):
+        for c in range(3):
+            one = loewner.distance(a, Ta[r, c], b, Tb[r, c], exact=True)
+            assert full.distance[r, c] == pytest.approx(float(one.distance), abs=1e-12)
+
+
+def test_bodies_broadcast_with_the_last_axis(world: dict[str, Pairs]):
+    """Bodies of n against poses (..., n), against one Body, and against Bodies of n."""
+    w = world["tetrahedra"]
+    n = BODIES
+    batch = loewner.classify(w.a, w.Ta, w.b, w.Tb)
+    each = [[loewner.classify(w.a[i], w.Ta[r, i], w.b[i], w.Tb[r, i]) for i in range(n)] for r in range(3)]
+    assert np.array_equal(batch[:3], each)
+    assert loewner.classify(w.a, None, w.b[0], None).shape == (n,)
+    assert loewner.classify(w.a, w.Ta[0, 0], w.b, w.Tb[0, 1]).shape == (n,)
+    assert loewner.classify(w.a[0], w.Ta[:, :1], w.b, w.Tb[0, 0]).shape == (ROUNDS, n)
+    one = loewner.classify(w.a[0], w.Ta[0, 0], w.b, w.Tb[0])
+    assert np.array_equal(one, [loewner.classify(w.a[0], w.Ta[0, 0], w.b[i], w.Tb[0, i]) for i in range(n)])
+    assert loewner.collide(w.a[:5], w.Ta[:, :5], w.b[:5], None).shape == (ROUNDS, 5)
+
+
+def test_same_answers_for_any_number_of_threads(world: dict[str, Pairs]):
+    import numba
+
+    w = world["boxes"]
+    before = numba.get_num_threads()
+    answers = []
+    try:
+        for threads in range(1, before + 1):
+            numba.set_num_threads(threads)
+            result = loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True)
+            answers.append((loewner.classify(w.a, w.Ta, w.b, w.Tb), result.distance, result.lower))
+    finally:
+        numba.set_num_threads(before)
+    for answer in answers[1:]:
+        for x, y in zip(answers[0], answer, strict=True):
+            assert np.array_equal(x, y)
+
+
+def test_results_are_fresh_and_frozen(world: dict[str, Pairs]):
+    """Records cannot be changed, and two calls share no memory."""
+    w = world["boxes"]
+    one, two = (loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True) for _ in range(2))
+    assert not np.shares_memory(one.lower, two.lower)
+    with pytest.raises(AttributeError):
+        one.lower = two.lower
+
+
+# -- primitives ---------------------------------------------------------------------------------------------
+
+
+def test_balls_by_hand():
+    """Sphere against sphere: centre distance less the radii, sign and all."""
+    a, b = Body.sphere(0.5), Body.sphere(0.25)
+    for t in [(1, 0, 0), (0.3, 0.4, 0.5), (0.2, 0, 0.1), (3, -4, 12)]:
+        expected = np.linalg.norm(t) - 0.75
+        result = loewner.distance(a, None, b, translation(*t), exact=True)
+        assert float(result.distance) == pytest.approx(expected, abs=1e-9)
+        assert result.normal == pytest.approx(np.array(t) / np.linalg.norm(t), abs=1e-5)
+        assert result.lower <= expected + 1e-12
+        assert result.upper >= expected - 1e-12
+        assert bool(loewner.collide(a, None, b, translation(*t))) == (expected <= 0)
+        # A sphere is its own ellipsoid: nothing is ambiguous.
+        assert loewner.classify(a, None, b, translation(*t)) == (COLLIDING if expected <= 0 else FREE)
+
+
+def test_touching_collides():
+    """Touching counts as colliding wherever float64 can say so."""
+    cube, ball = Body.box([1, 1, 1]), Body.sphere(0.5)
+    for t in [(1, 0, 0), (0, 1, 0.5), (1, 1, 1), (1, 0.25, 1)]:
+        assert loewner.collide(cube, None, cube, translation(*t))
+    assert loewner.collide(ball, None, cube, translation(1, 0, 0))
+    assert loewner.collide(ball, None, ball, translation(1, 0, 0))
+    assert loewner.classify(cube, None, cube, translation(1, 0, 0)) != FREE
+    assert loewner.collide(cube, None, cube, translation(1.5, 0, 0), margin=0.5)
+    assert not loewner.collide(cube, None, cube, translation(1.5, 0, 0), margin=0.499)
+
+
+def test_ball_and_box_by_hand():
+    """Sphere against box: distance to the clamped centre, outside and inside."""
+    ball, box = Body.sphere(0.5), Body.box([2, 4, 6])
+    for t in [(2, 0, 0), (1.2, 2.1, 0), (2, 3, 4), (0.9, 0, 0), (0.2, 1.8, 0.1)]:
+        x, half = np.abs(t), np.array([1, 2, 3])
+        outside = np.linalg.norm(np.maximum(x - half, 0))
+        expected = (outside or -(half - x).min()) - 0.5
+        found = loewner.distance(box, None, ball, translation(*t), exact=True)
+        assert float(found.distance) == pytest.approx(expected, abs=1e-9)
+
+
+def test_capsules_by_hand():
+    """Capsules: the distance of their segments less the radii."""
+    a, b = Body.capsule(0.2, 1), Body.capsule(0.1, 2)
+    lying = np.eye(4)
+    lying[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    for t, segments in [((0.5, 0.6, 0.3), 0.6), ((0, 0.25, 0), 0.25), ((1.5, 0, 1), 0.5**0.5), ((2, 0, 0.5), 1)]:
+        lying[:3, 3] = t
+        result = loewner.distance(a, None, b, lying, exact=True)
+        assert float(result.distance) == pytest.approx(segments - 0.3, abs=1e-9)
+
+
+def test_cylinders_and_cones_by_hand():
+    """Cylinders side by side, on top of each other, rim over rim; a cone's tip and base; exact, no facets."""
+    can, cone = Body.cylinder(0.5, 2), Body.cone(0.5, 2)
+    for a, b, t, expected in [
+        (can, can, (1.5, 0, 0.3), 0.5),
+        (can, can, (0.9, 0, 0), -0.1),
+        (can, can, (0.2, 0.1, 2.25), 0.25),
+        (can, can, (1.3, 0, 2.4), 0.5),
+        (cone, can, (0, 0, 2.125), 0.125),
+        (can, cone, (0, 0, 2.125), 0.125),
+        (cone, cone, (0, 0, 2.5), 0.5),
+        (cone, can, (0, 0, 1.875), -0.125),
+    ]:
+        result = loewner.distance(a, None, b, translation(*t), exact=True)
+        assert float(result.distance) == pytest.approx(expected, abs=1e-9)
+        assert bool(loewner.collide(a, None, b, translation(*t))) == (expected <= 0)
+
+
+PRIMITIVES = {
+    "box": (lambda: Body.box([1, 0.6, 0.3]), polytope_support(box_corners(np.array([1, 0.6, 0.3])))),
+    "sphere": (lambda: Body.sphere(0.4), ellipsoid_support([0.4, 0.4, 0.4])),
+    "cylinder": (lambda: Body.cylinder(0.3, 1), cylinder_support(0.3, 1)),
+    "capsule": (lambda: Body.capsule(0.2, 0.8), capsule_support(0.2, 0.8)),
+    "cone": (lambda: Body.cone(0.4, 0.9), cone_support(0.4, 0.9)),
+    "ellipsoid": (lambda: Body.ellipsoid([0.6, 0.3, 0.2]), ellipsoid_support([0.6, 0.3, 0.2])),
+    "plate": (lambda: Body.cylinder(0.7, 0.02), cylinder_support(0.7, 0.02)),
+    "rod": (lambda: Body.capsule(0.01, 1.5), capsule_support(0.01, 1.5)),
+}
+
+
+@pytest.mark.parametrize("first", PRIMITIVES)
+def test_primitives_against_directions(first: str):
+    """Every kind against every kind: the signed distance is the largest gap over all directions."""
+    rng = np.random.default_rng(sum(first.encode()))
+    make_a, support_a = PRIMITIVES[first]
+    body_a = make_a()
+    for make_b, support_b in PRIMITIVES.values():
+        body_b = make_b()
+        for Ta, Tb in random_poses(rng, 8, 0.45).reshape(4, 2, 4, 4):
+            a, b = posed_support(support_a, Ta), posed_support(support_b, Tb)
+            result = loewner.distance(body_a, Ta, body_b, Tb, exact=True)
+            d = float(result.distance)
+            check_witnesses(result, a, b, 1e-7)
+            if d <= 0:
+                # Supporting planes prove "at most this deep"; no direction may do better.
+                truth, _ = directional_distance(a, b, 1000)
+                assert truth <= d + 1e-7
+            verdict = loewner.classify(body_a, Ta, body_b, Tb)
+            assert verdict == AMBIGUOUS or (verdict == COLLIDING) == (d <= 0)
+            assert bool(loewner.collide(body_a, Ta, body_b, Tb)) == (d <= 0)
+            assert result.lower <= d + 1e-9
+            assert d <= result.upper + 1e-9
