@@ -78,7 +78,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(error_model="numpy", fastmath=FASTMATH, nogil=True, **options)(function)
-        if _CACHING:
+        if _CACHING and not config.DISABLE_JIT:
             before = config.CACHE_DIR
             config.CACHE_DIR = str(CACHE_FOLDER)
             try:

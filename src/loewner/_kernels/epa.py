@@ -266,8 +266,9 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, ne
         # The least along -n is the farthest along n.
         minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
-        if height < upper:
-            upper = height
+        # The same plane may come again with a face that has grown to its full size: take its points.
+        if height <= upper + error:
+            upper = min(upper, height)
             best_face = nearest
             _witness(S, corners, normals, height, nearest, result)
         if upper - least <= tolerance or height - least <= 4.0 * error:

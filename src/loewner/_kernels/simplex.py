@@ -13,6 +13,7 @@ always an upper bound on the distance; GJK proves the lower bound by itself.
 import numpy as np
 
 from loewner._kernels._jit import njit
+from loewner._kernels.contact import UNIT_ROUNDOFF
 
 
 @njit()
@@ -130,8 +131,12 @@ def _compact(S, k, weights, v):
 
 
 @njit()
-def _beyond(S, i, j, k, opposite):
-    """Tell whether the origin is not strictly on the inner side of face ijk."""
+def _beyond(S, i, j, k, opposite, doubt):
+    """Tell whether the origin is not surely on the inner side of face ijk.
+
+    `doubt` bounds the rounding error of the two volumes compared. A face too many costs a little
+    time, one too few the right answer: in a flat tetrahedron all four have to be tried.
+    """
     ux = S[j, 0] - S[i, 0]
     uy = S[j, 1] - S[i, 1]
     uz = S[j, 2] - S[i, 2]
@@ -145,8 +150,7 @@ def _beyond(S, i, j, k, opposite):
         nx * (S[opposite, 0] - S[i, 0]) + ny * (S[opposite, 1] - S[i, 1]) + nz * (S[opposite, 2] - S[i, 2])
     )
     origin = -(nx * S[i, 0] + ny * S[i, 1] + nz * S[i, 2])
-    # A flat tetrahedron (inner = 0) counts as beyond: then its faces are tried, never "inside".
-    return not ((inner > 0.0 and origin > 0.0) or (inner < 0.0 and origin < 0.0))
+    return not ((inner > doubt and origin > doubt) or (inner < -doubt and origin < -doubt))
 
 
 @njit()
@@ -169,6 +173,10 @@ def closest(S, k, weights, v):
         weights[1] = wb
         weights[2] = wc
         return _compact(S, 3, weights, v)
+    largest = 0.0
+    for i in range(4):
+        largest = max(largest, abs(S[i, 0]) + abs(S[i, 1]) + abs(S[i, 2]))
+    doubt = 64.0 * UNIT_ROUNDOFF * largest * largest * largest
     best = np.inf
     b0 = 0.0
     b1 = 0.0
@@ -178,7 +186,7 @@ def closest(S, k, weights, v):
         i = 0 if face != 0 else 1
         j = 1 if face > 1 else 2
         m = 2 if face == 3 else 3
-        if _beyond(S, i, j, m, face):
+        if _beyond(S, i, j, m, face, doubt):
             wa, wb, wc = triangle_weights(
                 S[i, 0], S[i, 1], S[i, 2], S[j, 0], S[j, 1], S[j, 2], S[m, 0], S[m, 1], S[m, 2]
             )
