@@ -254,7 +254,8 @@ def _overlap_by_eigenvalue(a: Floats, F1: Floats, b: Floats, F2: Floats, batch: 
             f"overlap: expected touching points on the second ellipsoid within {EIGENVALUE_MISS:g}, found {lost.size} "
             f'of {len(a)} that miss it (first at index {lost[0]}); thin ellipsoids need method="perram-wertheim"'
         )
-    return (inside | touches).reshape(batch)[()]
+    found: NDArray[np.bool_] = (inside | touches).reshape(batch)[()]
+    return found
 
 
 def _transposed(M: Floats) -> Floats:

@@ -1,0 +1,97 @@
+"""The paper's data set: pairs of hulls of twenty random points, the second shifted along [1, 1, 1].
+
+The text leaves two readings open. Points "sampled from a unit ball" may be uniform in radius or in volume,
+and the shift "in the direction [1, 1, 1] by a random number" may take that vector at length 1 or sqrt(3).
+Uniform radius with the unit vector gives the paper's share of collisions and its four exact classes
+(docs/design/paper.md), so it is the default; uniform volume is the second data set.
+"""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner.errors import InputError, UnknownNameError
+
+POINTS_PER_BODY = 20
+LARGEST_SHIFT = 2.0  # metres
+DATA_SETS = {"radius": "radius uniform in [0, 1]", "volume": "uniform in the volume of the ball"}
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Pairs of point clouds.
+
+    Attributes
+    ----------
+    name : str
+        Key of `DATA_SETS`.
+    seed : int
+    points_1, points_2 : ndarray, shape (pairs, 20, 3)
+        In metres; the second is already shifted.
+    shift : ndarray, shape (pairs,)
+        Distance of the two balls' centers, in metres.
+    """
+
+    name: str
+    seed: int
+    points_1: Floats
+    points_2: Floats
+    shift: Floats
+
+    def __len__(self) -> int:
+        return len(self.shift)
+
+
+def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet:
+    """Draw the data set; the first k pairs of a larger one are the data set of k pairs.
+
+    Parameters
+    ----------
+    pairs : int
+        At least 1.
+    seed : int
+        At least 0.
+    dataset : {"radius", "volume"}
+
+    Raises
+    ------
+    InputError
+        If `pairs` or `seed` is not such a number.
+    UnknownNameError
+        If the data set is none of the two.
+    """
+    n, seed = whole_number(pairs, "pairs", 1), whole_number(seed, "seed", 0)
+    if dataset not in DATA_SETS:
+        raise UnknownNameError(f"dataset: expected one of {', '.join(DATA_SETS)}, found {dataset!r}")
+    # One row of numbers per pair, whatever the number of pairs.
+    uniform = np.random.default_rng(seed).random((n, 2 * POINTS_PER_BODY * 3 + 1))
+    balls = _points_in_ball(uniform[:, :-1].reshape(n, 2, POINTS_PER_BODY, 3), dataset)
+    shift = LARGEST_SHIFT * uniform[:, -1]
+    balls[:, 1] += (shift / np.sqrt(3.0))[:, None, None]
+    return DataSet(dataset, seed, balls[:, 0].copy(), balls[:, 1].copy(), shift)
+
+
+def _points_in_ball(uniform: Floats, dataset: str) -> Floats:
+    """Map uniform triples to points of the unit ball: radius, height and longitude."""
+    radius = uniform[..., 0] if dataset == "radius" else np.cbrt(uniform[..., 0])
+    z = 2.0 * uniform[..., 1] - 1.0
+    longitude = 2.0 * np.pi * uniform[..., 2]
+    across = np.sqrt(1.0 - z * z)
+    points: Floats = radius[..., None] * np.stack([across * np.cos(longitude), across * np.sin(longitude), z], axis=-1)
+    return points
+
+
+def whole_number(x: Any, name: str, least: int) -> int:
+    """Check an integer that is at least `least`."""
+    try:
+        value = operator.index(x)
+    except TypeError:
+        raise InputError(f"{name}: expected a whole number, found {x!r}") from None
+    if isinstance(x, bool) or value < least:
+        raise InputError(f"{name}: expected a whole number >= {least}, found {x!r}")
+    return value

@@ -1,0 +1,235 @@
+"""The experiment of section 5: the data set, the exact truth, four detectors and the library's estimate."""
+
+from __future__ import annotations
+
+import json as _json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner.bodies import Bodies
+from loewner.errors import FileError
+from loewner.paper import detectors
+from loewner.paper.dataset import DataSet, sample
+from loewner.paper.detectors import Answers, Confusion, Pairs
+from loewner.queries import collide
+
+Bools = NDArray[np.bool_]
+Progress = Callable[[str, int, int], None]
+Path_ = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One detector over all pairs.
+
+    Attributes
+    ----------
+    id : int
+        1 to 4 as in the paper; 0 for the library's own estimate.
+    name : str
+    answers : Answers
+    all, ambiguous : Confusion
+        Over all pairs, and over those ambiguous to this detector.
+    microseconds, ambiguous_microseconds : float
+        Time of one check, one thread, over all pairs and over the ambiguous ones; NaN if not timed
+        or if there are none.
+    """
+
+    id: int
+    name: str
+    answers: Answers
+    all: Confusion
+    ambiguous: Confusion
+    microseconds: float = float("nan")
+    ambiguous_microseconds: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What `run` found.
+
+    Attributes
+    ----------
+    data : DataSet
+    bodies_1, bodies_2 : Bodies
+        Hulls and fits of the pairs.
+    pairs : Pairs
+        The same as the detectors see it.
+    truth : ndarray of bool, shape (pairs,)
+        Exact.
+    detectors : tuple of Result
+        Detectors 1 to 4.
+    estimate : Result
+        F_in F_out <= 1, ambiguous by the two exact overlap checks.
+    """
+
+    data: DataSet
+    bodies_1: Bodies
+    bodies_2: Bodies
+    pairs: Pairs
+    truth: Bools
+    detectors: tuple[Result, ...]
+    estimate: Result
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Counts and times as plain numbers, as written to JSON."""
+        return {
+            "pairs": len(self),
+            "seed": self.data.seed,
+            "dataset": self.data.name,
+            "truth": {"colliding": int(self.truth.sum())},
+            "detectors": [
+                {
+                    "id": result.id,
+                    "all": asdict(result.all),
+                    "ambiguous": asdict(result.ambiguous),
+                    "microseconds_per_check": result.microseconds,
+                }
+                for result in self.detectors
+            ],
+            "estimate": {"all": asdict(self.estimate.all), "ambiguous": asdict(self.estimate.ambiguous)},
+        }
+
+
+def run(
+    pairs: int = 1000,
+    seed: int = 0,
+    dataset: str = "radius",
+    out: Path_ | None = None,
+    json: Path_ | None = None,
+    progress: Progress | None = None,
+) -> Experiment:
+    """Run the paper's experiment.
+
+    Parameters
+    ----------
+    pairs : int
+        The paper has 1000.
+    seed : int
+        Same seed, same pairs; the first k pairs do not depend on how many follow.
+    dataset : {"radius", "volume"}
+        How points are spread in the unit ball; "radius" matches the paper's numbers.
+    out : path, optional
+        Folder for the report (report.md, report.html) and the figures (PNG, SVG); made if missing.
+    json : path, optional
+        File for the counts and times.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)`` now and then, with the stage's name.
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError, UnknownNameError
+        If `pairs`, `seed` or `dataset` is not as described.
+    MissingExtraError
+        If `out` is given and matplotlib is not installed.
+    FileError
+        If a file cannot be written; each is written whole or not at all.
+    """
+    data = sample(pairs, seed, dataset)
+    if out is not None:
+        # Before the work, not after it: the figures need an optional package, the files a folder.
+        from loewner.paper import report
+
+        report.prepare(out)
+    tell = progress or (lambda stage, done, total: None)
+    n = len(data)
+
+    def fitted(done: int, total: int) -> None:
+        tell("hulls and fits", done, total)
+
+    # All hulls in one go; then the first of each pair and the second.
+    bodies = Bodies.from_points(np.concatenate([data.points_1, data.points_2]), progress=fitted)
+    bodies_1, bodies_2 = bodies[:n], bodies[n:]
+    model = Pairs.from_bodies(bodies_1, bodies_2)
+    tell("exact answers", 0, n)
+    truth = np.asarray(collide(bodies_1, None, bodies_2, None, method="exact"))
+    tell("exact answers", n, n)
+    results: list[Result] = []
+    for k in detectors.DETECTORS:
+        tell("detectors", len(results), len(detectors.DETECTORS))
+        results.append(_detected(k, model, truth))
+    tell("detectors", len(results), len(results))
+    found = Experiment(
+        data,
+        bodies_1,
+        bodies_2,
+        model,
+        truth,
+        tuple(results),
+        _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth),
+    )
+    if json is not None:
+        write_atomically(Path(json), (_json.dumps(found.as_dict(), indent=2) + "\n").encode())
+    if out is not None:
+        tell("report", 0, 1)
+        report.write(found, out)
+        tell("report", 1, 1)
+    return found
+
+
+def _detected(detector: int, pairs: Pairs, truth: Bools) -> Result:
+    """Answers, counts and times of one detector."""
+    answers = detectors.detect(detector, pairs)
+    hard = pairs.take(np.flatnonzero(answers.ambiguous))
+    return _counted(
+        detector,
+        detectors.DETECTORS[detector],
+        answers,
+        truth,
+        detectors.time_per_check(detector, pairs),
+        detectors.time_per_check(detector, hard),
+    )
+
+
+def _counted(number: int, name: str, answers: Answers, truth: Bools, *microseconds: float) -> Result:
+    chosen = answers.ambiguous
+    return Result(
+        number,
+        name,
+        answers,
+        Confusion.of(answers.collides, truth),
+        Confusion.of(answers.collides[chosen], truth[chosen]),
+        *microseconds,
+    )
+
+
+def write_atomically(target: Path, content: bytes) -> None:
+    """Write a file whole or not at all: to a temporary name beside it, then renamed.
+
+    Raises
+    ------
+    FileError
+        If that fails; an older file of that name is then untouched.
+    """
+    temporary = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.stem, suffix=".tmp")
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(content)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, target)
+    except OSError as error:
+        if temporary is not None and os.path.exists(temporary):
+            os.unlink(temporary)
+        raise FileError(f"{target}: could not be written ({error.strerror or error})") from None
+
+
+def _umask() -> int:
+    """Return the process's file mode mask; mkstemp ignores it and makes files that only the owner reads."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,313 @@
+"""Figures 1 to 4 of the paper, drawn from the experiment's own pairs (3 is a flow chart).
+
+Figures 1 and 2 are plane sections through the near-point line, so every marked point lies where the
+section shows it. Needs matplotlib (extra "plots").
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner._kernels.near_points import PAPER_ANGLE
+from loewner.ellipsoid_pairs import near_points
+from loewner.ellipsoids import Ellipsoids
+from loewner.errors import MissingExtraError
+from loewner.paper.experiment import Experiment
+
+FIGURES = ("figure-1", "figure-2", "figure-3", "figure-4")
+FORMATS = ("png", "svg")
+
+BLUE, RED, GREY = "#2f6db3", "#c8492f", "#555555"
+DOTS_PER_INCH = 110
+
+
+def require_matplotlib() -> Any:
+    """Import what draws; the figures never touch pyplot, so no window system is asked for.
+
+    Raises
+    ------
+    MissingExtraError
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError('figures: expected matplotlib, found none; pip install "loewner[plots]"') from None
+    return Figure
+
+
+def draw(experiment: Experiment) -> dict[str, Any]:
+    """Draw the four figures.
+
+    Returns
+    -------
+    dict of str to matplotlib.figure.Figure
+        Under the names in `FIGURES`.
+    """
+    require_matplotlib()
+    k, with_polyhedra = _clear_pair(experiment, True), _clear_pair(experiment, False)
+    return {
+        "figure-1": _section(experiment, with_polyhedra, "heuristic"),
+        "figure-2": _section(experiment, k, "inner"),
+        "figure-3": _flow_chart(),
+        "figure-4": _samples(experiment),
+    }
+
+
+def render(figure: Any, kind: str) -> bytes:
+    """Encode a figure as "png" or "svg"; the same figure gives the same bytes."""
+    import matplotlib
+
+    stream = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "loewner"}):
+        # Only SVG would carry the date.
+        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata={"Date": None} if kind == "svg" else None)
+    return stream.getvalue()
+
+
+# -- figures 1 and 2: what f and the earlier method look at ----------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """The near-point line of one pair: v1 at 0, v2 at L, in metres along unit e."""
+
+    v1: Floats
+    e: Floats
+    L: float
+    beta: float
+    alpha: float
+
+
+def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
+    """Near points of two inner ellipsoids and where their line leaves outer 1 (beta) and enters outer 2 (alpha)."""
+    near = near_points(*inner, method=method, angle=PAPER_ANGLE)
+    L = float(near.distance)
+    away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center
+    e = away / np.linalg.norm(away)
+    beta = _exit(outer[0], near.point_1, e)
+    return Line(near.point_1, e, L, beta, L - _exit(outer[1], near.point_2, -e))
+
+
+def _exit(E: Ellipsoids, p: Floats, e: Floats) -> float:
+    """Where the ray p + t e leaves an ellipsoid that holds p."""
+    v, w = np.linalg.solve(E.factor, np.stack([e, p - E.center], axis=1)).T
+    a, b, c = v @ v, v @ w, min(w @ w - 1.0, 0.0)
+    return float((-b + np.sqrt(b * b - a * c)) / a)
+
+
+def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> float:
+    """Where the ray p + t e leaves a polytope that holds p."""
+    speed, slack = normals @ e, offsets - normals @ p
+    ahead = speed > 0
+    return float((slack[ahead] / speed[ahead]).min())
+
+
+def _clear_pair(experiment: Experiment, colliding: bool) -> int:
+    """Pick an ambiguous pair whose four points are well apart on its line, as in the paper's drawings."""
+    chosen = np.flatnonzero(experiment.detectors[1].answers.ambiguous & (experiment.truth == colliding))
+    if not len(chosen):
+        chosen = np.arange(len(experiment))
+    best, best_room = int(chosen[0]), -np.inf
+    for k in chosen[:200]:
+        line = line_of_pair(*_ellipsoids(experiment, int(k), "inner"), method="lin-han")
+        room = min(line.L, line.beta - line.L, -line.alpha)
+        if room > best_room:
+            best, best_room = int(k), room
+    return best
+
+
+def _ellipsoids(
+    experiment: Experiment, k: int, kind: str
+) -> tuple[tuple[Ellipsoids, Ellipsoids], tuple[Ellipsoids, Ellipsoids]]:
+    pairs = experiment.pairs
+    inner = (getattr(pairs, f"{kind}_1")[k], getattr(pairs, f"{kind}_2")[k])
+    return inner, (pairs.outer_1[k], pairs.outer_2[k])
+
+
+def _section(experiment: Experiment, k: int, kind: str) -> Any:
+    """Cut pair k by the plane of its near-point line; `kind` names the inner ellipsoids to use."""
+    earlier = kind == "heuristic"
+    inner, outer = _ellipsoids(experiment, k, kind)
+    line = line_of_pair(inner, outer, "rimon-boyd" if earlier else "lin-han")
+    # The plane also follows the offset of the centers from the line, so that both bodies show well.
+    across = (outer[0].center + outer[1].center) / 2 - line.v1
+    across = across - (across @ line.e) * line.e
+    if np.linalg.norm(across) < 1e-9:
+        across = np.cross(line.e, np.eye(3)[np.argmin(np.abs(line.e))])
+    across /= np.linalg.norm(across)
+
+    figure = require_matplotlib()(figsize=(7.5, 4.6), layout="constrained")
+    ax = figure.add_subplot(aspect="equal")
+    for E, color, style in (
+        (outer[0], BLUE, "-"),
+        (inner[0], BLUE, "--"),
+        (outer[1], RED, "-"),
+        (inner[1], RED, "--"),
+    ):
+        curve = _ellipse(E, line.v1, line.e, across)
+        if curve is not None:
+            ax.plot(*curve, style, color=color, lw=1.4)
+    pieces = [bodies[k].pieces[0] for bodies in (experiment.bodies_1, experiment.bodies_2)]
+    for piece, color in zip(pieces, (BLUE, RED), strict=True):
+        polygon = _polygon(piece.normals, piece.offsets, line.v1, line.e, across)
+        if len(polygon):
+            ax.fill(*polygon.T, color=color, alpha=0.15 if earlier else 0.05, lw=0)
+    marks = {
+        "$v_1^i$": (0.0, BLUE),
+        "$v_2^i$": (line.L, RED),
+        "$v_1^c$": (line.beta, BLUE),
+        "$v_2^c$": (line.alpha, RED),
+    }
+    if earlier:
+        v2 = line.v1 + line.L * line.e
+        marks["$v_1$"] = (_polytope_exit(pieces[0].normals, pieces[0].offsets, line.v1, line.e), BLUE)
+        marks["$v_2$"] = (line.L - _polytope_exit(pieces[1].normals, pieces[1].offsets, v2, -line.e), RED)
+    ax.axhline(0.0, color=GREY, lw=0.7, zorder=0)
+    # Labels alternate above and below in the order along the line, so that near neighbours stay legible.
+    for place, (name, (t, color)) in enumerate(sorted(marks.items(), key=lambda item: item[1][0])):
+        ax.plot([t], [0.0], "o", ms=5, color=color)
+        ax.annotate(
+            name, (t, 0.0), (0, 9 if place % 2 else -9), textcoords="offset points", ha="center",
+            va="bottom" if place % 2 else "top", color=color,
+            bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
+        )  # fmt: skip
+    what = "earlier method: heuristic inner ellipsoids" if earlier else "largest inner ellipsoids"
+    ax.set(xlabel="along the near-point line, m", ylabel="across, m", title=f"Pair {k}, {what}")
+    ax.title.set_fontsize(10)
+    return figure
+
+
+def _ellipse(E: Ellipsoids, origin: Floats, x: Floats, y: Floats) -> Floats | None:
+    """Section of an ellipsoid by the plane origin + s x + t y: its outline, shape (2, 200), or None if it misses."""
+    u, v, w = np.linalg.solve(E.factor, np.stack([x, y, origin - E.center], axis=1)).T
+    M = np.array([[u @ u, u @ v], [u @ v, v @ v]])
+    middle = -np.linalg.solve(M, [u @ w, v @ w])
+    rest = w + middle[0] * u + middle[1] * v
+    room = 1.0 - rest @ rest
+    if room <= 0:
+        return None
+    turn = np.linspace(0.0, 2 * np.pi, 200)
+    circle = np.sqrt(room) * np.stack([np.cos(turn), np.sin(turn)])
+    outline: Floats = middle[:, None] + np.linalg.solve(np.linalg.cholesky(M).T, circle)
+    return outline
+
+
+def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Floats) -> Floats:
+    """Section of a polytope by a plane, shape (corners, 2): a square clipped by every face (Sutherland-Hodgman)."""
+    size = 10.0 + np.abs(offsets).max()
+    corners = np.array([[-size, -size], [size, -size], [size, size], [-size, size]])
+    for n, b in zip(normals, offsets, strict=True):
+        line, room = np.array([n @ x, n @ y]), b - n @ origin
+        kept: list[Floats] = []
+        for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            at_p, at_q = room - line @ p, room - line @ q
+            if at_p >= 0:
+                kept.append(p)
+            if (at_p >= 0) != (at_q >= 0):
+                kept.append(p + at_p / (at_p - at_q) * (q - p))
+        corners = np.array(kept).reshape(-1, 2)
+        if not len(corners):
+            break
+    return corners
+
+
+# -- figure 3: the flow ----------------------------------------------------------------------------
+
+# name: (x, y, text, question?)
+BOXES = {
+    "outer": (0.0, 3.0, "outer ellipsoids\n(MVCEs) overlap?", True),
+    "inner": (0.0, 2.0, "inner ellipsoids\n(MVIEs) overlap?", True),
+    "near": (0.0, 1.0, "near points $v_1^i$, $v_2^i$;\nray hits $v_1^c$, $v_2^c$", False),
+    "f": (0.0, 0.0, "$f(v_1^i, v_2^i, v_1^c, v_2^c) \\leq 0$ ?", True),
+    "free": (-2.4, 0.0, "no collision", False),
+    "hit": (2.4, 0.0, "collision", False),
+}
+ARROWS = (
+    ("outer", "inner", "yes"),
+    ("inner", "near", "no"),
+    ("near", "f", ""),
+    ("outer", "free", "no"),
+    ("inner", "hit", "yes"),
+    ("f", "free", "no"),
+    ("f", "hit", "yes"),
+)
+
+
+def _flow_chart() -> Any:
+    figure = require_matplotlib()(figsize=(7.0, 4.6), layout="constrained")
+    ax = figure.add_subplot()
+    ax.set(xlim=(-3.0, 3.0), ylim=(-0.35, 3.35))
+    ax.axis("off")
+    for x, y, text, question in BOXES.values():
+        shape = {"boxstyle": "round,pad=0.5", "fc": "#eef3f9" if question else "#f6f6f6", "ec": GREY}
+        ax.text(x, y, text, ha="center", va="center", fontsize=10, bbox=shape, zorder=2)
+    for start, end, answer in ARROWS:
+        (x0, y0, *_), (x1, y1, *_) = BOXES[start], BOXES[end]
+        # Sideways first, then down, when an answer skips the questions below.
+        corner = (x1, y0)
+        ax.plot([x0, corner[0], x1], [y0, corner[1], y1 + (0.3 if y1 != y0 else 0.0)], color=GREY, lw=1.1, zorder=1)
+        tip, tail = (
+            ((x1, y1 + 0.25), (x1, y1 + 0.35)) if y0 != y1 else ((x1 * (0.8 if x1 < 0 else 0.84), y1), (x1 * 0.7, y1))
+        )
+        ax.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": GREY}, zorder=3)
+        at = (x0 + 0.12, y0 - 0.5) if x0 == x1 else (x0 + np.sign(x1 - x0) * 1.3, y0 + 0.08)
+        ax.text(*at, answer, ha="left" if x0 == x1 else "center", va="center" if x0 == x1 else "bottom", fontsize=9)
+    return figure
+
+
+# -- figure 4: one pair of each kind ---------------------------------------------------------------
+
+
+def _samples(experiment: Experiment) -> Any:
+    """One ambiguous pair of detector 2 from each cell of Table 2 (b)."""
+    require_matplotlib()
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    figure = require_matplotlib()(figsize=(8.0, 7.6))
+    answers, truth = experiment.detectors[1].answers, experiment.truth
+    for place, (said, is_so) in enumerate(((True, True), (True, False), (False, True), (False, False))):
+        ax = figure.add_subplot(2, 2, place + 1, projection="3d")
+        ax.set_title(f"says {'collision' if said else 'none'}, is {'collision' if is_so else 'none'}", fontsize=10)
+        ax.set_axis_off()
+        found = np.flatnonzero(answers.ambiguous & (answers.collides == said) & (truth == is_so))
+        if not len(found):
+            ax.text2D(0.5, 0.5, "no such pair", transform=ax.transAxes, ha="center")
+            continue
+        k = int(found[0])
+        corners: list[Floats] = []
+        for bodies, color in ((experiment.bodies_1, BLUE), (experiment.bodies_2, RED)):
+            piece = bodies[k].pieces[0]
+            ax.add_collection3d(
+                Poly3DCollection(
+                    piece.vertices[piece.triangles], facecolors=color, edgecolors=color, alpha=0.22, linewidths=0.5
+                )
+            )
+            ax.plot_surface(*_surface(piece.inner), color=color, alpha=0.55, linewidth=0, rstride=1, cstride=1)
+            corners.append(piece.vertices)
+        _look_across(ax, np.concatenate(corners), experiment.pairs, k)
+    figure.subplots_adjust(0.0, 0.0, 1.0, 0.96, 0.0, 0.06)
+    return figure
+
+
+def _surface(E: Ellipsoids) -> Floats:
+    """Points of an ellipsoid on a grid, shape (3, 13, 25)."""
+    polar, around = np.meshgrid(np.linspace(0, np.pi, 13), np.linspace(0, 2 * np.pi, 25), indexing="ij")
+    ball = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)])
+    points: Floats = E.center[:, None, None] + np.einsum("ij,jab->iab", E.factor, ball)
+    return points
+
+
+def _look_across(ax: Any, points: Floats, pairs: Any, k: int) -> None:
+    """Fit the axes to the points at equal scale, and look at right angles to the line of centers."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, (high - low).max() / 2
+    ax.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1, 1]))
+    ax.set_zlim(*(middle[2] + half * np.array([-1, 1])))
+    ax.set_box_aspect((1, 1, 1), zoom=1.35)
+    r = pairs.inner_2.center[k] - pairs.inner_1.center[k]
+    ax.view_init(elev=12, azim=float(np.degrees(np.arctan2(r[1], r[0]))) - 90.0)

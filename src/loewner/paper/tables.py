@@ -1,0 +1,212 @@
+"""Tables 1 to 4, (a) and (b), beside the paper's own numbers; what consistent means is computed, not said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from loewner.paper.detectors import Confusion
+from loewner.paper.experiment import Experiment, Result
+
+# The paper's confusion matrices and milliseconds per check (Pentium 4 at 1.8 GHz, MATLAB 6.5), by table,
+# which is also the detector: all pairs, ambiguous pairs.
+PAPER = {
+    1: (Confusion(375, 32, 167, 426), Confusion(50, 32, 5, 150), 100.0, 146.0),
+    2: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 46.0, 75.0),
+    3: (Confusion(524, 28, 18, 430), Confusion(128, 28, 18, 160), 10.0, 19.0),
+    4: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 10.0, 15.0),
+}
+# What Table 3 implies about the data: inner ellipsoids overlap, ambiguous and colliding, ambiguous and
+# free, outer ellipsoids apart.
+CLASSES = ("inner overlap", "ambiguous, colliding", "ambiguous, free", "outer apart")
+PAPER_CLASSES = (396, 146, 188, 270)
+
+CELLS = ("true collision", "false collision", "missed collision", "true free")
+CONFIDENCE = 0.95
+NORMAL_QUANTILE = 1.959963984540054  # two-sided, 95 %
+SIGNIFICANCE = 0.01  # below this p the numbers are called different
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a confusion matrix.
+
+    Attributes
+    ----------
+    name : str
+    count : int
+    share, low, high : float
+        Of the table's total, and its 95 % Wilson interval.
+    paper_count : int or None
+    paper_share : float
+    """
+
+    name: str
+    count: int
+    share: float
+    low: float
+    high: float
+    paper_count: int | None
+    paper_share: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """One printed table.
+
+    Attributes
+    ----------
+    title : str
+        "Table 1 (a)", or "Estimate (a)" for the library's own rule, which the paper does not have.
+    detector : str
+    cells : tuple of Cell
+        tp, fp, fn, tn.
+    accuracy : float
+        Share of right answers.
+    p_value : float
+        That these counts and the paper's come from one distribution (chi-square, homogeneity).
+    statement : str
+        The p-value in words.
+    microseconds : float
+        Per check, here.
+    paper_milliseconds : float
+    """
+
+    title: str
+    detector: str
+    cells: tuple[Cell, ...]
+    accuracy: float
+    p_value: float
+    statement: str
+    microseconds: float
+    paper_milliseconds: float
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """Return the 95 % interval of a proportion, by Wilson's score; (0, 1) if nothing was counted.
+
+    References
+    ----------
+    Wilson (1927), doi:10.1080/01621459.1927.10502953.
+    """
+    if total == 0:
+        return 0.0, 1.0
+    z, share = NORMAL_QUANTILE, count / total
+    scale = 1.0 / (1.0 + z * z / total)
+    middle = scale * (share + z * z / (2 * total))
+    half = scale * z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
+    # The ends are exactly 0 and 1 at the ends; rounding must not put the share outside.
+    return max(0.0, min(middle - half, share)), min(1.0, max(middle + half, share))
+
+
+def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
+    """p-value of Pearson's chi-square that two rows of counts share one distribution; NaN if one is empty."""
+    table = np.array([counts, others], dtype=float)
+    table = table[:, table.sum(axis=0) > 0]
+    rows, columns = table.sum(axis=1), table.sum(axis=0)
+    if (rows == 0).any():
+        return math.nan
+    if len(columns) == 1:
+        return 1.0
+    expected = np.outer(rows, columns) / rows.sum()
+    return float(chdtrc(len(columns) - 1, ((table - expected) ** 2 / expected).sum()))
+
+
+def tables(experiment: Experiment) -> tuple[Table, ...]:
+    """All tables: 1 (a), 1 (b) ... 4 (b), then the library's estimate (a), (b)."""
+    found: list[Table] = []
+    for result in experiment.detectors:
+        every, hard, milliseconds, hard_milliseconds = PAPER[result.id]
+        title = f"Table {result.id}"
+        name = f"{result.id}: {result.name}"
+        found.append(_table(f"{title} (a)", name, result.all, every, result.microseconds, milliseconds))
+        found.append(
+            _table(f"{title} (b)", name, result.ambiguous, hard, result.ambiguous_microseconds, hard_milliseconds)
+        )
+    own: Result = experiment.estimate
+    found.append(_table("Estimate (a)", own.name, own.all, None, math.nan, math.nan))
+    found.append(_table("Estimate (b)", own.name, own.ambiguous, None, math.nan, math.nan))
+    return tuple(found)
+
+
+def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
+    """Count the four exact classes of the pairs, and the p-value against those Table 3 implies.
+
+    Returns
+    -------
+    counts : tuple of int
+        In the order of `CLASSES`; the checks are those of the library's estimate, which are exact.
+    p_value : float
+    """
+    hard, truth = experiment.estimate.answers.ambiguous, experiment.truth
+    inner = experiment.estimate.answers.collides & ~hard
+    counts = tuple(int(c.sum()) for c in (inner, hard & truth, hard & ~truth, ~hard & ~inner))
+    return counts, homogeneity(counts, PAPER_CLASSES)
+
+
+COLUMNS = ("table", "detector", *CELLS, "right", "consistent with the paper", "us per check", "paper, ms")
+
+
+def rows(experiment: Experiment) -> list[tuple[str, ...]]:
+    """Rows of text under `COLUMNS`: each cell as share, 95 % interval and the paper's share, in percent."""
+    return [
+        (
+            table.title,
+            table.detector,
+            *(_cell_text(cell) for cell in table.cells),
+            percent(table.accuracy),
+            table.statement,
+            number(table.microseconds),
+            number(table.paper_milliseconds),
+        )
+        for table in tables(experiment)
+    ]
+
+
+def percent(share: float) -> str:
+    """A share in percent with one decimal, or a dash."""
+    return "-" if math.isnan(share) else f"{100 * share:.1f}"
+
+
+def number(x: float) -> str:
+    """Three digits, or a dash."""
+    return "-" if math.isnan(x) else f"{x:.3g}"
+
+
+def _cell_text(cell: Cell) -> str:
+    text = f"{percent(cell.share)} [{percent(cell.low)}, {percent(cell.high)}]"
+    return text if cell.paper_count is None else f"{text} / {percent(cell.paper_share)}"
+
+
+def _table(
+    title: str, detector: str, own: Confusion, paper: Confusion | None, microseconds: float, milliseconds: float
+) -> Table:
+    cells = []
+    for k, name in enumerate(CELLS):
+        count = own.counts[k]
+        paper_count = None if paper is None else paper.counts[k]
+        cells.append(
+            Cell(
+                name,
+                count,
+                count / own.total if own.total else math.nan,
+                *wilson(count, own.total),
+                paper_count,
+                math.nan if paper is None or paper_count is None else paper_count / paper.total,
+            )
+        )
+    p = math.nan if paper is None else homogeneity(own.counts, paper.counts)
+    right = (own.tp + own.tn) / own.total if own.total else math.nan
+    return Table(title, detector, tuple(cells), right, p, statement(p), microseconds, milliseconds)
+
+
+def statement(p: float) -> str:
+    """Say whether a p-value lets two rows of counts share one distribution."""
+    if math.isnan(p):
+        return "-"
+    verdict = "yes" if p >= SIGNIFICANCE else "no"
+    return f"{verdict} (p = {p:.2g})"
