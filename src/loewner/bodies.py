@@ -11,7 +11,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 
 FORMAT, VERSION = "loewner-bodies", 1
 
-KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule")
+KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
 
 # Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function
 # forms; nothing anybody collides is near either end.
@@ -126,7 +126,7 @@ class Piece:
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone" or "capsule".
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere".
     vertices : ndarray, shape (v, 3), or None
         Extreme points; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
@@ -283,7 +283,7 @@ class Body(_Bodies):
     def sphere(cls, radius: float) -> Body:
         """Ball about the origin, radius in metres; its own inner and outer ellipsoid."""
         r = _check.positive_scalar(radius, "radius")
-        return _primitive(shapes.ELLIPSOID, 0.0, [r, r, r], [r, r, r], [r, r, r], 0.0)
+        return _primitive(shapes.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
@@ -320,7 +320,6 @@ class Body(_Bodies):
         k = h * (h + np.hypot(h, np.sqrt(3.0) * r))
         grow = np.sqrt(1 + h * h / k)
         a, b = r * grow, grow * np.sqrt(r * r + k)
-        # The segment's image of the unit interval needs a frame that spans space: its other columns are unused.
         return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
 
     @classmethod
@@ -508,7 +507,7 @@ def _empty() -> Packed:
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
     """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
-    slack = 0.0 if kind == shapes.ELLIPSOID else CLOSED_FORM_ROUNDING
+    slack = 0.0 if kind in (shapes.ELLIPSOID, shapes.POINT) else CLOSED_FORM_ROUNDING
     center = np.array([[0.0, 0.0, lift]])
     return Body(
         Packed(
@@ -666,9 +665,7 @@ def _digest(arrays: dict[str, Any]) -> str:
 def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Covering | None) -> None:
     arrays = _arrays(packed)
     if covering is not None:
-        arrays["covering"] = np.array(
-            [covering.kind, str(covering.exact), repr(covering.max_uncovered), repr(covering.excess_volume), str(covering.samples)]
-        )
+        arrays["covering"] = np.array([str(value) for value in astuple(covering)])
     target = Path(path)
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")

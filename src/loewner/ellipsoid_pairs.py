@@ -88,7 +88,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     if method not in OVERLAP_METHODS:
         raise UnknownNameError(f"method: expected one of {', '.join(OVERLAP_METHODS)}, found {method!r}")
     if method == "eigenvalue":
-        return _overlap_by_eigenvalue(*_pair(E1, E2, "overlap", dim=None))
+        return _overlap_by_eigenvalue(_Pair(E1, E2, "overlap", dim=None))
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
 
@@ -113,10 +113,11 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     InputError
         If an argument is not 3-D or batch shapes do not broadcast.
     """
-    c1, F1, c2, F2, batch = _pair(E1, E2, "contact_function")
-    value = np.empty(len(c1))
-    _contact.contact_of_pairs(c1, F1, c2, F2, value)
-    return value.reshape(batch)[()]
+    pair = _Pair(E1, E2, "contact_function")
+    value = np.empty(len(pair.offset))
+    _contact.contact_of_pairs(pair.offset, pair.F1, pair.F2, value)
+    _expect_numbers(value, "contact_function")
+    return value.reshape(pair.batch)[()]
 
 
 def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
@@ -164,12 +165,12 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     if method not in NEAR_POINT_METHODS:
         raise UnknownNameError(f"method: expected one of {', '.join(NEAR_POINT_METHODS)}, found {method!r}")
     tolerance = _check.positive_scalar(angle, "angle")
-    c1, F1, c2, F2, batch = _pair(E1, E2, "near_points")
-    n = len(c1)
+    pair = _Pair(E1, E2, "near_points")
+    n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
     _near.near_points_of_pairs(
-        NEAR_POINT_METHODS[method], c1, F1, c2, F2, tolerance, x1, x2, distance, iterations, status
+        NEAR_POINT_METHODS[method], pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status
     )
     failed = np.flatnonzero(status == _near.UNCONVERGED)
     if failed.size:
@@ -177,47 +178,86 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
             f"near_points: expected every pair to reach {tolerance:g} rad, found {failed.size} of {n} that did not "
             f"(first at index {failed[0]}); allow a larger angle"
         )
-    points = (*batch, 3)
+    _expect_numbers(distance, "near_points")
+    batch, k = pair.batch, pair.scale[:, None]
     return NearPoints(
-        x1.reshape(points), x2.reshape(points), distance.reshape(batch)[()], iterations.reshape(batch)[()]
+        (pair.c1 + k * x1).reshape(*batch, 3),
+        (pair.c1 + k * x2).reshape(*batch, 3),
+        (pair.scale * distance).reshape(batch)[()],
+        iterations.reshape(batch)[()],
     )
 
 
-def _pair(
-    E1: Ellipsoids, E2: Ellipsoids, caller: str, dim: int | None = 3
-) -> tuple[Floats, Floats, Floats, Floats, tuple[int, ...]]:
-    """Check two ellipsoids; return flat centers and factors of the broadcast batch, and its shape."""
-    for name, E in (("E1", E1), ("E2", E2)):
-        if not isinstance(E, Ellipsoids):
-            raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
-    if E1.dim != E2.dim:
-        raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
-    if dim is not None and E1.dim != dim:
-        raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
-    try:
-        batch = np.broadcast_shapes(E1.batch_shape, E2.batch_shape)
-    except ValueError:
-        raise InputError(
-            f"{caller}: expected batch shapes that broadcast, found "
-            f"{_check.shape_text(E1.batch_shape)} and {_check.shape_text(E2.batch_shape)}"
-        ) from None
-    n = E1.dim
+class _Pair:
+    """Two checked ellipsoids as a flat batch in kernel form.
 
-    def flat(x: Floats, *tail: int) -> Floats:
-        return np.ascontiguousarray(np.broadcast_to(x, (*batch, *tail)).reshape(-1, *tail))
+    Lengths are divided by a power of two near the pair's size, which rounds nothing and keeps
+    squares and cubes of them in the range of float64.
 
-    return flat(E1.center, n), flat(E1.factor, n, n), flat(E2.center, n), flat(E2.factor, n, n), batch
+    Attributes
+    ----------
+    batch : tuple of int
+        Broadcast batch shape; the arrays below have it flattened to n.
+    c1 : ndarray, shape (n, dim)
+        First centers, in metres.
+    scale : ndarray, shape (n,)
+        In metres.
+    offset : ndarray, shape (n, dim)
+        (c2 - c1) / scale.
+    F1, F2 : ndarray, shape (n, dim, dim)
+        Factors / scale.
+    """
+
+    def __init__(self, E1: Ellipsoids, E2: Ellipsoids, caller: str, dim: int | None = 3) -> None:
+        for name, E in (("E1", E1), ("E2", E2)):
+            if not isinstance(E, Ellipsoids):
+                raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
+        if E1.dim != E2.dim:
+            raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
+        if dim is not None and E1.dim != dim:
+            raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
+        try:
+            self.batch = np.broadcast_shapes(E1.batch_shape, E2.batch_shape)
+        except ValueError:
+            raise InputError(
+                f"{caller}: expected batch shapes that broadcast, found "
+                f"{_check.shape_text(E1.batch_shape)} and {_check.shape_text(E2.batch_shape)}"
+            ) from None
+        n = E1.dim
+        self.c1 = self._flat(E1.center, n)
+        F1, F2 = self._flat(E1.factor, n, n), self._flat(E2.factor, n, n)
+        largest = np.maximum(np.abs(F1).max(axis=(1, 2), initial=0.0), np.abs(F2).max(axis=(1, 2), initial=0.0))
+        self.scale = np.ldexp(1.0, np.frexp(largest)[1])
+        with np.errstate(over="ignore"):
+            self.offset = (self._flat(E2.center, n) - self.c1) / self.scale[:, None]
+        if not np.isfinite(self.offset).all():
+            raise InputError(f"{caller}: expected a distance of centers that float64 can hold, found an infinite one")
+        self.F1, self.F2 = F1 / self.scale[:, None, None], F2 / self.scale[:, None, None]
+
+    def _flat(self, x: Floats, *tail: int) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(x, (*self.batch, *tail)).reshape(-1, *tail))
 
 
-def _overlap_by_eigenvalue(a: Floats, F1: Floats, b: Floats, F2: Floats, batch: tuple[int, ...]) -> NDArray[np.bool_]:
+def _expect_numbers(x: Floats, caller: str) -> None:
+    """Refuse results that left the range of float64."""
+    if not np.isfinite(x).all():
+        raise ConvergenceError(
+            f"{caller}: expected sizes and distances whose ratios float64 can square, found a pair beyond that "
+            f"(first at index {int(np.flatnonzero(~np.isfinite(x))[0])})"
+        )
+
+
+def _overlap_by_eigenvalue(pair: _Pair) -> NDArray[np.bool_]:
     """Appendix A of the paper, in its own letters.
 
     The paper asks first whether either center lies in the other ellipsoid. "Is a in E2" is the case
     the eigenproblem cannot answer (no scaled E1 touches E2 from outside); b in E1 it gets right by itself.
     """
-    if not len(a):
+    F1, F2, batch = pair.F1, pair.F2, pair.batch
+    if not len(F1):
         return np.zeros(batch, np.bool_)
-    n = a.shape[-1]
+    n = F1.shape[-1]
+    a, b = np.zeros_like(pair.offset), pair.offset
 
     # A^(1/2) and A^(-1/2), A = (F1 F1ᵀ)⁻¹, from the singular values of the factor.
     U, s, _ = np.linalg.svd(F1)

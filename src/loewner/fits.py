@@ -61,8 +61,9 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     method : {"direct", "lifted-mvie"}
-        ``direct`` solves the dual by an interior point, with an active set when there are many points. ``lifted-mvie`` is the paper's
-        reduction to an inscribed ellipsoid in dimension n + 1 (its Appendix B), slower, kept as a check.
+        ``direct`` solves the dual by an interior point, with an active set when there are many points.
+        ``lifted-mvie`` is the paper's reduction to an inscribed ellipsoid in dimension n + 1 (its
+        Appendix B), slower, kept as a check.
 
     Returns
     -------

@@ -28,8 +28,8 @@ FLATNESS = 1e-12
 class Polytope:
     """A bounded convex polytope with an interior.
 
-    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of `vertices` as they stand; the faces are
-    derived, and rounded.
+    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of `vertices` as they stand; the
+    faces are derived, and rounded.
 
     Attributes
     ----------

@@ -30,6 +30,42 @@ def cholesky(a, n):
 
 
 @njit()
+def normal_cholesky(a, n):
+    """Overwrite the upper triangle of `a` by R with a = Rᵀ R; False if not positive definite.
+
+    For the larger normal matrices: its inner loop runs along rows without a sum, so it vectorises.
+    """
+    for j in range(n):
+        if not a[j, j] > 0.0:
+            return False
+        root = np.sqrt(a[j, j])
+        inverse = 1.0 / root
+        a[j, j] = root
+        for k in range(j + 1, n):
+            a[j, k] *= inverse
+        for i in range(j + 1, n):
+            t = a[j, i]
+            for k in range(i, n):
+                a[i, k] -= t * a[j, k]
+    return True
+
+
+@njit()
+def normal_solve(r, x, n):
+    """Overwrite `x` by (Rᵀ R)⁻¹ x, R as `normal_cholesky` leaves it."""
+    for i in range(n):
+        t = x[i] / r[i, i]
+        x[i] = t
+        for k in range(i + 1, n):
+            x[k] -= t * r[i, k]
+    for i in range(n - 1, -1, -1):
+        value = x[i]
+        for k in range(i + 1, n):
+            value -= r[i, k] * x[k]
+        x[i] = value / r[i, i]
+
+
+@njit()
 def reversed_cholesky(a, n):
     """Overwrite the upper triangle of symmetric `a` by U with a = U Uᵀ; False if not positive definite.
 

@@ -231,8 +231,8 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
                             witness_a[k, c] = result[3 + c] + A[c, 3]
                             witness_b[k, c] = result[6 + c] + A[c, 3]
         if exact:
-            # The exact value sharpens both bounds' meaning but never contradicts them.
-            estimate[k] = max(lower[k], min(upper[k], estimate[k]))
+            # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+            distance[k] = max(lower[k], min(upper[k], distance[k]))
 
 
 @njit()

@@ -249,7 +249,7 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, ne
     used = 4
     upper = np.inf
     lower = -np.inf
-    best_face = -1
+    last = -1
     while used < MAX_POINTS:
         nearest = -1
         least = np.inf
@@ -266,11 +266,8 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, ne
         # The least along -n is the farthest along n.
         minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
-        # The same plane may come again with a face that has grown to its full size: take its points.
-        if height <= upper + error:
-            upper = min(upper, height)
-            best_face = nearest
-            _witness(S, corners, normals, height, nearest, result)
+        upper = min(upper, height)
+        last = nearest
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
         if not _expand(
@@ -278,47 +275,63 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, ne
         ):
             break
         used += 1
-    if best_face < 0:
+    if last < 0:
         return -np.inf, np.inf
+    # Several faces may share the nearest plane; the foot of the origin lies in one of them.
+    best = -np.inf
+    for f in range(counts[0]):
+        if (alive[f] or f == last) and offsets[f] <= lower + max(4.0 * error, upper - lower):
+            wa, wb, wc = _foot(S, corners, normals, f)
+            least = min(wa, min(wb, wc))
+            if least > best:
+                best = least
+                last = f
+    _witness(S, corners, normals, last, result)
     return lower, upper
 
 
 @njit()
-def _witness(S, corners, normals, height, f, result):
-    """Normal and deepest points: the foot of the origin on face f, in barycentric coordinates."""
+def _foot(S, corners, normals, f):
+    """Barycentric coordinates of the foot of the origin on face f; negative ones lie outside."""
     a = corners[f, 0]
     b = corners[f, 1]
     c = corners[f, 2]
-    nx = normals[f, 0]
-    ny = normals[f, 1]
-    nz = normals[f, 2]
-    # Twice the areas seen along n of the triangles (origin, b, c), (origin, c, a), (origin, a, b).
-    wa = (
-        nx * (S[b, 1] * S[c, 2] - S[b, 2] * S[c, 1])
-        + ny * (S[b, 2] * S[c, 0] - S[b, 0] * S[c, 2])
-        + nz * (S[b, 0] * S[c, 1] - S[b, 1] * S[c, 0])
+    wa = _area(S, normals, f, b, c)
+    wb = _area(S, normals, f, c, a)
+    wc = _area(S, normals, f, a, b)
+    total = wa + wb + wc
+    if not total > 0.0:
+        return -np.inf, -np.inf, -np.inf
+    return wa / total, wb / total, wc / total
+
+
+@njit()
+def _area(S, normals, f, b, c):
+    """Twice the area of the triangle (origin, b, c) seen along the normal of face f."""
+    ex = S[c, 0] - S[b, 0]
+    ey = S[c, 1] - S[b, 1]
+    ez = S[c, 2] - S[b, 2]
+    return (
+        normals[f, 0] * (S[b, 1] * ez - S[b, 2] * ey)
+        + normals[f, 1] * (S[b, 2] * ex - S[b, 0] * ez)
+        + normals[f, 2] * (S[b, 0] * ey - S[b, 1] * ex)
     )
-    wb = (
-        nx * (S[c, 1] * S[a, 2] - S[c, 2] * S[a, 1])
-        + ny * (S[c, 2] * S[a, 0] - S[c, 0] * S[a, 2])
-        + nz * (S[c, 0] * S[a, 1] - S[c, 1] * S[a, 0])
-    )
-    wc = (
-        nx * (S[a, 1] * S[b, 2] - S[a, 2] * S[b, 1])
-        + ny * (S[a, 2] * S[b, 0] - S[a, 0] * S[b, 2])
-        + nz * (S[a, 0] * S[b, 1] - S[a, 1] * S[b, 0])
-    )
+
+
+@njit()
+def _witness(S, corners, normals, f, result):
+    """Normal of face f and the points of A and B that belong to the foot of the origin on it."""
+    wa, wb, wc = _foot(S, corners, normals, f)
     wa = max(wa, 0.0)
     wb = max(wb, 0.0)
     wc = max(wc, 0.0)
     total = wa + wb + wc
     if not total > 0.0:
         wa, wb, wc, total = 1.0, 1.0, 1.0, 3.0
-    result[0] = nx
-    result[1] = ny
-    result[2] = nz
-    for m in range(6):
-        result[3 + m] = (wa * S[a, 3 + m] + wb * S[b, 3 + m] + wc * S[c, 3 + m]) / total
+    for m in range(3):
+        result[m] = normals[f, m]
+    for m in range(3, 9):
+        result[m] = (wa * S[corners[f, 0], m] + wb * S[corners[f, 1], m] + wc * S[corners[f, 2], m]) / total
 
 
 @njit()

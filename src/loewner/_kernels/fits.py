@@ -8,6 +8,7 @@ from loewner._kernels.hulls import FACE_ROUNDING, FACE_WIDTH
 from loewner._kernels.mvce import FLAT, ROUNDING, STALLED, fit_outer
 from loewner._kernels.mvie import inscribe, solve_primal_dual
 
+
 @inline
 def face_slacks(vertices, normal, center):
     """Bounds on the slack of one face at `center`, from the face's own vertices.
@@ -91,7 +92,9 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
 
 
 @njit()
-def fit_range(first, last, vert_start, vertices, face_start, normals, tol, flatness, inner_c, inner_F, outer_c, outer_F, info):
+def fit_range(
+    first, last, vert_start, vertices, face_start, normals, tol, flatness, inner_c, inner_F, outer_c, outer_F, info
+):
     """Both fits of pieces first..last-1, into their rows of the output arrays.
 
     Threads call it on ranges of their own (it holds no interpreter lock); that compiles in a quarter of the time that

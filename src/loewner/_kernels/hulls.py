@@ -37,9 +37,9 @@ def to_unit_size(points, flatness):
 def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
     """Turn Qhull's facets, found in unit-size coordinates, into the faces of a polytope.
 
-    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations merge. The simplices
-    are turned to face outward together (n = 3): one is turned by its volume seen from inside, the others follow
-    across shared edges, so that slivers cannot point the wrong way.
+    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations merge. The
+    simplices are turned to face outward together (n = 3): the largest is turned by its own normal, the others
+    follow across shared edges, so that slivers cannot point the wrong way.
 
     Returns (code, worst, used, face_of, normals, offsets): used (m,) marks the points that are vertices, `simplices`
     is turned in place.

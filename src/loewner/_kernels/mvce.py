@@ -6,14 +6,23 @@ Newton matrix is diag(s/u) plus V Vᵀ, V_i = svec(W_i W_iᵀ), W_i = L⁻¹ q_i
 the number of points, so a step costs O(m). Each step is Mehrotra's (1992): a predictor that asks for no
 complementarity at all, then a corrector with the centring that the predictor earned, one factorisation for both.
 
-For any u: {(x-c)ᵀ S⁻¹ (x-c) <= κ} with c, S the weighted mean and covariance and κ the largest value over the points holds
-every point and log(volume / smallest volume) <= n/2 log(κ/n): Todd, Minimum-Volume Ellipsoids (2016), chapter 2.
+For any u: {(x-c)ᵀ S⁻¹ (x-c) <= κ} with c, S the weighted mean and covariance and κ the largest value over the
+points holds every point and log(volume / smallest volume) <= n/2 log(κ/n): Todd, Minimum-Volume Ellipsoids
+(2016), chapter 2.
 """
 
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.dense import cholesky, householder_triangle, invert_lower, multiply_lower, solve_lower, solve_lower_transposed
+from loewner._kernels.dense import (
+    cholesky,
+    householder_triangle,
+    invert_lower,
+    multiply_lower,
+    normal_cholesky,
+    normal_solve,
+    solve_lower,
+)
 
 ROUNDING = 2.0**-53  # unit roundoff of float64
 
@@ -25,8 +34,9 @@ MAX_ITERATIONS = 100
 MAX_ROUNDS = 200
 # Up to this many points the solver takes them all; above, an active set is quicker (measured: break-even near 60).
 DIRECT_LIMIT = 64
-# A point leaves the active set when it is lighter than this and inside the current ellipsoid.
+# A point leaves the active set when it is lighter than LIGHT and its squared radius is below NEAR.
 LIGHT = 1e-6
+NEAR = 0.8
 SQRT2 = np.sqrt(2.0)
 
 # Codes returned to the caller (0 is success).
@@ -121,16 +131,16 @@ def solve_dual(X, m, n, tol, u, center, low):
 
         # K = I + Vᵀ diag(u/s) V, factored once for predictor and corrector (Woodbury).
         for j in range(p):
-            for k in range(j):
-                K[j, k] = 0.0
             K[j, j] = 1.0
+            for k in range(j + 1, p):
+                K[j, k] = 0.0
         for i in range(m):
             weight = u[i] / s[i]
             for j in range(p):
                 t = weight * V[i, j]
-                for k in range(j + 1):
+                for k in range(j, p):
                     K[j, k] += t * V[i, k]
-        if not cholesky(K, p):
+        if not normal_cholesky(K, p):
             return gap, iteration
         mu = 0.0
         for stage in range(2):
@@ -148,8 +158,7 @@ def solve_dual(X, m, n, tol, u, center, low):
                 t = u[i] / s[i] * rhs[i]
                 for j in range(p):
                     z[j] += t * V[i, j]
-            solve_lower(K, z, p)
-            solve_lower_transposed(K, z, p)
+            normal_solve(K, z, p)
             to_u = np.inf
             to_s = np.inf
             for i in range(m):
@@ -429,16 +438,16 @@ def fit_outer(points, tol, flatness, center, factor):
     for a in range(count):
         to_frame(points[index[a]], origin, frame, X[a], n)
 
-    inner_tol = 0.25 * tol
     local_center = np.empty(n)
     low = np.empty((n, n))
     y = np.empty(n)
     far = np.empty(2 * n)
     far_at = np.empty(2 * n, np.int64)
     iterations = 0
-    rounds = 1 if direct else MAX_ROUNDS
+    # The first rounds only look for points that matter: no need to solve them to the end.
+    inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
     gap = np.inf
-    for _ in range(rounds):
+    for _ in range(MAX_ROUNDS):
         gap, steps = solve_dual(X, count, n, inner_tol, u, local_center, low)
         iterations += steps
         if not gap < np.inf:
@@ -451,34 +460,42 @@ def fit_outer(points, tol, flatness, center, factor):
             center[j] = origin[j] + value
         if direct:
             break
-        # Points beyond this radius cost more than the tolerance left for them.
-        threshold = np.exp(0.5 * tol / n)
-        farthest_by_sector(points, center, factor, threshold, far, far_at)
+        # Points this far out cost half the tolerance; farther ones join.
+        reach = farthest_by_sector(points, center, factor, np.exp(tol / n), far, far_at)
+        fresh = 0
+        for j in range(2 * n):
+            known = far_at[j] < 0
+            for a in range(count):
+                known = known or index[a] == far_at[j]
+            if known:
+                far_at[j] = -1
+            else:
+                fresh += 1
+        if fresh == 0:
+            if inner_tol <= 0.25 * tol:
+                break
+            inner_tol = max(0.25 * tol, 0.01 * inner_tol)
+            continue
+        inner_tol = max(0.25 * tol, min(inner_tol, 0.1 * n * np.log(reach)))
         kept = 0
         for a in range(count):
             inside = 0.0
-            to_frame(X[a], local_center, low, y, n)
+            for k in range(n):
+                y[k] = X[a, k] - local_center[k]
+            solve_lower(low, y, n)
             for k in range(n):
                 inside += y[k] * y[k]
-            if u[a] > LIGHT or inside > 0.9:
+            if u[a] > LIGHT or inside > NEAR:
                 index[kept] = index[a]
                 for k in range(n):
                     X[kept, k] = X[a, k]
                 kept += 1
-        added = 0
+        count = kept
         for j in range(2 * n):
-            if far_at[j] >= 0 and kept + added < capacity:
-                known = False
-                for a in range(kept):
-                    known = known or index[a] == far_at[j]
-                if not known:
-                    a = kept + added
-                    index[a] = far_at[j]
-                    to_frame(points[far_at[j]], origin, frame, X[a], n)
-                    added += 1
-        if added == 0:
-            break
-        count = kept + added
+            if far_at[j] >= 0 and count < capacity:
+                index[count] = far_at[j]
+                to_frame(points[far_at[j]], origin, frame, X[count], n)
+                count += 1
 
     error = enclose(points, center, factor)
     if error < 0.0:

@@ -5,27 +5,26 @@ are the center x, one multiplier y and one slack z per face; the shape follows a
 system is m x m, diagonal plus a matrix of rank n(n+1)/2; Woodbury's identity turns it into one Cholesky
 factorisation of that size. Predictor and corrector (Mehrotra 1992) share it.
 
-Certificate. In coordinates where the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center, take any
-λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric positive definite) around any point,
+Certificate. In coordinates where the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center,
+take any λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric positive definite) around any point,
 Σ λ_i |F a_i| <= λᵀd, and |F a_i| >= u_iᵀ F a_i with u_i = a_i/|a_i|, so tr(F M) <= λᵀd with M = Σ λ_i a_i u_iᵀ, and
 log det F <= n log(λᵀd / n) - log det M: that is the gap.
 """
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import njit
 from loewner._kernels.dense import (
     cholesky,
-    householder_triangle,
     inverse_transposed_upper,
-    invert_lower,
-    multiply_lower,
+    normal_cholesky,
+    normal_solve,
     reversed_cholesky,
     solve_general,
     solve_lower,
     solve_lower_transposed,
 )
-from loewner._kernels.mvce import CENTRING_FLOOR, MAX_ITERATIONS, ROUNDING, SQRT2, STALLED, STEP_CAP
+from loewner._kernels.mvce import CENTRING_FLOOR, MAX_ITERATIONS, ROUNDING, SQRT2, STEP_CAP
 
 UNBOUNDED = 3
 
@@ -169,9 +168,9 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
 
         # K = I + Uᵀ D⁻¹ U with D = 2 y h z, U = y V;  C = K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A)
         for j in range(p):
-            for k in range(j):
-                K[j, k] = 0.0
             K[j, j] = 1.0
+            for k in range(j + 1, p):
+                K[j, k] = 0.0
         for j in range(n):
             for a in range(p):
                 C[j, a] = 0.0
@@ -179,18 +178,17 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
             weight = y[i] / (2.0 * h[i] * z[i])
             for j in range(p):
                 t = weight * V[i, j]
-                for k in range(j + 1):
+                for k in range(j, p):
                     K[j, k] += t * V[i, k]
             weight *= h[i] + z[i]
             for j in range(n):
                 t = weight * A[i, j]
                 for a in range(p):
                     C[j, a] += t * V[i, a]
-        if not cholesky(K, p):
+        if not normal_cholesky(K, p):
             return gap, iteration
         for j in range(n):
-            solve_lower(K, C[j], p)
-            solve_lower_transposed(K, C[j], p)
+            normal_solve(K, C[j], p)
         # P = (2 y h ∘ T - Y A)ᵀ, row i: (y/z) (h a_i - Cᵀ v_i);  and P A
         for j in range(n):
             for k in range(n):
@@ -240,8 +238,7 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
                 value *= y[i] / z[i]
                 for a in range(p):
                     q[a] += value * V[i, a]
-            solve_lower(K, q, p)
-            solve_lower_transposed(K, q, p)
+            normal_solve(K, q, p)
             to_y = np.inf
             to_z = np.inf
             for i in range(m):

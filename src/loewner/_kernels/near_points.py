@@ -550,12 +550,15 @@ def estimate_f(rule, ca_i, Fa_i, ca_o, Fa_o, cb_i, Fb_i, cb_o, Fb_o):
 
 
 @njit()
-def near_points_of_pairs(rule, c1, F1, c2, F2, angle, x1, x2, distance, iterations, status):
-    """Fill x1, x2 (n, 3), distance, iterations and status (n,) for n pairs, in the frame of the input."""
-    for k in range(len(c1)):
-        r = (c2[k, 0] - c1[k, 0], c2[k, 1] - c1[k, 1], c2[k, 2] - c1[k, 2])
+def near_points_of_pairs(rule, offset, F1, F2, angle, x1, x2, distance, iterations, status):
+    """Fill x1, x2 (n, 3), distance, iterations and status (n,) for n pairs.
+
+    `offset` (n, 3) is c2 - c1, factors are (n, 3, 3), the points relative to c1.
+    """
+    for k in range(len(offset)):
+        r = (offset[k, 0], offset[k, 1], offset[k, 2])
         A, B = matrix(F1[k]), matrix(F2[k])
         p, q, distance[k], iterations[k], status[k] = near_points(rule, A, inverse(A), B, inverse(B), r, angle)
         for i in range(3):
-            x1[k, i] = c1[k, i] + p[i]
-            x2[k, i] = c1[k, i] + q[i]
+            x1[k, i] = p[i]
+            x2[k, i] = q[i]

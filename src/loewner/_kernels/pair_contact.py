@@ -100,8 +100,8 @@ def _aligned(q0, q1, q2, a0, a1, a2):
 
 
 @njit()
-def contact_of_pairs(c1, F1, c2, F2, value):
-    """Fill the contact function of n pairs: centers (n, 3), factors (n, 3, 3), value (n,)."""
-    for k in range(len(c1)):
-        r = (c2[k, 0] - c1[k, 0], c2[k, 1] - c1[k, 1], c2[k, 2] - c1[k, 2])
+def contact_of_pairs(offset, F1, F2, value):
+    """Fill the contact function of n pairs: c2 - c1 (n, 3), factors (n, 3, 3), value (n,)."""
+    for k in range(len(offset)):
+        r = (offset[k, 0], offset[k, 1], offset[k, 2])
         value[k] = contact_of_pair(near.matrix(F1[k]), near.matrix(F2[k]), r)[0]

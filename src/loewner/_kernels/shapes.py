@@ -14,14 +14,15 @@ A packed set of pieces is a tuple of seven arrays:
     Factors of the ellipsoids, for the rules that need more than the shape matrix.
 
 Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
-C (ball, cylinder, cone, segment), and a rounding radius (zero but for a capsule).
+C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
+whose cores are a segment and a point).
 """
 
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
 
-POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT = 0, 1, 2, 3, 4
+POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
 OUTER_CENTER, OUTER_SHAPE, INNER_CENTER, INNER_SHAPE = 0, 3, 9, 12
 INNER_SIGMA = 18  # lower bound on the smallest semi-axis of the inner ellipsoid
@@ -79,6 +80,8 @@ def core_support(table, layout, points, piece, x, y, z):
         i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], x, y, z)
         return points[i, 0], points[i, 1], points[i, 2]
     row = table[piece]
+    if kind == POINT:
+        return row[FRAME_CENTER], row[FRAME_CENTER + 1], row[FRAME_CENTER + 2]
     f = FRAME_FACTOR
     ux, uy, uz = unit_support(
         kind,
@@ -133,6 +136,8 @@ def inside_by(table, layout, planes, piece, x, y, z):
     px = x - row[FRAME_CENTER]
     py = y - row[FRAME_CENTER + 1]
     pz = z - row[FRAME_CENTER + 2]
+    if kind == POINT:
+        return row[ROUNDING] - np.sqrt(px * px + py * py + pz * pz)
     s0 = row[f] * row[f] + row[f + 3] * row[f + 3] + row[f + 6] * row[f + 6]
     s1 = row[f + 1] * row[f + 1] + row[f + 4] * row[f + 4] + row[f + 7] * row[f + 7]
     s2 = row[f + 2] * row[f + 2] + row[f + 5] * row[f + 5] + row[f + 8] * row[f + 8]

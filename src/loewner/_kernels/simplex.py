@@ -70,19 +70,23 @@ def triangle_weights(ax, ay, az, bx, by, bz, cx, cy, cz):
     d6 = -(acx * cx + acy * cy + acz * cz)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
-    # Edge and face regions from the normal: differences of products d1 d4 - d3 d2 lose twice the digits.
+    # Edge and face regions from the normal and one edge each. On curved pieces triangles get tiny while
+    # their distance from the origin does not; every product here then has a small factor.
+    bcx = cx - bx
+    bcy = cy - by
+    bcz = cz - bz
     nx = aby * acz - abz * acy
     ny = abz * acx - abx * acz
     nz = abx * acy - aby * acx
-    wc = nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
+    wc = nx * (ay * abz - az * aby) + ny * (az * abx - ax * abz) + nz * (ax * aby - ay * abx)
     if wc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         t = segment_weight(ax, ay, az, bx, by, bz)
         return 1.0 - t, t, 0.0
-    wb = nx * (cy * az - cz * ay) + ny * (cz * ax - cx * az) + nz * (cx * ay - cy * ax)
+    wb = nx * (acy * cz - acz * cy) + ny * (acz * cx - acx * cz) + nz * (acx * cy - acy * cx)
     if wb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         t = segment_weight(ax, ay, az, cx, cy, cz)
         return 1.0 - t, 0.0, t
-    wa = nx * (by * cz - bz * cy) + ny * (bz * cx - bx * cz) + nz * (bx * cy - by * cx)
+    wa = nx * (by * bcz - bz * bcy) + ny * (bz * bcx - bx * bcz) + nz * (bx * bcy - by * bcx)
     if wa <= 0.0 and d4 >= d3 and d5 >= d6:
         t = segment_weight(bx, by, bz, cx, cy, cz)
         return 0.0, 1.0 - t, t

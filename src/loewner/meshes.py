@@ -1,0 +1,489 @@
+"""Triangle meshes in, convex pieces out, with a bound on what the pieces leave uncovered.
+
+Two promises matter here. A file is read whole or refused: half a mesh would be free where the
+whole one collides. And the pieces of a decomposition are grown until they hold the mesh's whole
+surface (`cover`), because the decomposition itself cuts corners and those corners would be free too.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner.errors import FileError, GeometryError, InputError, MissingExtraError
+from loewner.polytopes import Polytope
+
+if TYPE_CHECKING:
+    import trimesh
+
+Triangles = NDArray[np.int64]
+
+SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".gltf", ".dae")
+
+# A closed mesh this close to its convex hull, in volume, is taken for its hull. Collision meshes
+# that are hulls, then simplified and stored in float32, are off by up to 1e-3.
+CONVEX_VOLUME_TOLERANCE = 1e-3
+
+# What sticks out of the nearest piece by more than GROWTH is cut into cells, down to CELL_SIZE; both
+# are relative to the diagonal of the mesh's box. So a piece grows by 0.1 % of it over a face and by
+# 0.25 % over an edge that it shares with another piece.
+GROWTH = 0.001
+CELL_SIZE = 0.0025
+
+# A sample this far outside a piece, relative to the same diagonal, is inside but for rounding:
+# far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
+COVER_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Covering:
+    """What the convex pieces of a mesh do to the word "certified".
+
+    Attributes
+    ----------
+    kind : str
+        ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
+        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh.
+    exact : bool
+        Whether the union of the pieces holds the whole surface of the mesh, up to
+        `max_uncovered`, which is then rounding. FREE is then a statement about the mesh too.
+    max_uncovered : float
+        Proven upper bound on the distance from any point of the mesh's surface to the union of the
+        pieces, in metres. With ``margin`` at least the sum of both bodies' bounds, FREE is a
+        statement about both surfaces, whatever `exact` says.
+    excess_volume : float
+        Sum of the pieces' volumes over the mesh's volume, less 1: how much the pieces stick out
+        (overlaps counted twice). NaN if the mesh is not closed, for it then has no volume.
+    samples : int
+        Points of the surface that were tested, all mesh vertices included.
+    """
+
+    kind: str
+    exact: bool
+    max_uncovered: float
+    excess_volume: float
+    samples: int
+
+
+def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple[Floats, Triangles]:
+    """Read a mesh, as triangles in metres.
+
+    Parameters
+    ----------
+    source : path, trimesh.Trimesh or trimesh.Scene
+        A file in STL, OBJ, PLY, GLB, glTF or Collada (DAE) format. The meshes of a scene are
+        placed by their transforms and joined. Where a file states its unit of length, it is
+        converted; all others are taken to be in metres.
+
+    Returns
+    -------
+    vertices : ndarray, shape (v, 3)
+        In metres, as stored (equal vertices are not merged).
+    triangles : ndarray of int, shape (t, 3)
+
+    Raises
+    ------
+    FileError
+        If the file is missing, empty, cut short or no mesh. (An OBJ file does not say how long
+        it is: one that was cut between two lines cannot be told from a whole one.)
+    GeometryError
+        If a vertex is not finite, or there is no triangle.
+    MissingExtraError
+        If trimesh, or a package that it needs for this format, is not installed.
+    """
+    if isinstance(source, str | PathLike):
+        mesh = _read(Path(source))
+        name = str(source)
+    else:
+        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
+        name = "mesh"
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
+    vertices, triangles = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+    if len(triangles) == 0:
+        raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise GeometryError(
+            f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
+            f"found indices {triangles.min()}..{triangles.max()}"
+        )
+    if not np.isfinite(vertices).all():
+        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
+    return vertices * _metres(mesh), triangles
+
+
+def convex_pieces(
+    source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
+    *,
+    decompose: bool = True,
+    cover: bool = True,
+    threshold: float = 0.05,
+    max_pieces: int | None = None,
+    seed: int = 0,
+) -> tuple[list[Floats], Covering]:
+    """Split a mesh into convex pieces.
+
+    Parameters
+    ----------
+    source : path, trimesh.Trimesh or trimesh.Scene
+        See `load`.
+    decompose : bool
+        False takes the convex hull of everything as the one piece; it holds the mesh.
+    cover : bool
+        Grow the pieces of a decomposition until they hold the mesh's whole surface.
+    threshold : float
+        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
+    max_pieces : int, optional
+        Limit on the number of pieces of a decomposition.
+    seed : int
+        Seed of CoACD's search.
+
+    Returns
+    -------
+    pieces : list of ndarray, each of shape (v_i, 3)
+        Vertices of each piece's hull, in metres.
+    covering : Covering
+
+    Raises
+    ------
+    FileError, GeometryError, MissingExtraError
+        As `load`; GeometryError also for a flat mesh.
+
+    References
+    ----------
+    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
+    collision-aware concavity and tree search", ACM Trans. Graph. 41(4), doi:10.1145/3528223.3530103.
+
+    Notes
+    -----
+    A mesh whose connected parts are all closed and convex (its volume is its hull's, to 1e-3)
+    needs no decomposition: its pieces are their hulls.
+
+    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; one that lies in
+    none is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With
+    `cover`, such a rest is added to the piece nearest to it; without, the distance to a convex piece
+    being a convex function, it is greatest at a corner of the rest.
+    """
+    threshold = _check.positive_scalar(threshold, "threshold")
+    if not 0.01 <= threshold <= 1:
+        raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
+    if max_pieces is not None and max_pieces < 1:
+        raise InputError(f"max_pieces: expected at least 1, found {max_pieces}")
+    vertices, triangles = _welded(*load(source))
+    volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
+    if volume < 0:  # turned inside out
+        triangles, volume = triangles[:, ::-1], -volume
+
+    hull = Polytope.from_points(vertices)
+    parts = [hull] if not decompose else _convex_parts(vertices, triangles, hull, volume)
+    if parts is not None:
+        kind = "convex" if len(parts) > 1 or _close(volume, _hull_volume(hull)) else "hull"
+        return _result(parts, Covering(kind, True, 0.0, 0.0, len(vertices)), volume)
+
+    hulls = _coacd(vertices, triangles, threshold, max_pieces, seed)
+    size = _size(vertices)
+    cells, owner, samples = _outside(vertices[triangles], hulls, GROWTH * size, CELL_SIZE * size)
+    if cover and len(cells):
+        for j in np.unique(owner):
+            corners = cells[owner == j].reshape(-1, 3)
+            hulls[j] = Polytope.from_points(np.concatenate([hulls[j].vertices, corners]))
+    rounding = COVER_TOLERANCE * size
+    gap = _largest_gap(cells, hulls, rounding)
+    return _result(hulls, Covering("decomposition", gap <= rounding, gap, 0.0, samples), volume)
+
+
+def _result(hulls: list[Polytope], covering: Covering, volume: float) -> tuple[list[Floats], Covering]:
+    excess = float(sum(_hull_volume(h) for h in hulls) / volume - 1) if volume > 0 else float("nan")
+    kind, exact, gap, samples = covering.kind, covering.exact, covering.max_uncovered, covering.samples
+    return [np.array(h.vertices) for h in hulls], Covering(kind, bool(exact), float(gap), excess, samples)
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def _read(path: Path) -> Any:
+    """Read a file through trimesh, refusing what trimesh would read in part."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"{path}: expected a mesh file, found {(error.strerror or str(error)).lower()}") from None
+    if path.suffix.lower() not in SUFFIXES:
+        raise FileError(f"{path}: expected one of {', '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
+    if not data:
+        raise FileError(f"{path}: expected a mesh file, found an empty one")
+    trimesh = _import("trimesh")
+    _refuse_cut_file(path, data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about colours and materials
+            scene = trimesh.load_scene(path, process=False)
+    except ImportError as error:
+        if error.name in {"collada", "lxml", "networkx"}:
+            raise MissingExtraError(_install_hint(error.name)) from None
+        raise FileError(f"{path}: expected a {path.suffix} mesh, found something else") from None
+    except Exception as error:  # each format's reader has its own exceptions; all mean the same here
+        what = " ".join(str(error).split())[:200]
+        raise FileError(
+            f"{path}: expected a {path.suffix} mesh, found a file that cannot be read ({type(error).__name__}: {what})"
+        ) from None
+    if not scene.geometry:
+        raise FileError(f"{path}: expected a {path.suffix} mesh, found none in it")
+    return scene.to_mesh()
+
+
+def _refuse_cut_file(path: Path, data: bytes) -> None:
+    """Notice the cut files that trimesh reads without complaint, as the triangles before the cut."""
+    suffix = path.suffix.lower()
+    if suffix == ".stl":
+        count = struct.unpack("<I", data[80:84])[0] if len(data) >= 84 else 0
+        if len(data) >= 84 and len(data) >= 84 + 50 * count and not _is_text_stl(data):
+            return
+        if not _is_text_stl(data):
+            found = f"{len(data)} bytes where its header asks for {84 + 50 * count}" if len(data) >= 84 else "no header"
+            raise FileError(f"{path}: expected an STL mesh, found {found}")
+        if data.count(b"endfacet") * 2 != data.count(b"facet") or b"endsolid" not in data:
+            raise FileError(f"{path}: expected a whole text STL, found one cut before its endsolid")
+    elif suffix == ".obj":
+        last = data.rsplit(b"\n", 1)[-1].split()
+        if last and last[0] in (b"v", b"f") and len(last) < 4:
+            raise FileError(f"{path}: expected a whole OBJ file, found one cut within its last line")
+    elif suffix == ".glb" and len(data) >= 12 and data[:4] == b"glTF":
+        length = struct.unpack("<I", data[8:12])[0]
+        if len(data) < length:
+            raise FileError(f"{path}: expected {length} bytes as its header says, found {len(data)}")
+
+
+def _is_text_stl(data: bytes) -> bool:
+    # Binary headers may begin with "solid" too; a text file names its first facet soon after.
+    return data[:512].lstrip().startswith(b"solid") and (b"facet" in data[:1024] or b"endsolid" in data[:1024])
+
+
+def _import(package: str) -> Any:
+    try:
+        return __import__(package)
+    except ImportError:
+        raise MissingExtraError(_install_hint(package)) from None
+
+
+def _install_hint(package: str) -> str:
+    return f'reading and decomposing meshes needs {package}: pip install "loewner[meshes]"'
+
+
+def _metres(mesh: Any) -> float:
+    """Metres per unit of length, for a mesh that states its unit (Collada does)."""
+    units = getattr(mesh, "units", None)
+    if units is None or units == "meters":
+        return 1.0
+    convert = _import("trimesh").units.unit_conversion
+    try:
+        return float(convert(units, "meters"))
+    except (KeyError, ValueError):
+        raise GeometryError(f"mesh: expected a known unit of length, found {units!r}") from None
+
+
+# -- shape of a mesh ----------------------------------------------------------------------------
+
+
+def _size(vertices: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+
+def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
+    """Merge equal vertices; drop unused ones and triangles that lost a corner."""
+    vertices, index = np.unique(vertices + 0.0, axis=0, return_inverse=True)
+    triangles = index.reshape(-1)[triangles]
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
+    if len(triangles) == 0:
+        raise GeometryError(f"mesh: expected triangles, found only triangles with equal corners, {len(vertices)} points")
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return vertices[used], triangles.reshape(-1, 3)
+
+
+def _is_closed(triangles: Triangles) -> bool:
+    """Whether each directed edge occurs once and so does its reverse."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    span = triangles.max() + 1
+    forth, back = np.sort(edges[:, 0] * span + edges[:, 1]), np.sort(edges[:, 1] * span + edges[:, 0])
+    return bool((forth[1:] != forth[:-1]).all() and (forth == back).all())
+
+
+def _volume(vertices: Floats, triangles: Triangles) -> float:
+    """Signed volume of a closed mesh, by the divergence theorem about its centre (less cancellation there)."""
+    a, b, c = (vertices - vertices.mean(axis=0))[triangles].transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def _hull_volume(hull: Polytope) -> float:
+    return abs(_volume(hull.vertices, hull.simplices))
+
+
+def _close(volume: float, hull_volume: float) -> bool:
+    return bool(volume >= (1 - CONVEX_VOLUME_TOLERANCE) * hull_volume)
+
+
+def _convex_parts(vertices: Floats, triangles: Triangles, hull: Polytope, volume: float) -> list[Polytope] | None:
+    """Hulls of the connected parts if all are closed and convex, else None."""
+    if np.isnan(volume):
+        return None
+    if _close(volume, _hull_volume(hull)):
+        return [hull]
+    # Imported late: SciPy's graph routines are needed on this path only.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ones = np.ones(len(triangles) * 2, dtype=np.int8)
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    count, label = connected_components(coo_array((ones, ends), shape=(len(vertices),) * 2), directed=False)
+    if count == 1:
+        return None
+    parts = []
+    for k in range(count):
+        part = Polytope.from_points(vertices[label == k])
+        # A part with negative volume is a cavity, which a hull would fill.
+        if not _close(_volume(vertices, triangles[label[triangles[:, 0]] == k]), _hull_volume(part)):
+            return None
+        parts.append(part)
+    return parts
+
+
+def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:
+    coacd = _import("coacd")
+    coacd.set_log_level("error")
+    middle, size = vertices.mean(axis=0), _size(vertices)  # its tolerances suit meshes of size 1 at the origin
+    found = coacd.run_coacd(
+        coacd.Mesh((vertices - middle) / size, triangles),
+        threshold=threshold,
+        max_convex_hull=-1 if most is None else most,
+        seed=seed,
+    )
+    hulls = []
+    for points, _ in found:
+        try:
+            hulls.append(Polytope.from_points(np.asarray(points) * size + middle))
+        except GeometryError:
+            continue  # a flat sliver; covering gives its part of the surface to a neighbour, and measures it
+    if not hulls:
+        raise GeometryError("mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull")
+    return hulls
+
+
+# -- covering -----------------------------------------------------------------------------------
+
+
+def _outside(
+    triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float
+) -> tuple[Floats, NDArray[np.int64], int]:
+    """Cells of the surface that lie in no single piece.
+
+    A triangle lies in a convex piece if its corners do. One that lies in none is halved across
+    its longest edge until it does, sticks out by no more than `growth`, or has no edge longer
+    than `cell_size`.
+
+    Returns
+    -------
+    cells : ndarray, shape (k, 3, 3)
+        Corners of what is left.
+    owner : ndarray of int, shape (k,)
+        The piece that each cell sticks out of least.
+    samples : int
+        Points tested.
+    """
+    rest, owners, samples = [np.empty((0, 3, 3))], [np.empty(0, dtype=np.int64)], 0
+    while len(triangles):
+        points, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        samples += len(points)
+        worst, owner = _coverage(points, index.reshape(-1, 3), hulls)
+        triangles, worst, owner = triangles[worst > 0], worst[worst > 0], owner[worst > 0]
+        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        split = (worst > growth) & (edges.max(axis=1) > cell_size)
+        rest.append(triangles[~split])
+        owners.append(owner[~split])
+        triangles = _halved(triangles[split], edges[split].argmax(axis=1))
+    return np.concatenate(rest), np.concatenate(owners), samples
+
+
+def _halved(triangles: Floats, edge: NDArray[np.int64]) -> Floats:
+    """Cut each triangle across the edge that starts at the given corner."""
+    row = np.arange(len(triangles))
+    a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
+    middle = (a + b) / 2
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+
+
+def _coverage(
+    points: Floats, cells: NDArray[np.int64], hulls: list[Polytope]
+) -> tuple[Floats, NDArray[np.int64]]:
+    """For each cell the piece it sticks out of least, and a lower bound on how far (<= 0: it lies inside)."""
+    worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
+    for j, hull in enumerate(hulls):
+        box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
+        ask = (worst > 0) & (box[cells].max(axis=1) < worst)
+        used = np.zeros(len(points), dtype=bool)
+        used[cells[ask]] = True
+        box[used] = _excess(points[used], hull)
+        excess = np.where(ask, box[cells].max(axis=1), np.inf)
+        better = excess < worst
+        worst[better], owner[better] = excess[better], j
+    return worst, owner
+
+
+def _excess(points: Floats, hull: Polytope) -> Floats:
+    """Largest of n·x - b over the faces: a lower bound on the distance, and negative inside."""
+    chunk = max(1, 2_000_000 // len(hull.normals))
+    parts = [(points[k : k + chunk] @ hull.normals.T - hull.offsets).max(axis=1) for k in range(0, len(points), chunk)]
+    return np.concatenate([np.empty(0), *parts])
+
+
+def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
+    """Greatest over the cells of the least over the pieces of the distance of the cell's farthest corner."""
+    points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
+    corner = index.reshape(-1, 3)
+    corner = corner[_coverage(points, corner, hulls)[0] > 0]
+    if len(corner) == 0:
+        return 0.0
+    least = np.full(len(corner), np.inf)
+    for hull in hulls:
+        # A piece that is farther by the lower bound than another one is by distance is not needed.
+        near = _excess(points, hull)[corner].max(axis=1) < least
+        used = np.unique(corner[near])
+        distance = np.full(len(points), np.inf)
+        distance[used] = _distances(points[used], hull, slack)
+        least = np.minimum(least, distance[corner].max(axis=1))
+    return float(least.max())
+
+
+def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
+    """Distance of points to a convex piece, 0 inside.
+
+    The nearest point lies on a face that the point sees; with `slack`, rounding hides none of them.
+    """
+    closest_point = _import("trimesh").triangles.closest_point
+    faces = hull.vertices[hull.simplices]
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+    offsets = np.einsum("ij,ij->i", normals, faces[:, 0])
+    distance = np.zeros(len(points))
+    chunk = max(1, 500_000 // len(faces))
+    for k in range(0, len(points), chunk):
+        x = points[k : k + chunk]
+        height = x @ normals.T - offsets
+        i, j = np.nonzero((height > -slack) & (height > 0).any(axis=1)[:, None])
+        if len(i) == 0:
+            continue
+        d = np.linalg.norm(closest_point(faces[j], x[i]) - x[i], axis=1)
+        seen, least = np.zeros(len(x), dtype=bool), np.full(len(x), np.inf)
+        seen[i] = True
+        np.fmin.at(least, i, d)  # slivers may give NaN; the other faces' distances are still upper bounds
+        distance[k : k + chunk] = np.where(seen, least, 0.0)
+    return distance
