@@ -17,10 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import fits as kernel
+from loewner._kernels import halfspaces as halfspace_kernel
+from loewner._kernels import hulls as hull_kernel
 from loewner._kernels import mvce as mvce_kernel
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError
-from loewner.polytopes import FLATNESS, Polytope, check_enough, flat_error, writeable
+from loewner.polytopes import (
+    FLATNESS,
+    Polytope,
+    center_error,
+    check_enough,
+    check_halfspaces,
+    flat_error,
+    interior_point,
+    writeable,
+)
 
 Ints = NDArray[np.int64]
 
@@ -93,6 +104,10 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     check_enough(x, "points")
     tolerance = _tolerance(tol)
     n = x.shape[1]
+    if method == "lifted-mvie":
+        return _mvce_lifted(x, tolerance)
+    if method != "direct":
+        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {method!r}")
     center, factor = np.empty(n), np.empty((n, n))
     code, gap, iterations, axis, width, size = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
     if code == mvce_kernel.FLAT:
@@ -100,13 +115,77 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     return _finished("mvce", center, factor, gap, iterations, tolerance)
 
 
-def mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
-    """Largest ellipsoid inside the hull of points."""
+def _mvce_lifted(points: Floats, tol: float) -> Fit:
+    """The paper's Appendix B, then the same scaling and certificate as the direct way."""
+    m, n = points.shape
+    code, axis, width, size, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
+    if code == mvce_kernel.FLAT:
+        raise flat_error("points", n, axis, width, size)
+    center, factor, weights = np.empty(n), np.empty((n, n)), np.empty(m)
+    gap, iterations = halfspace_kernel.fit_lifted(local, 0.25 * tol, frame, origin, center, factor, weights)
+    if np.isfinite(gap):
+        error = mvce_kernel.enclose(points, center, factor)
+        gap = mvce_kernel.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
+    return _finished("mvce", center, factor, gap, iterations, tol)
+
+
+def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANCE) -> Fit:
+    """Largest ellipsoid inside a polytope (maximum-volume inscribed ellipsoid).
+
+    Parameters
+    ----------
+    A : array_like, shape (m, n)
+        Rows of the half-spaces {x : A x <= b}; without `b`, points whose convex hull is the polytope.
+    b : array_like, shape (m,), optional
+    tol : float
+        Largest certified gap in log-volume, in [1e-12, 1].
+
+    Returns
+    -------
+    Fit
+        The ellipsoid exactly as stored is inside every half-space as given, or inside the hull of the points,
+        whatever the rounding.
+
+    Raises
+    ------
+    InputError
+        On wrong shapes, entries that are not finite or a tolerance out of range.
+    GeometryError
+        If the polytope is empty, flat or unbounded.
+    ConvergenceError
+        If the gap asked for was not reached.
+
+    References
+    ----------
+    Zhang and Gao (2003), doi:10.1137/S1052623401397230.
+
+    Examples
+    --------
+    >>> fit = mvie([[1, 0], [-1, 0], [0, 1], [0, -1]], [3, 3, 1, 1])
+    >>> fit.ellipsoid.semi_axes.round(4)
+    array([3., 1.])
+    """
     tolerance = _tolerance(tol)
+    if b is not None:
+        return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
+    points = _check.finite_array(A, "points", (None, None))
+    check_enough(points, "points")
+    if points.shape[1] == 1:  # Qhull wants a plane at least; an interval is its own two half-spaces
+        return _mvie_of_halfspaces(np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance)
     piece = Polytope.from_points(points)
     starts = np.array([0, len(piece.vertices)]), np.array([0, len(piece.normals)])
     inner, _, info = _fit_all(starts[0], piece.vertices, starts[1], piece.normals, tolerance, None)
     return _finished("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance)
+
+
+def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
+    n = A.shape[1]
+    x = interior_point(A, b)
+    center, factor, direction = np.empty(n), np.empty((n, n)), np.empty(n)
+    code, gap, iterations = halfspace_kernel.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
+    if code == halfspace_kernel.UNBOUNDED or (code != 0 and iterations == 0):
+        raise center_error(code, A, direction)
+    return _finished("mvie", center, factor, gap, iterations, tol)
 
 
 def fit_pieces(
@@ -181,9 +260,7 @@ def _fit_all(
 
     def run(first: int) -> int:
         last = min(first + BLOCK, total)
-        kernel.fit_range(
-            first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info
-        )
+        kernel.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
         return last - first
 
     blocks = range(0, total, BLOCK)

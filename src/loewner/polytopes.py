@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as kernel
 from loewner._kernels.mvce import FLAT
 from loewner.errors import GeometryError, InputError
@@ -22,6 +24,7 @@ Progress = Callable[[int, int], None]
 # A set of points is flat if its width in some direction is at most this times its length. Below it float64
 # coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
 FLATNESS = 1e-12
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,7 @@ class Polytope:
     @property
     def dim(self) -> int:
         """Dimension n of the space."""
-        return self.vertices.shape[1]
+        return int(self.vertices.shape[1])
 
     @classmethod
     def from_points(cls, points: ArrayLike) -> Polytope:
@@ -90,6 +93,36 @@ class Polytope:
         Barber, Dobkin and Huhdanpaa, The Quickhull algorithm (1996), doi:10.1145/235815.235821.
         """
         return cls(*_hull(_check.finite_array(points, "points", (None, None)), "points"))
+
+    @classmethod
+    def from_halfspaces(cls, A: ArrayLike, b: ArrayLike) -> Polytope:
+        """Bounded intersection of half-spaces {x : A x <= b}.
+
+        Parameters
+        ----------
+        A : array_like, shape (m, n)
+            n >= 2; rows of any length, redundant ones allowed.
+        b : array_like, shape (m,)
+
+        Raises
+        ------
+        InputError
+            On wrong shapes or entries that are not finite.
+        GeometryError
+            If the intersection is empty, flat or unbounded.
+        """
+        rows, bounds = check_halfspaces(A, b)
+        if rows.shape[1] < 2:
+            raise InputError(f"A: expected half-spaces in dimension n >= 2, found shape {rows.shape}")
+        x = interior_point(rows, bounds)
+        frame, shift = np.empty((rows.shape[1],) * 2), np.empty(rows.shape[1])
+        code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
+        if code != 0:
+            raise center_error(code, rows, shift)
+        # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
+        dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        equations = np.unique(dual.equations, axis=0)
+        return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
 
     def __repr__(self) -> str:
         return f"Polytope({len(self.vertices)} vertices, {len(self.normals)} faces, n={self.dim})"
@@ -117,6 +150,80 @@ def flat_error(name: str, n: int, axis: int, width: float, size: float) -> Geome
         f"the next width is {width:.3g} m against a length of {size:.3g} m (flat means at most {FLATNESS:g} of it, "
         "or lost in the rounding of the coordinates)"
     )
+
+
+def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
+    """Half-spaces with rows of length about 1 (scaled by powers of two, so exactly), empty rows dropped."""
+    rows = _check.finite_array(A, "A", (None, None))
+    bounds = _check.finite_array(b, "b", (len(rows),))
+    if rows.shape[1] < 1 or len(rows) < 1:
+        raise InputError(f"A: expected at least one half-space in dimension n >= 1, found shape {rows.shape}")
+    size = np.abs(rows).max(axis=1)
+    nothing = size == 0
+    if (bounds[nothing] < 0).any():
+        i = int(np.flatnonzero(nothing & (bounds < 0))[0])
+        raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
+    scale = -np.frexp(size[~nothing])[1]
+    return np.ldexp(rows[~nothing], scale[:, None]), np.ldexp(bounds[~nothing], scale)
+
+
+def interior_point(A: Floats, b: Floats) -> Floats:
+    """Point with A x < b for certain: the origin, or the point of largest least slack.
+
+    That is a linear program. A solver's tolerance is absolute, about 1e-7 of the data, so it is solved again around its
+    own answer, magnified, until the slack stands clear of rounding (Gleixner, Steffy and Wolter 2016).
+
+    Raises
+    ------
+    GeometryError
+        If the polytope is empty or flat, with the slack that was reached.
+    """
+    m, n = A.shape
+    x = np.zeros(n)
+    if (b > 0).all():
+        return x
+    magnify = 1.0 / np.abs(b).max()
+    least, noise = -np.inf, 0.0
+    for _ in range(4):
+        slack = b - A @ x
+        answer = linprog(
+            np.r_[np.zeros(n), -1.0],
+            A_ub=np.c_[A, np.ones(m)],
+            b_ub=slack * magnify,
+            bounds=[(None, None)] * n + [(None, 1.0)],
+            method="highs",
+        )
+        if answer.x is None:
+            raise GeometryError(f"A, b: no interior point found: {answer.message}")
+        x = x + answer.x[:n] / magnify
+        slack = b - A @ x
+        least = float(slack.min())
+        noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
+        if least > noise or least < -1e-3 / magnify:
+            break
+        magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
+    distance = (b - A @ x) / np.linalg.norm(A, axis=1)
+    size = float(np.abs(distance).max())
+    if least > max(noise, FLATNESS * size):
+        return x
+    if least < -max(noise, FLATNESS * size):
+        raise GeometryError(
+            f"A, b: empty: every point is outside some half-space, the best one by {-distance.min():.3g}"
+        )
+    raise GeometryError(
+        f"A, b: flat: the roomiest point is {distance.min():.3g} from a face, against a size of {size:.3g} "
+        f"and a rounding of {noise:.3g}"
+    )
+
+
+def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
+    """Say that the polytope goes on for ever, and which way."""
+    if code != halfspace_kernel.UNBOUNDED:
+        return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
+    if not direction.any():  # the normals do not span the space: any vector they are all orthogonal to
+        direction = np.linalg.svd(A)[2][-1]
+    way = np.array2string(direction / np.linalg.norm(direction), precision=3, suppress_small=True)
+    return GeometryError(f"A, b: unbounded: no half-space limits the direction {way}")
 
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:

@@ -61,6 +61,7 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
         _, high = face_slacks(vertices, normals[i], outer_center)
         if not high > 0.0:
             return STALLED, np.inf, 0
+        slack_high[i] = high
         for j in range(n):
             value = 0.0
             for k in range(j, n):
@@ -76,17 +77,8 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
             value += outer_factor[j, k] * x[k]
         center[j] = outer_center[j] + value
     for i in range(m):
+        lam[i] /= slack_high[i]  # the multiplier of the scaled row, brought back to the unit normal
         slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
-        # λ of the scaled row a/b belongs to the unit normal divided by b.
-        scaled = 0.0
-        size = 0.0
-        for j in range(n):
-            value = 0.0
-            for k in range(j, n):
-                value += outer_factor[k, j] * normals[i, k]
-            scaled += A[i, j] * value
-            size += value * value
-        lam[i] *= scaled / size
     gap = inscribe(normals, slack_low, slack_high, factor, lam)
     return (0 if gap <= tol else STALLED), gap, iterations
 

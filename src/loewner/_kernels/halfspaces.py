@@ -15,7 +15,7 @@ MAX_CENTERING = 500
 def whiten(A, slack, work, frame):
     """Lower triangular `frame` with Σ (frameᵀ a/s)(frameᵀ a/s)ᵀ = 1 over the rows; False if the rows lack rank.
 
-    By QR, as the Gram matrix would square the aspect; of the columns in reverse, so that the inverse is lower triangular.
+    By QR, as the Gram matrix would square the aspect; of the columns in reverse, which leaves it lower triangular.
     """
     m, n = A.shape
     for i in range(m):
@@ -38,7 +38,7 @@ def center_in(A, b, x, frame, shift, negligible):
     """Move `x` to near the analytic center of {A x <= b} by Newton's method, whitening every step.
 
     A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded. A step along
-    which no slack shrinks proves that it is not; its direction is left in `shift`. Nesterov and Nemirovskii (1994).
+    which no slack shrinks proves that it is not; its direction is left in `shift` (zero if the rows lack rank). Nesterov and Nemirovskii (1994).
     Returns a code; `frame` is the whitening of the last point.
     """
     m, n = A.shape
@@ -55,6 +55,7 @@ def center_in(A, b, x, frame, shift, negligible):
                 return STALLED
             slack[i] = value
         if not whiten(A, slack, work, frame):
+            shift[:] = 0.0
             return UNBOUNDED
         # In the frame the Hessian is the identity: the Newton step is minus the sum of the rows.
         for j in range(n):
@@ -167,10 +168,10 @@ def fit_halfspaces(A, b, x, tol, negligible, center, factor, shift):
 
 @njit()
 def fit_lifted(X, tol, frame, origin, center, factor, u):
-    """The paper's Appendix B: the MVCE of the points X (m, n) from the MVIE of {z : |(X, 1) z| <= 1} in dimension n + 1.
+    """The paper's Appendix B: the MVCE of X (m, n) from the MVIE of {z : |(X, 1) z| <= 1} in dimension n + 1.
 
-    X are coordinates origin + frame X of unit size with 0 inside. Fills center and lower factor, not yet scaled to hold the points, and
-    the dual weights u. Returns (gap of the MVIE, iterations).
+    The points are origin + frame X with X of unit size around 0. Fills center and lower factor, not yet scaled to
+    hold the points, and the dual weights u. Returns (gap of the MVIE, iterations).
     """
     m, n = X.shape
     N = n + 1
