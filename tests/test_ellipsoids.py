@@ -1,0 +1,186 @@
+"""Ellipsoids: what they hold, how far they reach, how they move."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from loewner import Ellipsoids, GeometryError, InputError, PoseError
+
+
+def random_ellipsoids(rng, count, dim=3, thinnest=0.05):
+    """Centers normal, factors general: random axes, semi-axes log-uniform in [thinnest, 1], a random right turn."""
+    turns = np.linalg.qr(rng.normal(size=(2, count, dim, dim)))[0]
+    semi_axes = np.exp(rng.uniform(np.log(thinnest), 0.0, size=(count, dim)))
+    return Ellipsoids(rng.normal(size=(count, dim)), (turns[0] * semi_axes[:, None, :]) @ turns[1])
+
+
+def random_pose(rng):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    T[:3, 3] = rng.normal(size=3)
+    return T
+
+
+@pytest.fixture
+def ellipsoids(rng):
+    return random_ellipsoids(rng, 50)
+
+
+def test_factor_and_shape_matrix_describe_the_same_set(ellipsoids):
+    again = Ellipsoids.from_shape_matrix(ellipsoids.center, ellipsoids.shape_matrix)
+    np.testing.assert_allclose(again.shape_matrix, ellipsoids.shape_matrix, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(again.semi_axes, ellipsoids.semi_axes, rtol=1e-9)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3, 5])
+def test_semi_axes_and_rotation_rebuild_the_ellipsoid(rng, dim):
+    E = random_ellipsoids(rng, 20, dim)
+    assert E.dim == dim
+    assert (np.diff(E.semi_axes, axis=-1) <= 0).all()
+    np.testing.assert_allclose(np.linalg.det(E.rotation), 1.0)
+    again = Ellipsoids.from_semi_axes(E.center, E.semi_axes, E.rotation)
+    np.testing.assert_allclose(again.shape_matrix, E.shape_matrix, atol=1e-14)
+
+
+def test_volume_of_ball_disc_and_interval():
+    """V = 4/3 pi abc, pi ab, 2a."""
+    assert Ellipsoids.from_semi_axes([0, 0, 0], [3, 2, 1]).volume == pytest.approx(8 * np.pi)
+    assert Ellipsoids.from_semi_axes([0, 0], [3, 2]).volume == pytest.approx(6 * np.pi)
+    assert Ellipsoids.from_semi_axes([0], [3]).volume == pytest.approx(6)
+    tiny = Ellipsoids.from_semi_axes(np.zeros(3), np.full(3, 1e-150))
+    assert tiny.log_volume == pytest.approx(np.log(4 * np.pi / 3) + 3 * np.log(1e-150))
+
+
+def test_support_beats_every_point_of_the_ellipsoid(ellipsoids, rng):
+    """The support point lies on the surface and nothing in E is farther along the direction."""
+    u = rng.normal(size=(300, 1, 3))
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    points = ellipsoids.center + np.einsum("kij,skj->ski", ellipsoids.factor, np.broadcast_to(u, (300, 50, 3)))
+    directions = rng.normal(size=(50, 3))
+    best = ellipsoids.support(directions)
+    assert (np.einsum("ki,ski->sk", directions, points) <= (directions * best).sum(-1) + 1e-12).all()
+    level = np.linalg.norm(np.linalg.solve(ellipsoids.factor, (best - ellipsoids.center)[..., None])[..., 0], axis=-1)
+    np.testing.assert_allclose(level, 1.0, rtol=1e-12)
+
+
+@given(level=st.floats(0.0, 2.0), seed=st.integers(0, 1000))
+def test_contains_by_level(level, seed):
+    """c + F u lies in E exactly if |u| <= 1."""
+    rng = np.random.default_rng(seed)
+    E = random_ellipsoids(rng, 1)[0]
+    u = rng.normal(size=3)
+    point = E.center + E.factor @ (level * u / np.linalg.norm(u))
+    if abs(level - 1) > 1e-12:
+        assert E.contains(point) == (level < 1)
+
+
+def test_bounding_box_is_tight(ellipsoids):
+    low, high = ellipsoids.bounding_box()
+    for axis in range(3):
+        d = np.eye(3)[axis]
+        np.testing.assert_allclose(high[:, axis], ellipsoids.support(d)[:, axis], rtol=1e-12)
+        np.testing.assert_allclose(low[:, axis], ellipsoids.support(-d)[:, axis], rtol=1e-12)
+
+
+def test_motion_moves_points_along(ellipsoids, rng):
+    """x in E exactly if T x in T E; volume and semi-axes stay."""
+    T = random_pose(rng)
+    moved = ellipsoids.transformed(T)
+    points = rng.normal(size=(200, 1, 3))
+    assert (moved.contains(points @ T[:3, :3].T + T[:3, 3]) == ellipsoids.contains(points)).all()
+    np.testing.assert_allclose(moved.semi_axes, ellipsoids.semi_axes, rtol=1e-12)
+    np.testing.assert_allclose(moved.volume, ellipsoids.volume, rtol=1e-12)
+
+
+def test_motions_compose_and_none_is_the_identity(ellipsoids, rng):
+    A, B = random_pose(rng), random_pose(rng)
+    once, twice = ellipsoids.transformed(A @ B), ellipsoids.transformed(B).transformed(A)
+    np.testing.assert_allclose(once.center, twice.center, atol=1e-13)
+    np.testing.assert_allclose(once.factor, twice.factor, atol=1e-13)
+    assert (ellipsoids.transformed(None).factor == ellipsoids.factor).all()
+
+
+def test_affine_image_holds_the_images(rng):
+    """x in E exactly if A x + b in the image; the volume grows by |det A|."""
+    E = random_ellipsoids(rng, 30, dim=4)
+    A, b = rng.normal(size=(4, 4)), rng.normal(size=4)
+    image = E.affine(A, b)
+    points = rng.normal(size=(200, 1, 4)) * 0.5
+    assert (image.contains(points @ A.T + b) == E.contains(points)).mean() > 0.999
+    np.testing.assert_allclose(image.volume, abs(np.linalg.det(A)) * E.volume, rtol=1e-10)
+
+
+def test_batches_index_and_have_lengths(ellipsoids):
+    assert len(ellipsoids) == 50
+    assert ellipsoids.batch_shape == (50,)
+    assert ellipsoids[3].batch_shape == ()
+    assert (ellipsoids[3].center == ellipsoids.center[3]).all()
+    assert (ellipsoids[10:20].factor == ellipsoids.factor[10:20]).all()
+    with pytest.raises(TypeError):
+        len(ellipsoids[0])
+    with pytest.raises(IndexError):
+        ellipsoids[0][0]
+    assert "50" in repr(ellipsoids)
+    assert "semi_axes" in repr(ellipsoids[0])
+
+
+def test_results_and_fields_are_read_only_copies():
+    center = np.zeros(3)
+    E = Ellipsoids(center, np.eye(3))
+    center[0] = 5.0
+    assert E.center[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        E.center[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("center", "factor", "error"),
+    [
+        ([0, 0, np.nan], np.eye(3), InputError),
+        ([0, 0, 0], np.diag([1, 1, np.inf]), InputError),
+        ([0, 0, 0], np.diag([1.0, 1, 0]), GeometryError),
+        ([0, 0], np.eye(3), InputError),
+        ([0, 0, 0], np.ones(3), InputError),
+        ([], np.zeros((0, 0)), InputError),
+        (["a", 0, 0], np.eye(3), InputError),
+        ([[0, 0, 0]], np.eye(3), InputError),
+    ],
+)
+def test_bad_ellipsoids_are_refused(center, factor, error):
+    with pytest.raises(error):
+        Ellipsoids(center, factor)
+
+
+def test_bad_shape_matrices_and_semi_axes_are_refused():
+    with pytest.raises(GeometryError, match="symmetric"):
+        Ellipsoids.from_shape_matrix([0, 0], [[1, 0.5], [0, 1]])
+    with pytest.raises(GeometryError, match="positive definite"):
+        Ellipsoids.from_shape_matrix([0, 0], [[1, 0], [0, -1]])
+    with pytest.raises(InputError, match="square"):
+        Ellipsoids.from_shape_matrix([0, 0], [[1, 0, 0], [0, 1, 0]])
+    with pytest.raises(GeometryError, match="> 0"):
+        Ellipsoids.from_semi_axes([0, 0], [1, -1])
+    with pytest.raises(InputError, match="orthogonal"):
+        Ellipsoids.from_semi_axes([0, 0], [1, 1], [[1, 1], [0, 1]])
+
+
+def test_bad_queries_are_refused(ellipsoids):
+    with pytest.raises(InputError, match="non-zero"):
+        ellipsoids.support([0, 0, 0])
+    with pytest.raises(InputError, match="shape"):
+        ellipsoids.contains([0, 0])
+    with pytest.raises(PoseError):
+        ellipsoids.transformed(2 * np.eye(4))
+    with pytest.raises(InputError, match="3-D"):
+        Ellipsoids(np.zeros(2), np.eye(2)).transformed(np.eye(4))
+    with pytest.raises(GeometryError, match="singular"):
+        ellipsoids.affine(np.zeros((3, 3)), np.zeros(3))
+
+
+def test_empty_batch_gives_empty_answers():
+    none = Ellipsoids(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    assert none.contains([0, 0, 0]).shape == (0,)
+    assert none.semi_axes.shape == (0, 3)
+    assert len(none.transformed(np.eye(4))) == 0
