@@ -468,22 +468,30 @@ def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
 
     The nearest point lies on a face that the point sees; with `slack`, rounding hides none of them.
     """
-    closest_point = _import("trimesh").triangles.closest_point
-    faces = hull.vertices[hull.simplices]
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-    offsets = np.einsum("ij,ij->i", normals, faces[:, 0])
     distance = np.zeros(len(points))
-    chunk = max(1, 500_000 // len(faces))
+    chunk = max(1, 500_000 // len(hull.simplices))
     for k in range(0, len(points), chunk):
         x = points[k : k + chunk]
-        height = x @ normals.T - offsets
-        i, j = np.nonzero((height > -slack) & (height > 0).any(axis=1)[:, None])
-        if len(i) == 0:
-            continue
-        d = np.linalg.norm(closest_point(faces[j], x[i]) - x[i], axis=1)
-        seen, least = np.zeros(len(x), dtype=bool), np.full(len(x), np.inf)
-        seen[i] = True
-        np.fmin.at(least, i, d)  # slivers may give NaN; the other faces' distances are still upper bounds
-        distance[k : k + chunk] = np.where(seen, least, 0.0)
+        height = x @ hull.normals.T - hull.offsets
+        seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
+        i, j = np.nonzero(seen[:, hull.face_of_simplex])
+        squared = np.full(len(x), np.inf)
+        face = hull.face_of_simplex[j]
+        np.minimum.at(squared, i, _squared_distances(x[i], hull.vertices[hull.simplices[j]], hull.normals[face]))
+        distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
     return distance
+
+
+def _squared_distances(points: Floats, triangles: Floats, normals: Floats) -> Floats:
+    """Squared distance of each point to its triangle, from three edges and the inside; sound for slivers too."""
+    least = np.full(len(points), np.inf)
+    above = np.ones(len(points), dtype=bool)
+    for k in range(3):
+        a, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        x = points - a
+        length = np.einsum("ij,ij->i", edge, edge)
+        along = np.clip(np.einsum("ij,ij->i", x, edge) / np.where(length > 0, length, 1.0), 0, 1)
+        least = np.minimum(least, ((x - along[:, None] * edge) ** 2).sum(axis=1))
+        above &= np.einsum("ij,ij->i", np.cross(normals, edge), x) >= 0
+    height = np.einsum("ij,ij->i", points - triangles[:, 0], normals)
+    return np.where(above, np.minimum(least, height**2), least)
