@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, QhullError
 
 from loewner import _check
 from loewner._check import Floats
@@ -17,6 +15,8 @@ from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as kernel
 from loewner._kernels.mvce import FLAT
 from loewner.errors import GeometryError, InputError
+
+# SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
 
 Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
@@ -119,6 +119,8 @@ class Polytope:
         code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
+        from scipy.spatial import ConvexHull
+
         # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
         dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
         equations = np.unique(dual.equations, axis=0)
@@ -178,6 +180,8 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     GeometryError
         If the polytope is empty or flat, with the slack that was reached.
     """
+    from scipy.optimize import linprog
+
     m, n = A.shape
     x = np.zeros(n)
     if (b > 0).all():
@@ -228,6 +232,8 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
     """Vertices, normals, offsets, simplices and the face of each simplex."""
+    from scipy.spatial import ConvexHull, QhullError
+
     check_enough(points, name, least_dim=2)
     points = writeable(points)
     code, axis, width, size, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)

@@ -37,8 +37,10 @@ def whiten(A, slack, work, frame):
 def center_in(A, b, x, frame, shift, negligible):
     """Move `x` to near the analytic center of {A x <= b} by Newton's method, whitening every step.
 
-    A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded. A step along
-    which no slack shrinks proves that it is not; its direction is left in `shift` (zero if the rows lack rank). Nesterov and Nemirovskii (1994).
+    A Newton decrement below 1 proves that the log barrier has a minimum, so that the polytope is bounded
+    (Nesterov and Nemirovskii 1994). A step along which no slack shrinks proves that it is not; its direction is
+    left in `shift`, zero if the rows lack rank.
+
     Returns a code; `frame` is the whitening of the last point.
     """
     m, n = A.shape
