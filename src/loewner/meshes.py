@@ -305,7 +305,9 @@ def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     if len(triangles) == 0:
-        raise GeometryError(f"mesh: expected triangles, found only triangles with equal corners, {len(vertices)} points")
+        raise GeometryError(
+            f"mesh: expected triangles, found only triangles with equal corners, {len(vertices)} points"
+        )
     used, triangles = np.unique(triangles, return_inverse=True)
     return vertices[used], triangles.reshape(-1, 3)
 
@@ -374,7 +376,9 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
         except GeometryError:
             continue  # a flat sliver; covering gives its part of the surface to a neighbour, and measures it
     if not hulls:
-        raise GeometryError("mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull")
+        raise GeometryError(
+            "mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull"
+        )
     return hulls
 
 
@@ -421,9 +425,7 @@ def _halved(triangles: Floats, edge: NDArray[np.int64]) -> Floats:
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def _coverage(
-    points: Floats, cells: NDArray[np.int64], hulls: list[Polytope]
-) -> tuple[Floats, NDArray[np.int64]]:
+def _coverage(points: Floats, cells: NDArray[np.int64], hulls: list[Polytope]) -> tuple[Floats, NDArray[np.int64]]:
     """For each cell the piece it sticks out of least, and a lower bound on how far (<= 0: it lies inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):
