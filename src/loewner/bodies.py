@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -305,9 +304,7 @@ class Body(_Bodies):
         r = _check.positive_scalar(radius, "radius")
         H = _check.positive_scalar(length, "length")
         narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
-        return _primitive(
-            shapes.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4
-        )
+        return _primitive(shapes.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
@@ -358,9 +355,7 @@ class Body(_Bodies):
         """
         packed, covering = _load(path)
         if len(packed.piece_start) != 2:
-            raise FileError(
-                f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load"
-            )
+            raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
         return cls(packed, covering)
 
 
@@ -684,11 +679,16 @@ def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Coverin
 
 def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        stored = np.load(path, allow_pickle=False)
+        if not isinstance(stored, np.lib.npyio.NpzFile):
+            raise FileError(f"{path}: expected a loewner .npz, found a single array")
+        with stored:
             content = {name: stored[name] for name in stored.files}
     except FileNotFoundError:
         raise FileError(f"{path}: expected a file, found none") from None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except FileError:
+        raise
+    except Exception as error:  # a damaged zip or array header ends in any of a dozen exceptions, zlib's among them
         raise FileError(f"{path}: expected a loewner .npz, found something unreadable ({error})") from None
     if str(content.get("format")) != FORMAT:
         raise FileError(f"{path}: expected a loewner .npz, found another kind of .npz")

@@ -20,7 +20,8 @@ from loewner._kernels.contact import (
     rotated,
     separation,
 )
-from loewner._kernels.gjk import APART, TOUCHING, minkowski_support, rounding_error, run, swollen_radii
+from loewner._kernels.epa import CONTACT_ACCURACY, penetration, workspace
+from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, minkowski_support, rounding_error, run, swollen_radii
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -94,18 +95,18 @@ def _center_offset(ta, i, Ta, tb, j, Tb, column):
 
 @inline
 def _world_shapes(S, lane):
-    """The two shape matrices of lane lane, rotated into the world's axes."""
+    """The two shape matrices of a lane, rotated into the world's axes."""
     p = rotated(
-        S[0 * LANES + lane], S[1 * LANES + lane], S[2 * LANES + lane], S[3 * LANES + lane], S[4 * LANES + lane], S[5 * LANES + lane],
-        S[6 * LANES + lane], S[7 * LANES + lane], S[8 * LANES + lane],
-        S[18 * LANES + lane], S[19 * LANES + lane], S[20 * LANES + lane], S[21 * LANES + lane], S[22 * LANES + lane],
-        S[23 * LANES + lane],
+        S[0 * LANES + lane], S[1 * LANES + lane], S[2 * LANES + lane], S[3 * LANES + lane],
+        S[4 * LANES + lane], S[5 * LANES + lane], S[6 * LANES + lane], S[7 * LANES + lane],
+        S[8 * LANES + lane], S[18 * LANES + lane], S[19 * LANES + lane], S[20 * LANES + lane],
+        S[21 * LANES + lane], S[22 * LANES + lane], S[23 * LANES + lane],
     )  # fmt: skip
     q = rotated(
-        S[9 * LANES + lane], S[10 * LANES + lane], S[11 * LANES + lane], S[12 * LANES + lane], S[13 * LANES + lane],
-        S[14 * LANES + lane], S[15 * LANES + lane], S[16 * LANES + lane], S[17 * LANES + lane],
-        S[24 * LANES + lane], S[25 * LANES + lane], S[26 * LANES + lane], S[27 * LANES + lane], S[28 * LANES + lane],
-        S[29 * LANES + lane],
+        S[9 * LANES + lane], S[10 * LANES + lane], S[11 * LANES + lane], S[12 * LANES + lane],
+        S[13 * LANES + lane], S[14 * LANES + lane], S[15 * LANES + lane], S[16 * LANES + lane],
+        S[17 * LANES + lane], S[24 * LANES + lane], S[25 * LANES + lane], S[26 * LANES + lane],
+        S[27 * LANES + lane], S[28 * LANES + lane], S[29 * LANES + lane],
     )  # fmt: skip
     return p, q
 
@@ -189,7 +190,7 @@ def holds_point(a, i, T, x, y, z, error):
 
 
 @njit()
-def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py, pz, S, weights, v):
+def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py, pz, S, weights, v, d):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
     Parameters
@@ -226,11 +227,23 @@ def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py,
     if not ox * ox + oy * oy + oz * oz > 0.0:
         ox, oy, oz = 1.0, 0.0, 0.0
     status, _, _, _ = run(
-        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, ox, oy, oz, margin, True, S, weights, v
+        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, ox, oy, oz, margin, True, S, weights, v, d
     )
     if status == APART:
         return FREE, BY_SEARCH
     if status == TOUCHING:
+        return COLLIDING, BY_SEARCH
+    # Curved pieces that barely overlap can make GJK creep. The expanding polytope sees the same
+    # contact from inside; its work space is made only here, where hardly any pair ever comes.
+    work = workspace(True)
+    shallow, deep = penetration(
+        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, CONTACT_ACCURACY,
+        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], np.empty(9),
+    )  # fmt: skip
+    radii = swollen_radii(a[0], i, Ta, b[0], j, Tb)
+    if -deep - radii - error > margin:
+        return FREE, BY_SEARCH
+    if shallow + radii >= -margin - TOUCH_ROUNDINGS * error:
         return COLLIDING, BY_SEARCH
     return AMBIGUOUS, OPEN
 
@@ -248,7 +261,7 @@ def estimated_distance(F_outer, F_inner, width):
 
 
 @njit()
-def _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka, lane_kb, keep, S, G, weights, v,
+def _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka, lane_kb, keep, S, G, weights, v, d,
            out, tally):  # fmt: skip
     """Settle the queued lanes and merge them into the verdicts of their pairs."""
     ta = a[0]
@@ -307,7 +320,7 @@ def _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka
                 S[OUT_NORMAL * LANES + m], S[(OUT_NORMAL + 1) * LANES + m], S[(OUT_NORMAL + 2) * LANES + m],
                 S[IN_NORMAL * LANES + m], S[(IN_NORMAL + 1) * LANES + m], S[(IN_NORMAL + 2) * LANES + m],
                 S[IN_POINT * LANES + m], S[(IN_POINT + 1) * LANES + m], S[(IN_POINT + 2) * LANES + m],
-                G, weights, v,
+                G, weights, v, d,
             )  # fmt: skip
             tally[tier] += 1
             if verdict != FREE:
@@ -315,9 +328,7 @@ def _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka
         elif mode == ESTIMATE:
             tally[OPEN] += 1
             # Written so that NaN, which only a broken input could bring this far, counts as colliding.
-            if not estimated_distance(
-                S[OUT_F * LANES + m], S[IN_F * LANES + m], S[OUT_WIDTH * LANES + m]
-            ) > margin:
+            if not estimated_distance(S[OUT_F * LANES + m], S[IN_F * LANES + m], S[OUT_WIDTH * LANES + m]) > margin:
                 out[pair] = COLLIDING
         else:
             tally[OPEN] += 1
@@ -348,6 +359,7 @@ def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, bod
     G = np.empty((4, 9))
     weights = np.empty(4)
     v = np.empty(3)
+    d = np.empty(3)
     lane_pair = np.empty(LANES, np.int64)
     lane_i = np.empty(LANES, np.int64)
     lane_j = np.empty(LANES, np.int64)
@@ -391,11 +403,11 @@ def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, bod
                 count += 1
                 if count == LANES:
                     _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka, lane_kb, keep, S,
-                           G, weights, v, out, tally)  # fmt: skip
+                           G, weights, v, d, out, tally)  # fmt: skip
                     count = 0
     if count > 0:
         _flush(mode, margin, a, Ta, b, Tb, count, lane_pair, lane_i, lane_j, lane_ka, lane_kb, keep, S, G, weights,
-               v, out, tally)  # fmt: skip
+               v, d, out, tally)  # fmt: skip
 
 
 @njit(parallel=True)

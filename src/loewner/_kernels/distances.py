@@ -18,8 +18,8 @@ from loewner._kernels.contact import (
     rotated,
     separation,
 )
-from loewner._kernels.epa import penetration, workspace
-from loewner._kernels.gjk import rounding_error, run
+from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, penetration, workspace
+from loewner._kernels.gjk import UNSETTLED, rounding_error, run
 from loewner._kernels.near_points import estimate_f
 from loewner._kernels.shapes import (
     INNER_CENTER,
@@ -131,7 +131,7 @@ def inner_bound(ta, i, Ta, tb, j, Tb, size):
 
 
 @njit()
-def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, work, result):
+def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, d, work, result):
     """Signed distance of two pieces.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
@@ -147,16 +147,15 @@ def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, work, re
     error = rounding_error(a[0], i, b[0], j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
-    _, lower, upper, k = run(
-        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v
+    status, lower, upper, k = run(
+        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
     )
     ra = a[0][i, ROUNDING]
     rb = b[0][j, ROUNDING]
-    if k < 4 and upper + ra + rb > 4.0 * error:
-        length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
         gap = upper - lower
         for c in range(3):
-            result[c] = -v[c] / length
+            result[c] = -d[c]
         for c in range(6):
             result[3 + c] = 0.0
             for row in range(k):
@@ -164,8 +163,9 @@ def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, work, re
     else:
         S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
         # The depth sought is the upper bound: the support plane of the normal that comes with it.
+        accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
         shallow, deep = penetration(
-            a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz,
+            a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, accuracy,
             S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
         )  # fmt: skip
         lower = -deep - ra - rb
@@ -186,6 +186,7 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
     G = np.empty((4, 9))
     weights = np.empty(4)
     v = np.empty(3)
+    d = np.empty(3)
     result = np.empty(9)
     work = workspace(exact)
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -221,7 +222,7 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
                     guess = estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
-                    value, gap = exact_piece_distance(a, i, A, b, j, B, nx, ny, nz, G, weights, v, work, result)
+                    value, gap = exact_piece_distance(a, i, A, b, j, B, nx, ny, nz, G, weights, v, d, work, result)
                     if not gap <= SETTLED * size:
                         status[k] = NOT_SETTLED
                     if value < distance[k]:

@@ -21,7 +21,8 @@ from loewner._kernels.gjk import minkowski_support, rounding_error
 # worst (all directions equally deep) and far better elsewhere.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
-DEPTH_TOLERANCE = 1e-11  # relative to the lengths involved; at most this much is left between the bounds
+DEPTH_ACCURACY = 1e-11  # what a distance query asks for
+CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
 
 @njit()
@@ -207,12 +208,14 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
 
 
 @njit()
-def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, neighbors, normals, offsets, alive, free,
-                horizon, stack, result):  # fmt: skip
+def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, accuracy, S, corners, neighbors, normals, offsets,
+                alive, free, horizon, stack, result):  # fmt: skip
     """Depth of the cores' penetration.
 
     Parameters
     ----------
+    accuracy : float
+        Gap of the bounds to stop at, relative to the lengths involved.
     S ... stack : ndarray
         Work space, see `workspace`.
     result : ndarray, shape (9,)
@@ -224,7 +227,7 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S, corners, ne
         Bounds on the depth, to within `rounding_error`; `upper` belongs to the normal and the points.
     """
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
-    tolerance = error * (DEPTH_TOLERANCE / POSITION_ROUNDINGS)
+    tolerance = error * (accuracy / POSITION_ROUNDINGS)
     _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S)
     for f in range(4):
         alive[f] = True

@@ -14,7 +14,7 @@ import numpy as np
 from loewner._kernels._jit import njit
 from loewner._kernels.contact import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.shapes import REACH, ROUNDING, placed_support
-from loewner._kernels.simplex import closest
+from loewner._kernels.simplex import closest, direction
 
 APART, TOUCHING, UNSETTLED = 0, 1, 2
 
@@ -26,6 +26,10 @@ MAX_ROUNDS = 512
 # evaluation of the bounds rounds (an eighth of the proven error bound, which is generous).
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
+
+# What cannot be told from touching within 128 rounding errors, about 1e-12 of the lengths involved,
+# is touching.
+TOUCH_ROUNDINGS = 128.0
 
 
 @njit()
@@ -73,7 +77,7 @@ def swollen_radii(ta, i, Ta, tb, j, Tb):
 
 
 @njit()
-def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v):
+def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v, d):
     """Run GJK from the separating direction n (from A to B; any non-zero vector will do).
 
     Parameters
@@ -92,26 +96,23 @@ def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, set
         Bounds on the distance of the cores less the rounding radii; both may be negative for
         cores that are apart by less than the radii; upper is -inf if the cores intersect.
     k : int
-        Rows of the simplex left, with `weights` and `v` (from B's near point to A's).
+        Rows of the simplex left, with `weights`, `v` (from B's near point to A's) and its direction `d`.
     """
     radii = ta[i, ROUNDING] + tb[j, ROUNDING]
     reach = limit + radii
     far = limit + swollen_radii(ta, i, Ta, tb, j, Tb)
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     lower = -np.inf
-    # The first direction comes from outside; from then on it is the closest point v itself.
-    v[0] = -nx
-    v[1] = -ny
-    v[2] = -nz
+    norm = np.sqrt(nx * nx + ny * ny + nz * nz)
+    d[0] = -nx / norm
+    d[1] = -ny / norm
+    d[2] = -nz / norm
     k = 0
     length = np.inf
     stalls = 0
     for _ in range(MAX_ROUNDS):
-        norm = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if not norm > 0.0:
-            break
-        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, v[0] / norm, v[1] / norm, v[2] / norm, S, k)
-        plane = (v[0] * S[k, 0] + v[1] * S[k, 1] + v[2] * S[k, 2]) / norm
+        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, d[0], d[1], d[2], S, k)
+        plane = d[0] * S[k, 0] + d[1] * S[k, 1] + d[2] * S[k, 2]
         if plane - error > lower:
             lower = plane - error
         if settle and lower > far:
@@ -132,9 +133,9 @@ def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, set
         length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if settle and length <= reach:
             return TOUCHING, lower - radii, length - radii, k
-        if length <= error:
+        if length <= error or not direction(S, k, v, d) > 0.0:
             break
-        # Rounding can make a round useless; two in a row mean that no more is to be had.
+        # Rounding can make a round useless; a few in a row mean that no more is to be had.
         if length >= before * (1.0 - UNIT_ROUNDOFF):
             stalls += 1
             if stalls > 2:
@@ -143,7 +144,7 @@ def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, set
             stalls = 0
     if lower > far:
         status = APART
-    elif length <= reach + 2.0 * error or length - lower <= 4.0 * error:
+    elif length <= reach + 2.0 * error or length - lower <= TOUCH_ROUNDINGS * error:
         status = TOUCHING
     else:
         status = UNSETTLED

@@ -150,9 +150,7 @@ def _beyond(S, i, j, k, opposite, doubt):
     nx = uy * wz - uz * wy
     ny = uz * wx - ux * wz
     nz = ux * wy - uy * wx
-    inner = (
-        nx * (S[opposite, 0] - S[i, 0]) + ny * (S[opposite, 1] - S[i, 1]) + nz * (S[opposite, 2] - S[i, 2])
-    )
+    inner = nx * (S[opposite, 0] - S[i, 0]) + ny * (S[opposite, 1] - S[i, 1]) + nz * (S[opposite, 2] - S[i, 2])
     origin = -(nx * S[i, 0] + ny * S[i, 1] + nz * S[i, 2])
     return not ((inner > doubt and origin > doubt) or (inner < -doubt and origin < -doubt))
 
@@ -170,9 +168,7 @@ def closest(S, k, weights, v):
         weights[1] = t
         return _compact(S, 2, weights, v)
     if k == 3:
-        wa, wb, wc = triangle_weights(
-            S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2], S[2, 0], S[2, 1], S[2, 2]
-        )
+        wa, wb, wc = triangle_weights(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2], S[2, 0], S[2, 1], S[2, 2])
         weights[0] = wa
         weights[1] = wb
         weights[2] = wc
@@ -214,3 +210,61 @@ def closest(S, k, weights, v):
     weights[2] = b2
     weights[3] = b3
     return _compact(S, 4, weights, v)
+
+
+@njit()
+def _without(d, ex, ey, ez):
+    """Take out of d its part along e, twice: the second pass removes what the first one rounded."""
+    squared = ex * ex + ey * ey + ez * ez
+    if squared > 0.0:
+        for _ in range(2):
+            t = (d[0] * ex + d[1] * ey + d[2] * ez) / squared
+            d[0] -= t * ex
+            d[1] -= t * ey
+            d[2] -= t * ez
+
+
+@njit()
+def direction(S, k, v, d):
+    """Unit normal d of the simplex's feature, on the side away from the origin.
+
+    v is a weighted sum of points and rounds by their size, so close to contact its direction is noise.
+    The feature itself still has a normal to full precision: square to the edge, or the triangle's.
+    Returns the offset d·x of the feature, which is the distance of the origin; 0 if there is none.
+    """
+    for j in range(3):
+        d[j] = v[j] if k != 1 else S[0, j]
+    if k == 3:
+        ux, uy, uz = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
+        wx, wy, wz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
+        nx = uy * wz - uz * wy
+        ny = uz * wx - ux * wz
+        nz = ux * wy - uy * wx
+        side = nx * S[0, 0] + ny * S[0, 1] + nz * S[0, 2]
+        sign = 1.0 if side >= 0.0 else -1.0
+        d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
+        _unit(d)
+        # A thin triangle's product is square to its edges only roughly. The longer edge goes last.
+        if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
+            _without(d, wx, wy, wz)
+            _without(d, ux, uy, uz)
+        else:
+            _without(d, ux, uy, uz)
+            _without(d, wx, wy, wz)
+    elif k == 2:
+        _unit(d)
+        _without(d, S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2])
+    if not _unit(d):
+        return 0.0
+    return d[0] * S[0, 0] + d[1] * S[0, 1] + d[2] * S[0, 2]
+
+
+@njit()
+def _unit(d):
+    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    if not length > 0.0:
+        return False
+    d[0] /= length
+    d[1] /= length
+    d[2] /= length
+    return True
