@@ -1,0 +1,329 @@
+"""The command line: parse, call the public API, print.
+
+Exit status: 0 done, or free; 1 colliding; 2 error; 3 ambiguous (``loewner check --method certified`` only).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import loewner
+from loewner._check import Floats
+from loewner.errors import FileError, InputError, LoewnerError, PoseError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
+
+FIT_EXAMPLES = """examples:
+  loewner fit upper_arm.stl forearm.dae -o bodies
+  loewner fit gripper.obj -o bodies --threshold 0.02    more pieces, a closer fit
+  loewner fit table.glb -o bodies --hull                one piece: the convex hull
+"""
+CHECK_EXAMPLES = """examples:
+  loewner check arm.npz table.stl --pose-b "0.5 0 0"
+  loewner check arm.npz table.npz --pose-b "0.5 0 0 0.924 0 0 0.383" --margin 0.01
+  loewner check arm.npz table.npz --pose-a pose.npy --method certified --json
+
+poses: "x y z" in metres, "x y z qw qx qy qz" (quaternion in the order wxyz), or a 4x4 matrix in a .npy or .txt file
+
+exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (--method certified only)
+"""
+PAPER_EXAMPLES = """examples:
+  loewner paper                                      the paper's 1,000 pairs
+  loewner paper --pairs 100000 --out report --json counts.json
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except LoewnerError as error:
+        print(f"loewner: error: {error}", file=sys.stderr)
+        return ERROR
+
+
+def _parser() -> argparse.ArgumentParser:
+    raw: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+    parser = argparse.ArgumentParser(prog="loewner", description=loewner.__doc__)
+    parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    fit = commands.add_parser("fit", help="meshes to bodies, saved as .npz", epilog=FIT_EXAMPLES, **raw)
+    fit.add_argument("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, GLB, glTF or DAE, in metres")
+    fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
+    _add_mesh_options(fit)
+    fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")
+    fit.set_defaults(run=_fit)
+
+    check = commands.add_parser("check", help="do two bodies touch, how far apart?", epilog=CHECK_EXAMPLES, **raw)
+    check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
+    check.add_argument("b", metavar="B", type=Path)
+    check.add_argument("--pose-a", metavar="POSE", help="where A is (the origin)")
+    check.add_argument("--pose-b", metavar="POSE", help="where B is (the origin)")
+    check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
+    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres to keep (0)")
+    check.add_argument("--json", action="store_true", help="print JSON")
+    _add_mesh_options(check)
+    check.set_defaults(run=_check)
+
+    paper = commands.add_parser("paper", help="the paper's experiment, its tables", epilog=PAPER_EXAMPLES, **raw)
+    paper.add_argument("--pairs", type=int, default=1000, help="1000")
+    paper.add_argument("--seed", type=int, default=0, help="0")
+    paper.add_argument("--dataset", default="radius", help="radius (the paper's) or volume")
+    paper.add_argument("--out", type=Path, metavar="DIR", help="folder for the report and figures")
+    paper.add_argument("--json", type=Path, metavar="FILE", help="file for the counts")
+    paper.set_defaults(run=_paper)
+    return parser
+
+
+def _add_mesh_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--hull", action="store_true", help="take the convex hull of a mesh; do not decompose it")
+    command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
+    command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
+    command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
+
+
+# -- loewner fit --------------------------------------------------------------------------------
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    targets = [options.out / f"{mesh.stem}.npz" for mesh in options.meshes]
+    twice = {t.name for t in targets if targets.count(t) > 1}
+    if twice:
+        raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
+    table = Table(
+        "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "covering", title="loewner fit"
+    )
+    with _progress() as progress:
+        task = progress.add_task("", total=len(targets))
+        for mesh, target in zip(options.meshes, targets, strict=True):
+            progress.update(task, description=mesh.name)
+            body = _from_mesh(mesh, options, tol=options.tol)
+            _make_folder(options.out)
+            body.save(target)
+            table.add_row(*_fit_row(target, body))
+            progress.advance(task)
+    _print(table)
+    return 0
+
+
+def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:
+    vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
+    inner, outer = body.inner.volume.sum() * 1e3, body.outer.volume.sum() * 1e3
+    return (
+        str(target), str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
+        f"{body.gaps.max():.1e}", _covering_text(body.covering),
+    )  # fmt: skip
+
+
+def _covering_text(covering: loewner.Covering | None) -> str:
+    if covering is None:
+        return "-"
+    excess = "" if np.isnan(covering.excess_volume) else f", {100 * covering.excess_volume:+.1f} % volume"
+    if covering.exact:
+        return f"{covering.kind}, holds the mesh{excess}"
+    return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder}: expected a folder, could not make it ({error.strerror or error})") from None
+
+
+# -- loewner check ------------------------------------------------------------------------------
+
+
+def _check(options: argparse.Namespace) -> int:
+    Ta, Tb = _pose(options.pose_a, "--pose-a"), _pose(options.pose_b, "--pose-b")
+    a, b = (
+        loewner.Body.load(path) if path.suffix.lower() == ".npz" else _from_mesh(path, options)
+        for path in (options.a, options.b)
+    )
+    certified = loewner.classify(a, Ta, b, Tb, margin=options.margin)
+    found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
+    verdict = certified
+    if options.method != "certified" and certified == loewner.Verdict.AMBIGUOUS:
+        colliding = loewner.collide(a, Ta, b, Tb, method=options.method, margin=options.margin)
+        verdict = loewner.Verdict.COLLIDING if colliding else loewner.Verdict.FREE
+    if options.json:
+        print(json.dumps(_answer(options, a, b, certified, verdict, found), indent=2))
+    else:
+        _print_answer(options, a, b, certified, verdict, found)
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[verdict.name]
+
+
+def _answer(
+    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+) -> dict[str, Any]:
+    answer: dict[str, Any] = {
+        "verdict": verdict.name,
+        "method": options.method,
+        "margin": options.margin,
+        "certified": certified.name,
+        "lower": found.lower,
+        "upper": found.upper,
+        "estimate": found.estimate,
+    }
+    if found.distance is not None:
+        answer["distance"] = found.distance
+        answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
+    answer |= {f"{name}_exact": None if c is None else c.exact for name, c in (("a", a.covering), ("b", b.covering))}
+    return answer
+
+
+def _print_answer(
+    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+) -> None:
+    how = {"certified": "certified by the ellipsoids", "estimate": "estimated", "exact": "exact"}[options.method]
+    if certified == verdict != loewner.Verdict.AMBIGUOUS:
+        how = "certified by the ellipsoids"
+    keep = f" within a margin of {options.margin:g} m" if options.margin else ""
+    print(f"{verdict.name}{keep}  ({how})")
+    print(f"distance    {found.lower:.6g} .. {found.upper:.6g} m, from the ellipsoids")
+    if found.distance is not None:
+        print(f"            {found.distance:.9g} m, exact{' (penetration depth)' if found.distance < 0 else ''}")
+        print(f"on A        {_numbers(found.witness_a)}")
+        print(f"on B        {_numbers(found.witness_b)}")
+        print(f"normal      {_numbers(found.normal)}, from A to B")
+    if verdict == loewner.Verdict.AMBIGUOUS:
+        print("            --method exact decides it")
+    for name, body in ((options.a, a), (options.b, b)):
+        if body.covering is not None and not body.covering.exact:
+            print(f"note: {name}: {_covering_text(body.covering)}")
+
+
+def _numbers(vector: Floats) -> str:
+    return " ".join(f"{x:.6g}" for x in vector)
+
+
+def _from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:
+    return loewner.Body.from_mesh(
+        path,
+        decompose=not options.hull,
+        threshold=options.threshold,
+        max_pieces=options.max_pieces,
+        seed=options.seed,
+        **more,
+    )
+
+
+def _pose(text: str | None, name: str) -> Floats | None:
+    """Read a pose: numbers, or a matrix in a file."""
+    if text is None:
+        return None
+    if Path(text).suffix.lower() in (".npy", ".txt"):
+        return _pose_file(Path(text))
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
+        raise PoseError(
+            f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix, found {text!r}'
+        )
+    T = np.eye(4)
+    T[:3, 3] = numbers[:3]
+    if len(numbers) == 7:
+        T[:3, :3] = _rotation(numbers[3:], name)
+    return T
+
+
+# How far a typed quaternion may be from unit length: three digits are enough to type.
+QUATERNION_TOLERANCE = 1e-2
+
+
+def _rotation(wxyz: list[float], name: str) -> Floats:
+    length = float(np.linalg.norm(wxyz))
+    if not abs(length - 1) <= QUATERNION_TOLERANCE:
+        raise PoseError(f"{name}: expected a unit quaternion qw qx qy qz, found one of length {length:.4g}")
+    w, x, y, z = (q / length for q in wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _pose_file(path: Path) -> Floats:
+    try:
+        if path.suffix.lower() == ".npy":
+            T = np.load(path, allow_pickle=False)
+        else:
+            T = np.array([line.split() for line in path.read_text().splitlines() if line.strip()], dtype=np.float64)
+    except OSError as error:
+        raise FileError(f"{path}: expected a pose file, found {(error.strerror or str(error)).lower()}") from None
+    except (ValueError, EOFError):
+        raise FileError(f"{path}: expected a 4x4 matrix of numbers, found something else") from None
+    if np.shape(T) != (4, 4):
+        raise PoseError(f"{path}: expected shape (4, 4), found {np.shape(T)}")
+    return np.asarray(T)
+
+
+# -- loewner paper ------------------------------------------------------------------------------
+
+
+def _paper(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    from loewner import paper
+
+    with _progress() as progress:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = progress.add_task(stage, total=total)
+            progress.update(tasks[stage], completed=done, total=total)
+
+        found = paper.run(
+            options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
+        )
+    title = f"{len(found):,} pairs, {int(found.truth.sum()):,} colliding; percent [95 %] / the paper's percent"
+    table = Table(*paper.tables.COLUMNS, title=title)
+    for row in paper.tables.rows(found):
+        table.add_row(*row)
+    _print(table)
+    for name, path in (("report", options.out), ("counts", options.json)):
+        if path is not None:
+            print(f"{name}: {path}")
+    return 0
+
+
+# -- printing -----------------------------------------------------------------------------------
+
+
+def _progress() -> Progress:
+    """Progress on standard error, so that standard output stays the answer."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    return Progress(console=Console(stderr=True), transient=True)
+
+
+def _print(table: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    # A pipe has no width; there a table is not cut to 80 columns.
+    Console(width=None if console.is_terminal else 200).print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
