@@ -140,8 +140,10 @@ def run(
         If a file cannot be written; each is written whole or not at all.
     """
     data = sample(pairs, seed, dataset)
+    # What could keep the results from being written is found out before the work, not after it.
+    if json is not None and not Path(json).parent.is_dir():
+        raise FileError(f"{json}: expected a name in an existing folder, found no folder {Path(json).parent}")
     if out is not None:
-        # Before the work, not after it: the figures need an optional package, the files a folder.
         from loewner.paper import report
 
         report.prepare(out)
