@@ -456,9 +456,11 @@ def test_primitives_against_directions(first: str):
     rng = np.random.default_rng(sum(first.encode()))
     make_a, support_a = PRIMITIVES[first]
     body_a = make_a()
-    for make_b, support_b in PRIMITIVES.values():
+    for second, (make_b, support_b) in PRIMITIVES.items():
+        if second > first:
+            continue
         body_b = make_b()
-        for Ta, Tb in random_poses(rng, 8, 0.45).reshape(4, 2, 4, 4):
+        for Ta, Tb in random_poses(rng, 6, 0.45).reshape(3, 2, 4, 4):
             a, b = posed_support(support_a, Ta), posed_support(support_b, Tb)
             result = loewner.distance(body_a, Ta, body_b, Tb, exact=True)
             d = float(result.distance)
