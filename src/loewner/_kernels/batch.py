@@ -41,6 +41,10 @@ BY_SPHERE, BY_OUTER, BY_INNER, BY_SUPPORT, BY_POINT, BY_SEARCH, OPEN = 0, 1, 2, 
 TIERS = 7
 
 LANES = 64
+# A hull's face plane may miss its own vertices by 1e-11 of the piece (`hulls.FACE_WIDTH`), so a point
+# must lie four times deeper than that to be surely inside; 6000 rounding errors are 4.3e-11.
+FACE_ROUNDINGS = 6000.0
+
 NEWTON_STEPS = 4  # guarded Newton steps a lane gets; enough for s to 1e-6, and the witness decides anyway
 
 # Rows of the scratch array.
@@ -220,7 +224,8 @@ def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py,
     x = px + Ta[0, 0] * table[i, c] + Ta[0, 1] * table[i, c + 1] + Ta[0, 2] * table[i, c + 2]
     y = py + Ta[1, 0] * table[i, c] + Ta[1, 1] * table[i, c + 1] + Ta[1, 2] * table[i, c + 2]
     z = pz + Ta[2, 0] * table[i, c] + Ta[2, 1] * table[i, c + 1] + Ta[2, 2] * table[i, c + 2]
-    if holds_point(a, i, Ta, x, y, z, error) and holds_point(b, j, Tb, x - dx, y - dy, z - dz, error):
+    depth = error * FACE_ROUNDINGS
+    if holds_point(a, i, Ta, x, y, z, depth) and holds_point(b, j, Tb, x - dx, y - dy, z - dz, depth):
         return COLLIDING, BY_POINT
     if inner_gap > outer_gap:
         ox, oy, oz = ix, iy, iz
