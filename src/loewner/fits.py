@@ -20,6 +20,7 @@ from loewner._kernels import fits as kernel
 from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as hull_kernel
 from loewner._kernels import mvce as mvce_kernel
+from loewner._kernels import mvie as mvie_kernel
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
@@ -116,16 +117,30 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
 
 
 def _mvce_lifted(points: Floats, tol: float) -> Fit:
-    """The paper's Appendix B, then the same scaling and certificate as the direct way."""
+    """The paper's Appendix B: the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
     m, n = points.shape
     code, axis, width, size, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
     if code == mvce_kernel.FLAT:
         raise flat_error("points", n, axis, width, size)
-    center, factor, weights = np.empty(n), np.empty((n, n)), np.empty(m)
-    gap, iterations = halfspace_kernel.fit_lifted(local, 0.25 * tol, frame, origin, center, factor, weights)
-    if np.isfinite(gap):
-        error = mvce_kernel.enclose(points, center, factor)
-        gap = mvce_kernel.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
+    lifted = np.column_stack([local, np.ones(m)])
+    z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
+    gap, iterations = mvie_kernel.solve_primal_dual(
+        np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tol, z, low, multipliers
+    )
+    if not np.isfinite(gap):
+        return _finished("mvce", origin, frame, gap, iterations, tol)
+    # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} holds every (v, 1). Its cut
+    # with height 1 has center -P⁻¹ p and matrix P / (1 - s + pᵀ P⁻¹ p); with P = R Rᵀ, p = R r and s = rᵀr + t² that is
+    # center -R⁻ᵀ r and matrix P / (1 - t²).
+    R, r, t = low[:n, :n], low[n, :n], low[n, n]
+    inverse = np.linalg.inv(R)
+    factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
+    factor *= np.sign(np.diagonal(factor))
+    center = origin - frame @ (inverse.T @ r)
+    # Each point's dual weight: the multipliers of its two half-spaces, which the MVIE's own duals are.
+    weights = multipliers[:m] + multipliers[m:]
+    error = mvce_kernel.enclose(points, center, factor)
+    gap = mvce_kernel.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
     return _finished("mvce", center, factor, gap, iterations, tol)
 
 

@@ -25,6 +25,8 @@ Progress = Callable[[int, int], None]
 # coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
 FLATNESS = 1e-12
 EPS = float(np.finfo(float).eps)
+# Lengths are squared on the way, and flatness is judged twelve orders below them.
+SMALLEST, LARGEST = 1e-140, 1e140
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +139,13 @@ def check_enough(points: Floats, name: str, least_dim: int = 1) -> None:
         raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
     if m < n + 1:
         raise GeometryError(f"{name}: expected at least {n + 1} points in dimension {n}, found {m}")
+    check_size(float(np.abs(points).max()), name)
+
+
+def check_size(size: float, name: str) -> None:
+    """Raise if squares of lengths would over- or underflow."""
+    if not (size == 0 or SMALLEST <= size <= LARGEST):
+        raise InputError(f"{name}: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {size:g}; rescale")
 
 
 def writeable(array: NDArray[Any]) -> NDArray[Any]:
@@ -166,6 +175,7 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
         raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
+    check_size(float(np.abs(np.ldexp(bounds[~nothing], scale)).max(initial=0.0)), "b")
     return np.ldexp(rows[~nothing], scale[:, None]), np.ldexp(bounds[~nothing], scale)
 
 
