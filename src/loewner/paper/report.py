@@ -220,8 +220,9 @@ def _blocks(experiment: Experiment) -> list[tuple[str, Any]]:
                 f"p = {p_fourth:.2g}.",
                 "Each detector's table (b) is over the pairs ambiguous to that detector, by its own overlap checks; "
                 "detector 4 checks each ellipsoid pair along that pair's own center line.",
-                "Detector 4 does not generalise: on thin plates, rods and tetrahedra it misses a third to a half of "
-                "the collisions. Detector 3 holds up there.",
+                "Detector 4 does not generalise: near contact it misses a quarter of the collisions of tetrahedra, "
+                "nearly half of those of thin rods and over two thirds of those of thin plates. Detector 3 holds up "
+                "there.",
                 "The estimate of this library calls an ambiguous pair colliding if F_in F_out <= 1, with the contact "
                 f"functions of the inner and the outer pair: right for {percent(own.accuracy)} % of the ambiguous "
                 f"pairs, where the paper's f (detector 3) is right for {percent(of_paper.accuracy)} %.",
