@@ -73,10 +73,19 @@ class Packed:
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
         table = _table(self)
-        table.setflags(write=False)
+        point_start, point_of = _padded(self.layout[:, shapes.POINTS_FROM], self.layout[:, shapes.POINTS_TO])
+        plane_start, plane_of = _padded(self.layout[:, shapes.PLANES_FROM], self.layout[:, shapes.PLANES_TO])
         kernel = (
-            table, self.layout, self.points, self.planes, self.piece_start, self.inner_factor, self.outer_factor
-        )  # fmt: skip
+            table,
+            np.column_stack([self.layout[:, :1], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]),
+            np.ascontiguousarray(self.points[point_of].T),
+            np.ascontiguousarray(self.planes[plane_of].T),
+            self.piece_start,
+            self.inner_factor,
+            self.outer_factor,
+        )
+        for array in kernel:
+            array.setflags(write=False)
         object.__setattr__(self, "kernel", kernel)
 
     kernel: Any = None  # set in __post_init__: the arrays of `loewner._kernels.shapes`, in order
@@ -551,6 +560,16 @@ def _ranges(starts: Ints, stops: Ints) -> Ints:
         return np.zeros(0, dtype=np.int64)
     offsets = np.repeat(starts - np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
     return np.arange(lengths.sum()) + offsets
+
+
+def _padded(starts: Ints, stops: Ints) -> tuple[Ints, Ints]:
+    """Starts of the index ranges once each is a multiple of `shapes.PAD` long, and the padded indices."""
+    lengths = stops - starts
+    longer = -(-lengths // shapes.PAD) * shapes.PAD
+    begin = _starts(longer)
+    place = np.arange(begin[-1]) - np.repeat(begin[:-1], longer)
+    # The pad repeats the last entry: it changes no maximum and no minimum.
+    return begin, np.repeat(starts, longer) + np.minimum(place, np.repeat(lengths, longer) - 1)
 
 
 def _starts(lengths: Ints) -> Ints:

@@ -21,7 +21,7 @@ from loewner._kernels.contact import (
     separation,
 )
 from loewner._kernels.epa import CONTACT_ACCURACY, penetration, workspace
-from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, minkowski_support, rounding_error, run, swollen_radii
+from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -30,6 +30,7 @@ from loewner._kernels.shapes import (
     OUTER_RADIUS,
     OUTER_SHAPE,
     REACH,
+    core_height,
     inside_by,
 )
 
@@ -165,16 +166,17 @@ def _padded(count):
 
 
 @njit()
-def support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, nx, ny, nz, S):
+def support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, nx, ny, nz):
     """Certified lower bound on the distance of two pieces along a direction from a to b."""
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if not length > 0.0:
+    if not (0.0 < length < np.inf):
         return -np.inf
     nx /= length
     ny /= length
     nz /= length
-    minkowski_support(a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, -nx, -ny, -nz, S, 0)
-    gap = -(nx * S[0, 0] + ny * S[0, 1] + nz * S[0, 2]) - swollen_radii(a[0], i, Ta, b[0], j, Tb)
+    ahead = core_height(a[0], a[1], a[2], i, Ta, nx, ny, nz)
+    behind = core_height(b[0], b[1], b[2], j, Tb, -nx, -ny, -nz)
+    gap = (nx * dx + ny * dy + nz * dz) - ahead - behind - swollen_radii(a[0], i, Ta, b[0], j, Tb)
     return gap - rounding_error(a[0], i, b[0], j, dx, dy, dz)
 
 
@@ -212,10 +214,10 @@ def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py,
     dx = Tb[0, 3] - Ta[0, 3]
     dy = Tb[1, 3] - Ta[1, 3]
     dz = Tb[2, 3] - Ta[2, 3]
-    outer_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ox, oy, oz, S)
+    outer_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ox, oy, oz)
     if outer_gap > margin:
         return FREE, BY_SUPPORT
-    inner_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ix, iy, iz, S)
+    inner_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ix, iy, iz)
     if inner_gap > margin:
         return FREE, BY_SUPPORT
     error = rounding_error(a[0], i, b[0], j, dx, dy, dz)

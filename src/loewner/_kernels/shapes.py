@@ -5,9 +5,10 @@ A packed set of pieces is a tuple of seven arrays:
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
 ``layout`` (P, 5) int64
-    Kind, first and last+1 row of its points, first and last+1 row of its planes.
-``points`` (V, 3), ``planes`` (F, 4) float64
-    Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+    Kind, first and last+1 column of its points, first and last+1 column of its planes.
+``points`` (3, V), ``planes`` (4, F) float64
+    Vertices, and faces as (unit outward normal, offset): n·x <= offset. Each piece's share is padded
+    with repeats to a multiple of `PAD` columns, which the searches below take at a time.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``inner_factor``, ``outer_factor`` (P, 3, 3) float64
@@ -20,7 +21,7 @@ whose cores are a segment and a point).
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import njit
 
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
@@ -33,20 +34,64 @@ FRAME_CENTER, FRAME_FACTOR = 22, 25  # c and F (row by row) of the image of a un
 OUTER_SIGMA = 34  # lower bound on the smallest semi-axis of the outer ellipsoid
 COLUMNS = 36
 
+PAD = 4
+
 KIND, POINTS_FROM, POINTS_TO, PLANES_FROM, PLANES_TO = 0, 1, 2, 3, 4
 
 
-@inline
+@njit()
 def farthest(points, start, stop, x, y, z):
-    """Row of the point with the largest dot product."""
-    best = start
-    most = points[start, 0] * x + points[start, 1] * y + points[start, 2] * z
-    for i in range(start + 1, stop):
-        value = points[i, 0] * x + points[i, 1] * y + points[i, 2] * z
-        if value > most:
-            most = value
-            best = i
-    return best
+    """Column of the point with the largest dot product.
+
+    Four independent searches side by side: one alone would wait for each comparison in turn.
+    """
+    i0 = start
+    i1 = start
+    i2 = start
+    i3 = start
+    m0 = -np.inf
+    m1 = -np.inf
+    m2 = -np.inf
+    m3 = -np.inf
+    for i in range(start, stop, 4):
+        value = points[0, i] * x + points[1, i] * y + points[2, i] * z
+        if value > m0:
+            m0 = value
+            i0 = i
+        value = points[0, i + 1] * x + points[1, i + 1] * y + points[2, i + 1] * z
+        if value > m1:
+            m1 = value
+            i1 = i + 1
+        value = points[0, i + 2] * x + points[1, i + 2] * y + points[2, i + 2] * z
+        if value > m2:
+            m2 = value
+            i2 = i + 2
+        value = points[0, i + 3] * x + points[1, i + 3] * y + points[2, i + 3] * z
+        if value > m3:
+            m3 = value
+            i3 = i + 3
+    if m1 > m0:
+        m0 = m1
+        i0 = i1
+    if m3 > m2:
+        m2 = m3
+        i2 = i3
+    return i2 if m2 > m0 else i0
+
+
+@njit()
+def least_slack(planes, start, stop, x, y, z):
+    """Smallest offset - n·x over the planes start .. stop; the same four searches."""
+    m0 = np.inf
+    m1 = np.inf
+    m2 = np.inf
+    m3 = np.inf
+    for i in range(start, stop, 4):
+        m0 = min(m0, planes[3, i] - (planes[0, i] * x + planes[1, i] * y + planes[2, i] * z))
+        m1 = min(m1, planes[3, i + 1] - (planes[0, i + 1] * x + planes[1, i + 1] * y + planes[2, i + 1] * z))
+        m2 = min(m2, planes[3, i + 2] - (planes[0, i + 2] * x + planes[1, i + 2] * y + planes[2, i + 2] * z))
+        m3 = min(m3, planes[3, i + 3] - (planes[0, i + 3] * x + planes[1, i + 3] * y + planes[2, i + 3] * z))
+    return min(min(m0, m1), min(m2, m3))
 
 
 @njit()
@@ -78,7 +123,7 @@ def core_support(table, layout, points, piece, x, y, z):
     kind = layout[piece, KIND]
     if kind == POLYTOPE:
         i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], x, y, z)
-        return points[i, 0], points[i, 1], points[i, 2]
+        return points[0, i], points[1, i], points[2, i]
     row = table[piece]
     if kind == POINT:
         return row[FRAME_CENTER], row[FRAME_CENTER + 1], row[FRAME_CENTER + 2]
@@ -95,6 +140,19 @@ def core_support(table, layout, points, piece, x, y, z):
         row[c + 1] + row[f + 3] * ux + row[f + 4] * uy + row[f + 5] * uz,
         row[c + 2] + row[f + 6] * ux + row[f + 7] * uy + row[f + 8] * uz,
     )
+
+
+@njit()
+def core_height(table, layout, points, piece, T, x, y, z):
+    """Support value of a rotated (not translated) core along a direction in the world's axes."""
+    u = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
+    v = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
+    w = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    if layout[piece, KIND] == POLYTOPE:
+        i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], u, v, w)
+        return points[0, i] * u + points[1, i] * v + points[2, i] * w
+    a, b, c = core_support(table, layout, points, piece, u, v, w)
+    return a * u + b * v + c * w
 
 
 @njit()
@@ -126,10 +184,7 @@ def inside_by(table, layout, planes, piece, x, y, z):
     kind = layout[piece, KIND]
     row = table[piece]
     if kind == POLYTOPE:
-        depth = np.inf
-        for i in range(layout[piece, PLANES_FROM], layout[piece, PLANES_TO]):
-            depth = min(depth, planes[i, 3] - (planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z))
-        return depth
+        return least_slack(planes, layout[piece, PLANES_FROM], layout[piece, PLANES_TO], x, y, z)
     # Coordinates in the unit shape's frame; the columns of F are orthogonal for every primitive
     # but scaled, so the inverse is Fᵀ over squared column lengths.
     f = FRAME_FACTOR
