@@ -251,7 +251,7 @@ def test_many_points_take_the_active_set(rng: np.random.Generator) -> None:
 
 def test_batch_equals_one_by_one_on_any_number_of_threads(rng: np.random.Generator) -> None:
     """Blocks and threads change nothing, bit for bit, and progress reaches the total."""
-    sets = [ball_points(rng, int(rng.integers(4, 30))) for _ in range(3 * fits.BLOCK // 2)]
+    sets = [ball_points(rng, int(rng.integers(4, 30))) for _ in range(3 * polytopes.BLOCK // 2)]
     h = polytopes.hulls(sets)
     seen: list[tuple[int, int]] = []
     packed = (h.vert_start, h.vertices, h.face_start, h.normals, h.offsets)

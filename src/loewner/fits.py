@@ -6,11 +6,8 @@ scaled to hold, or stay inside, in spite of rounding. A fit that misses its tole
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,11 +23,13 @@ from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
     FLATNESS,
     Polytope,
+    Progress,
     center_error,
     check_enough,
     check_halfspaces,
     flat_error,
     interior_point,
+    over_blocks,
     writeable,
 )
 
@@ -40,8 +39,6 @@ Ints = NDArray[np.int64]
 DEFAULT_TOLERANCE = 1e-4
 # Below this the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
-# Pieces per block of a batch: a progress report about every 10 ms, and work enough for every thread.
-BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +207,7 @@ def fit_pieces(
     normals: Floats,
     offsets: Floats,
     tol: float = DEFAULT_TOLERANCE,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
     """Inner and outer ellipsoids of many 3-D pieces, compiled and on all threads.
 
@@ -264,7 +261,7 @@ def _fit_all(
     face_start: Ints,
     normals: Floats,
     tol: float,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
     """Run the kernel over blocks of pieces, on as many threads as Numba is set to use."""
     total, n = len(vert_start) - 1, vertices.shape[1]
@@ -273,24 +270,11 @@ def _fit_all(
     outer = np.empty((total, n)), np.empty((total, n, n))
     info = np.empty((total, 5))
 
-    def run(first: int) -> int:
-        last = min(first + BLOCK, total)
+    def run(first: int, last: int) -> None:
         kernel.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
-        return last - first
 
-    blocks = range(0, total, BLOCK)
-    if len(blocks) <= 1:
-        for first in blocks:
-            run(first)
-        if progress is not None:
-            progress(total, total)
-        return inner, outer, info
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        done = 0
-        for count in pool.map(run, blocks):
-            done += count
-            if progress is not None:
-                progress(done, total)
+    for _ in over_blocks(run, total, progress):
+        pass
     return inner, outer, info
 
 

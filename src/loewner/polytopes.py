@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,6 +22,10 @@ from loewner.errors import GeometryError, InputError
 
 Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
+T = TypeVar("T")
+
+# Hulls or pieces per block of a batch: a progress report every 10 to 50 ms, and work enough for every thread.
+BLOCK = 512
 
 # A set of points is flat if its width in some direction is at most this times its length. Below it float64
 # coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
@@ -151,6 +157,26 @@ def check_size(size: float, name: str) -> None:
 def writeable(array: NDArray[Any]) -> NDArray[Any]:
     """Return `array`, or a copy if it is read-only: to Numba that is another type, compiled all over again."""
     return array if array.flags.writeable else array.copy()
+
+
+def over_blocks(run: Callable[[int, int], T], total: int, progress: Progress | None) -> Iterator[T]:
+    """Yield run(first, last) over blocks of 0..total in order, on as many threads as Numba is set to use.
+
+    For work that spends its time outside the interpreter lock: kernels and Qhull. The first error ends it.
+    """
+    starts = range(0, total, BLOCK)
+    threads = min(numba.get_num_threads(), len(starts))
+    pool = ThreadPoolExecutor(threads) if threads > 1 else None
+    try:
+        for start, result in zip(
+            starts, (pool.map if pool else map)(lambda i: run(i, min(i + BLOCK, total)), starts), strict=True
+        ):
+            yield result
+            if progress is not None:
+                progress(min(start + BLOCK, total), total)
+    finally:
+        if pool:
+            pool.shutdown(cancel_futures=True)
 
 
 def flat_error(name: str, n: int, axis: int, width: float, size: float) -> GeometryError:
@@ -311,13 +337,15 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
     InputError, GeometryError
         As `Polytope.from_points`; the message begins with the index of the set.
     """
-    total = len(point_sets)
     parts: list[tuple[Floats, Floats, Floats, Ints, Ints]] = []
-    for i, points in enumerate(point_sets):
-        name = f"point_sets[{i}]"
-        parts.append(_hull(_check.finite_array(points, name, (None, 3)), name))
-        if progress is not None and (i + 1 == total or (i + 1) % 1000 == 0):
-            progress(i + 1, total)
+
+    def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints, Ints]]:
+        names = [f"point_sets[{i}]" for i in range(first, last)]
+        sets = point_sets[first:last]
+        return [_hull(_check.finite_array(x, name, (None, 3)), name) for x, name in zip(sets, names, strict=True)]
+
+    for block in over_blocks(run, len(point_sets), progress):
+        parts.extend(block)
 
     def start(column: int) -> Ints:
         return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(np.int64)
