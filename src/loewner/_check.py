@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loewner._kernels import rigid
 from loewner.errors import InputError, PoseError
 
 Floats = NDArray[np.float64]
@@ -17,8 +18,7 @@ Floats = NDArray[np.float64]
 # float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
 ROTATION_TOLERANCE = 1e-6
 
-IDENTITY: Floats = np.eye(4)
-IDENTITY.setflags(write=False)
+IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
 
 def float_array(x: ArrayLike, name: str) -> Floats:
@@ -111,47 +111,19 @@ def poses(T: ArrayLike | None, name: str) -> Floats:
         raise PoseError(str(error)) from None
     if array.shape[-2:] != (4, 4):
         raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}")
-    if array.size == 0:
-        return array
-    R = array[..., :3, :3]
-    # NaN and inf make the comparison false too, so one test on the way in serves all three.
-    with np.errstate(all="ignore"):
-        defect = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
-        last_row = np.abs(array[..., 3, :] - (0.0, 0.0, 0.0, 1.0)).max(axis=-1)
-        good = (defect <= ROTATION_TOLERANCE) & (last_row == 0) & np.isfinite(array[..., :3, 3]).all(axis=-1)
-    if good.all() and (_determinant(R) > 0).all():
-        return array
-    raise _pose_error(array, name, defect, last_row)
+    if not array.flags.carray:  # read-only: to Numba another type, see above
+        array = array.copy()
+    batch = array.reshape(-1, 4, 4)
+    at, kind, size = rigid.first_fault(batch, ROTATION_TOLERANCE)
+    if at < len(batch):
+        where = f"{name}[{at}]" if len(batch) > 1 else name
+        raise PoseError(f"{where}: {_POSE_FAULTS[kind].format(size=size, tolerance=ROTATION_TOLERANCE, T=batch[at])}")
+    return array
 
 
-def _determinant(R: Floats) -> Floats:
-    a, b, c = R[..., 0, :], R[..., 1, :], R[..., 2, :]
-    return (
-        a[..., 0] * (b[..., 1] * c[..., 2] - b[..., 2] * c[..., 1])
-        - a[..., 1] * (b[..., 0] * c[..., 2] - b[..., 2] * c[..., 0])
-        + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0])
-    )
-
-
-def _pose_error(array: Floats, name: str, defect: Floats, last_row: Floats) -> PoseError:
-    """Say which pose is wrong and how."""
-    flat = array.reshape(-1, 4, 4)
-    bad = ~(
-        (defect.reshape(-1) <= ROTATION_TOLERANCE)
-        & (last_row.reshape(-1) == 0)
-        & np.isfinite(flat).all(axis=(-1, -2))
-        & (_determinant(flat[:, :3, :3]) > 0)
-    )
-    k = int(np.flatnonzero(bad)[0])
-    where = f"{name}[{k}]" if len(flat) > 1 else name
-    T = flat[k]
-    if not np.isfinite(T).all():
-        return PoseError(f"{where}: expected finite numbers, found NaN or inf")
-    if last_row.reshape(-1)[k] != 0:
-        return PoseError(f"{where}: expected last row (0, 0, 0, 1), found {T[3].tolist()}")
-    if defect.reshape(-1)[k] > ROTATION_TOLERANCE:
-        return PoseError(
-            f"{where}: expected a rotation (RᵀR = 1 within {ROTATION_TOLERANCE:g}), "
-            f"found a departure of {defect.reshape(-1)[k]:.3g}"
-        )
-    return PoseError(f"{where}: expected a rotation with determinant +1, found a reflection (determinant -1)")
+_POSE_FAULTS = {
+    rigid.NOT_FINITE: "expected finite numbers, found NaN or inf",
+    rigid.LAST_ROW: "expected last row [0. 0. 0. 1.], found {T[3]}",
+    rigid.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
+    rigid.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
+}
