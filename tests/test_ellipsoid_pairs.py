@@ -397,6 +397,21 @@ def test_needles_that_nearly_touch_end(rng):
         assert near_points(flat, plate, angle=1e-8).distance == pytest.approx(gap, rel=1e-3)
 
 
+@pytest.mark.parametrize("thinnest", [0.1, 1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-6, 1e-3])
+def test_pairs_that_nearly_touch_converge_to_the_gap(rng, thinnest, gap):
+    """Common tangent planes a known gap apart: no exception, and the gap comes back to rounding."""
+    A, B = random_ellipsoids(rng, 300, thinnest), random_ellipsoids(rng, 300, thinnest)
+    d = rng.normal(size=(300, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    B = Ellipsoids(B.center - B.support(-d) + A.support(d) + gap * d, B.factor)
+    # The last entry: what the rounded centers and factors of thin ellipsoids are uncertain by.
+    np.testing.assert_allclose(near_points(A, B, angle=1e-9).distance, gap, rtol=1e-9, atol=1e-12)
+    coarse = near_points(A, B).distance
+    assert (coarse >= gap * (1 - 1e-9) - 1e-12).all()
+    assert (coarse <= gap + 0.01).all()
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_coincident_ellipsoids(method):
     A = Ellipsoids.from_semi_axes([1, 2, 3], [1, 0.5, 0.2])

@@ -28,8 +28,8 @@ PAPER_ANGLE = 0.01  # rad; the paper's tolerance for Lin-Han
 
 # Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder
 # pairs are done in 5 to 30 steps; past this count a Newton iteration finishes the job.
-PLAIN_STEPS = 200
-NEWTON_STEPS = 200
+PLAIN_STEPS = 64
+NEWTON_STEPS = 100
 EPS = 2.0**-52
 
 
@@ -366,99 +366,132 @@ def lin_han(F1, G1, F2, G2, r, angle):
         if between(w1, e) <= angle and between(w2, (-e[0], -e[1], -e[2])) <= angle:
             return x1, x2, (t2 - t1) * math.sqrt(dot(e, e)), iteration, SEPARATE
         p1, p2 = along(x1, -k1, w1), along(x2, -k2, w2)
-    return _newton(F1, F2, G2, r, angle)
+    return _newton(F1, G1, F2, G2, r, minus(p2, p1), angle)
 
 
 @njit()
-def _newton(F1, F2, G2, r, angle):
-    """Finish a slow Lin-Han pair: overlap by level surfaces, else Newton on the dual problem.
+def _newton(F1, G1, F2, G2, r, last, angle):
+    """Finish a slow Lin-Han pair: overlap by level surfaces, else Newton for the best separating direction.
 
-    phi(n) = |n|²/2 + |F1ᵀn| + |F2ᵀn| - n·r is strongly convex; its minimiser is x2 - x1 when the
-    ellipsoids are apart, and phi(n) < 0 alone proves that they are. The points of a direction n are
-    the two supports, whose normals are n and -n to rounding.
+    Over unit n, g(n) = n·r - |F1ᵀn| - |F2ᵀn| is the gap between the supporting planes. Where it is positive it proves
+    separation and is quasi-concave; its maximum is the distance, at the direction of x2 - x1. The points of n are the
+    two supports, whose normals are n and -n to rounding. Derivatives live in the plane across n, so
+    that a gap of 1e-12 is as well conditioned as one of 1.
+
+    Starts from the best of three directions: the tangent planes at the two level-surface points, each of which
+    separates, and the last one of Lin-Han's.
     """
     x, level = touch(F1, G2, r)
     if level <= 1.0:
         return x, x, 0.0, PLAIN_STEPS, OVERLAP
-    n = apply_transposed(G2, apply(G2, minus(r, x)))  # the tangent plane there separates the two
-    u1, u2 = apply_transposed(F1, n), apply_transposed(F2, n)
-    h1, h2 = math.sqrt(dot(u1, u1)), math.sqrt(dot(u2, u2))
-    gap = dot(n, r) - h1 - h2
-    if gap <= 0.0:
-        return x, x, 0.0, PLAIN_STEPS, OVERLAP  # apart by less than a rounding: touching
-    k = gap / dot(n, n)  # the best multiple of n
-    n = (k * n[0], k * n[1], k * n[2])
+    back = (-r[0], -r[1], -r[2])
+    y, _ = touch(F2, G1, back)
+    n = _unit(apply_transposed(G2, apply(G2, minus(r, x))))
+    m = _unit(apply_transposed(G1, apply(G1, minus(y, back))))
+    last = _unit(last)
+    if not _gap(F1, F2, r, n) > _gap(F1, F2, r, m):
+        n = m
+    if not _gap(F1, F2, r, n) > _gap(F1, F2, r, last):
+        n = last
+
     size = math.sqrt(dot(r, r))
     square1 = squared_norm(F1)
     square2 = squared_norm(F2)
-    x1, x2, distance = x, x, 0.0
-    status = UNCONVERGED
     iteration = PLAIN_STEPS
-    for _ in range(NEWTON_STEPS):
+    while True:
         iteration += 1
-        u1, u2 = apply_transposed(F1, n), apply_transposed(F2, n)
-        h1, h2 = math.sqrt(dot(u1, u1)), math.sqrt(dot(u2, u2))
-        y1, y2 = apply(F1, u1), apply(F2, u2)
-        x1 = (y1[0] / h1, y1[1] / h1, y1[2] / h1)
-        x2 = (r[0] - y2[0] / h2, r[1] - y2[1] / h2, r[2] - y2[2] / h2)
+        u1, u2, h1, h2, x1, x2 = _supports(F1, F2, r, n)
         w = minus(x2, x1)
+        gap = dot(n, r) - h1 - h2
+        e1, e2 = _across(n)
+        a1, a2 = dot(e1, w), dot(e2, w)
+        steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
-        # x2 - x1 carries roundings of r and, through the direction of Fᵀn, of |F|²|n|/h; no angle can be
+        # x2 - x1 carries roundings of r and, through the direction of Fᵀn, of |F|²/h; no angle can be
         # told finer than that.
-        rounding = 8.0 * EPS * (size + math.sqrt(dot(n, n)) * (square1 / h1 + square2 / h2))
-        if distance == 0.0 or between(w, n) <= max(angle, rounding / distance):
-            status = SEPARATE
+        rounding = 8.0 * EPS * (size + square1 / h1 + square2 / h2)
+        if steepness <= rounding or between(w, n) <= angle:
+            if gap > 0.0:
+                return x1, x2, distance, iteration, SEPARATE
+            if gap >= -rounding:
+                return x1, x1, 0.0, iteration, OVERLAP  # apart by less than a rounding: touching
             break
-        # Newton step: (I + H1 + H2) step = w - n, H = (Q - y yᵀ/h²)/h.
-        a = 1.0 + _hessian(F1, y1, h1, 0, 0) + _hessian(F2, y2, h2, 0, 0)
-        b = _hessian(F1, y1, h1, 0, 1) + _hessian(F2, y2, h2, 0, 1)
-        c = _hessian(F1, y1, h1, 0, 2) + _hessian(F2, y2, h2, 0, 2)
-        d = 1.0 + _hessian(F1, y1, h1, 1, 1) + _hessian(F2, y2, h2, 1, 1)
-        e = _hessian(F1, y1, h1, 1, 2) + _hessian(F2, y2, h2, 1, 2)
-        f = 1.0 + _hessian(F1, y1, h1, 2, 2) + _hessian(F2, y2, h2, 2, 2)
-        g = minus(w, n)
-        l10, l20 = b / a, c / a
-        d1 = max(d - l10 * b, 1.0)  # pivots of I + (positive semidefinite) are at least 1
-        l21 = (e - l20 * b) / d1
-        d2 = max(f - l20 * c - l21 * l21 * d1, 1.0)
-        z1 = g[1] - l10 * g[0]
-        z2 = g[2] - l20 * g[0] - l21 * z1
-        q2 = z2 / d2
-        q1 = z1 / d1 - l21 * q2
-        q0 = g[0] / a - l10 * q1 - l20 * q2
-        slope = -(g[0] * q0 + g[1] * q1 + g[2] * q2)
-        phi = 0.5 * dot(n, n) + h1 + h2 - dot(n, r)
-        # Near the minimum phi itself is flat to rounding; there the slope at the new point decides (the
-        # approximate Wolfe condition of Hager and Zhang, 2005, doi:10.1137/030601880).
-        noise = 4.0 * EPS * size * math.sqrt(dot(n, n))
+        if iteration >= PLAIN_STEPS + NEWTON_STEPS:
+            break
+
+        # Newton in the plane across n: -g'' = Σ (FᵀE)ᵀ(I - u uᵀ)(FᵀE)/h + gap I, with u the unit vector of Fᵀn.
+        b11, b12, b22 = _curvature(F1, u1, h1, e1, e2)
+        c11, c12, c22 = _curvature(F2, u2, h2, e1, e2)
+        b11, b12, b22 = b11 + c11 + max(gap, 0.0), b12 + c12, b22 + c22 + max(gap, 0.0)
+        det = b11 * b22 - b12 * b12
+        if det <= 1e-14 * b11 * b22:
+            det = b11 * b22
+            b12 = 0.0
+        q1, q2 = (b22 * a1 - b12 * a2) / det, (b11 * a2 - b12 * a1) / det
+        slope = a1 * q1 + a2 * q2
+        noise = 4.0 * EPS * (size + h1 + h2)
         t = 1.0
+        moved = False
         for _ in range(60):
-            m = (n[0] + t * q0, n[1] + t * q1, n[2] + t * q2)
-            v1, v2 = apply_transposed(F1, m), apply_transposed(F2, m)
-            k1, k2 = math.sqrt(dot(v1, v1)), math.sqrt(dot(v2, v2))
-            change = 0.5 * dot(m, m) + k1 + k2 - dot(m, r) - phi
-            if change <= 0.1 * t * slope:
+            m = _unit(along(along(n, t * q1, e1), t * q2, e2))
+            u1, u2, k1, k2, x1, x2 = _supports(F1, F2, r, m)
+            gain = dot(m, r) - k1 - k2 - gap
+            if gain >= 1e-4 * t * slope:
+                moved = True
+            elif gain >= -noise:
+                # Near the maximum g itself is flat to rounding; there its slope decides.
+                w = minus(x2, x1)
+                d1, d2 = _across(m)
+                moved = math.hypot(dot(d1, w), dot(d2, w)) <= 0.7 * steepness
+            if moved:
                 break
-            if change <= noise:
-                w1, w2 = apply(F1, v1), apply(F2, v2)
-                end = (
-                    q0 * (m[0] + w1[0] / k1 + w2[0] / k2 - r[0])
-                    + q1 * (m[1] + w1[1] / k1 + w2[1] / k2 - r[1])
-                    + q2 * (m[2] + w1[2] / k1 + w2[2] / k2 - r[2])
-                )
-                if abs(end) <= -0.8 * slope:
-                    break
             t *= 0.5
+        if not moved:
+            break
         n = m
-    return x1, x2, distance, iteration, status
+    return x1, x2, distance, iteration, UNCONVERGED
 
 
 @inline
-def _hessian(F, y, h, i, j):
-    """Entry (i, j) of (F Fᵀ - y yᵀ/h²)/h."""
-    return (
-        F[3 * i] * F[3 * j] + F[3 * i + 1] * F[3 * j + 1] + F[3 * i + 2] * F[3 * j + 2] - (y[i] / h) * (y[j] / h)
-    ) / h
+def _unit(v):
+    """V over its length; scaled first, as normals of thin ellipsoids can be of any size."""
+    k = 1.0 / max(abs(v[0]), abs(v[1]), abs(v[2]))
+    v = (k * v[0], k * v[1], k * v[2])
+    k = 1.0 / math.sqrt(dot(v, v))
+    return (k * v[0], k * v[1], k * v[2])
+
+
+@inline
+def _across(n):
+    """Two unit vectors across a unit vector and each other (Duff et al., 2017, J. Comput. Graph. Tech. 6(1))."""
+    sign = math.copysign(1.0, n[2])
+    a = -1.0 / (sign + n[2])
+    b = n[0] * n[1] * a
+    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
+
+
+@inline
+def _gap(F1, F2, r, n):
+    """Gap between the supporting planes of direction n; at most 0 unless n separates."""
+    u1, u2 = apply_transposed(F1, n), apply_transposed(F2, n)
+    return dot(n, r) - math.sqrt(dot(u1, u1)) - math.sqrt(dot(u2, u2))
+
+
+@inline
+def _supports(F1, F2, r, n):
+    """Unit vectors of Fᵀn, widths |Fᵀn|, and the supports of E1 along n and of E2 along -n."""
+    u1, u2 = apply_transposed(F1, n), apply_transposed(F2, n)
+    h1, h2 = math.sqrt(dot(u1, u1)), math.sqrt(dot(u2, u2))
+    u1, u2 = (u1[0] / h1, u1[1] / h1, u1[2] / h1), (u2[0] / h2, u2[1] / h2, u2[2] / h2)
+    return u1, u2, h1, h2, apply(F1, u1), minus(r, apply(F2, u2))
+
+
+@inline
+def _curvature(F, u, h, e1, e2):
+    """Second derivatives of |Fᵀn| along e1 and e2, as a sum of squares that loses no digits."""
+    v1, v2 = apply_transposed(F, e1), apply_transposed(F, e2)
+    v1, v2 = along(v1, -dot(u, v1), u), along(v2, -dot(u, v2), u)
+    return dot(v1, v1) / h, dot(v1, v2) / h, dot(v2, v2) / h
 
 
 # -- one door to all rules, and the estimate -------------------------------------------------------
