@@ -1,0 +1,132 @@
+"""Fits of hulls of 20 random points, loewner beside cvxpy + Clarabel, in one run, on one thread.
+
+    python benchmarks/fits.py [hulls]
+
+Prints medians per fit and their ratios. cvxpy is timed as a first user writes it, the problem built anew for each hull
+with the faces in one vectorised constraint, and by the solver's own clock alone.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("RAYON_NUM_THREADS", "1")
+
+import cvxpy as cp
+import numba
+import numpy as np
+
+from loewner import fits, polytopes
+from loewner._kernels.mvce import fit_outer
+
+TOL = 1e-4
+
+
+def hull_points(rng: np.random.Generator) -> np.ndarray:
+    """20 points uniform in the unit ball."""
+    x = rng.normal(size=(20, 3))
+    return x / np.linalg.norm(x, axis=1, keepdims=True) * rng.uniform(size=(20, 1)) ** (1 / 3)
+
+
+def median_time(run: Callable[[object], object], items: Iterable[object]) -> float:
+    times = []
+    for item in items:
+        start = time.perf_counter()
+        run(item)
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def conic_inner(piece: polytopes.Polytope) -> float:
+    E, c = cp.Variable((3, 3), PSD=True), cp.Variable(3)
+    rows = [cp.norm(piece.normals @ E, axis=1) + piece.normals @ c <= piece.offsets]
+    problem = cp.Problem(cp.Maximize(cp.log_det(E)), rows)
+    problem.solve(solver=cp.CLARABEL)
+    return float(problem.solver_stats.solve_time)
+
+
+def conic_outer(piece: polytopes.Polytope) -> float:
+    H, g = cp.Variable((3, 3), PSD=True), cp.Variable((1, 3))
+    problem = cp.Problem(cp.Maximize(cp.log_det(H)), [cp.norm(piece.vertices @ H - g, axis=1) <= 1])
+    problem.solve(solver=cp.CLARABEL)
+    return float(problem.solver_stats.solve_time)
+
+
+def batch_time(packed: polytopes.Hulls, tol: float = TOL) -> float:
+    start = time.perf_counter()
+    fits.fit_pieces(packed.vert_start, packed.vertices, packed.face_start, packed.normals, packed.offsets, tol)
+    return (time.perf_counter() - start) / len(packed)
+
+
+def outer_time(packed: polytopes.Hulls) -> float:
+    """The kernel's outer fits alone; what is left of the batch is the inner fits."""
+    center, factor = np.empty(3), np.empty((3, 3))
+    pieces = [packed.vertices[i:j] for i, j in zip(packed.vert_start[:-1], packed.vert_start[1:], strict=True)]
+    start = time.perf_counter()
+    for V in pieces:
+        fit_outer(V, TOL, polytopes.FLATNESS, center, factor)
+    return (time.perf_counter() - start) / len(packed)
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
+    rng = np.random.default_rng(0)
+    numba.set_num_threads(1)
+    sets = [hull_points(rng) for _ in range(count)]
+    polytopes.hulls(sets[:2])  # compile
+    start = time.perf_counter()
+    packed = polytopes.hulls(sets)
+    hull = (time.perf_counter() - start) / count
+    pieces = [polytopes.Polytope.from_points(x) for x in sets[:100]]
+    vertices, faces = np.diff(packed.vert_start).mean(), np.diff(packed.face_start).mean()
+    print(f"{count} hulls of 20 points, {vertices:.1f} vertices and {faces:.1f} faces on average")
+    print(f"tolerance {TOL:g} in log-volume, one thread")
+
+    # Once each beforehand: compile, and let cvxpy import what it imports.
+    fits.mvce(sets[0]), fits.mvie(pieces[0].normals, pieces[0].offsets), batch_time(packed)
+    conic_inner(pieces[0]), conic_outer(pieces[0])
+
+    # Interleaved, so that all meet the same machine.
+    both, outers, solver_inner, solver_outer = [batch_time(packed)], [outer_time(packed)], [], []
+    conic_in = median_time(lambda p: solver_inner.append(conic_inner(p)), pieces)
+    both.append(batch_time(packed))
+    outers.append(outer_time(packed))
+    conic_out = median_time(lambda p: solver_outer.append(conic_outer(p)), pieces)
+    both.append(batch_time(packed))
+    outers.append(outer_time(packed))
+    outer = float(np.median(outers))
+    inner = float(np.median(both)) - outer
+    single_outer = median_time(fits.mvce, sets[:1000])
+    single_inner = median_time(lambda p: fits.mvie(p.normals, p.offsets), pieces * 10)
+
+    print(f"{'microseconds per fit':36}{'inner':>10}{'outer':>10}")
+    rows = (
+        ("loewner, batched", inner, outer),
+        ("loewner, one call of mvie(A, b), mvce", single_inner, single_outer),
+        ("cvxpy + Clarabel", conic_in, conic_out),
+        ("Clarabel's own clock", float(np.median(solver_inner)), float(np.median(solver_outer))),
+    )
+    for name, *times in rows:
+        print(f"{name:36}" + "".join(f"{t * 1e6:10.1f}" for t in times))
+    print(f"{'ratio, cvxpy to batched':36}{conic_in / inner:10.0f}{conic_out / outer:10.0f}")
+    print(f"{'ratio, cvxpy to one call':36}{conic_in / single_inner:10.0f}{conic_out / single_outer:10.0f}")
+    print(f"{'ratio, solver alone to batched':36}{rows[3][1] / inner:10.0f}{rows[3][2] / outer:10.0f}")
+    print(f"hull (Qhull, faces, checks): {hull * 1e6:.1f} us")
+    print(f"both fits at tolerance 1e-9: {batch_time(packed, 1e-9) * 1e6:.1f} us")
+
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    many = float(np.median([batch_time(packed) for _ in range(3)]))
+    speed_up = (inner + outer) / many
+    print(f"both fits on {numba.get_num_threads()} threads: {many * 1e6:.1f} us, {speed_up:.2f} times one thread")
+
+    for m, n in ((100_000, 3), (100_000, 10), (1_000_000, 3)):
+        x = rng.normal(size=(m, n))
+        start = time.perf_counter()
+        gap = fits.mvce(x, tol=1e-7).gap
+        print(f"mvce of {m} normal points in dimension {n}: {time.perf_counter() - start:.3f} s, gap {gap:.1e}")
+
+
+if __name__ == "__main__":
+    main()
