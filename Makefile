@@ -1,0 +1,55 @@
+# Everything here sets up .venv by itself from Python >= 3.11 with pip; nothing is installed elsewhere.
+#   make demo     the main job on two robot meshes, a picture, and the paper's experiment
+#   make test     the quick suite          make check    lint, types, import rules
+#   make verify   the long proofs          make bench    the benchmarks
+# PYTHON=python3.13 chooses the interpreter that .venv is made with.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+PYTEST_OPTIONS ?=
+PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
+THREADS ?= 2
+
+.PHONY: help demo test verify bench check clean
+help:
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 5
+
+demo: $(VENV)/.demo
+	$(BIN)/python examples/demo.py
+
+test: $(VENV)/.dev
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests src
+
+verify: $(VENV)/.dev
+	$(PYTEST) -s -m verify tests
+
+bench: $(VENV)/.dev
+	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+check: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(PYTEST) -q src
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
+
+# A stamp file says that what it depends on was installed; a half-done installation leaves none.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "loewner needs Python >= 3.11; try make PYTHON=python3.13 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo: requirements/core.txt requirements/demo.txt requirements/data.txt pyproject.toml | $(BIN)/python
+	$(PIP) -r requirements/demo.txt
+	$(PIP) --no-deps -r requirements/data.txt
+	$(PIP) --no-deps --editable .
+	@touch $@
+
+$(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
+	$(PIP) -r requirements/dev.txt
+	@touch $@

@@ -1,0 +1,137 @@
+"""The main job, start to end: two robot meshes to bodies, 1,000 poses checked, a picture; then the paper's experiment.
+
+python examples/demo.py [--poses 1000] [--pairs 1000] [--out demo-out] [--hull]
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import loewner
+from loewner import Verdict, paper, plots
+from robot_meshes import panda
+
+console = Console(width=None if sys.stdout.isatty() else 160)
+
+
+def main() -> None:
+    """Run the demo."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--poses", type=int, default=1000)
+    options.add_argument("--pairs", type=int, default=1000)
+    options.add_argument("--out", type=Path, default=Path("demo-out"))
+    options.add_argument("--hull", action="store_true", help="convex hulls: no decomposition")
+    chosen = options.parse_args()
+    started = time.perf_counter()
+    out = chosen.out
+    out.mkdir(parents=True, exist_ok=True)
+
+    console.rule("1. Two meshes of the Panda arm become bodies")
+    link, hand = (fitted(name, out, not chosen.hull) for name in ("link5", "hand"))
+
+    console.rule(f"2. Are they in collision, at {chosen.poses:,} poses?")
+    poses = random_poses(link, hand, chosen.poses)
+    verdicts = check(link, hand, poses)
+
+    console.rule("3. A picture of one pose of each kind")
+    picture = draw(link, hand, poses, verdicts, out / "verdicts.png")
+    console.print(f"{picture}: grey wires are outer ellipsoids, green ones inner\n")
+
+    console.rule(f"4. The paper's experiment, {chosen.pairs:,} pairs")
+    experiment = paper.run(chosen.pairs, out=out / "paper", json=out / "paper.json")
+    table = Table(*paper.tables.COLUMNS, caption="percent of pairs [95 % interval] / the paper's percent")
+    for row in paper.tables.rows(experiment):
+        table.add_row(*row)
+    console.print(table)
+
+    console.rule(f"Done in {time.perf_counter() - started:.0f} s. What next?")
+    console.print(
+        f"look at       {picture}, {out / 'paper' / 'report.html'}\n"
+        f"your meshes   loewner fit a.stl b.stl -o bodies\n"
+        f'              loewner check bodies/a.npz bodies/b.npz --pose-b "0.1 0 0"\n'
+        f"in Python     examples/two_meshes.py, examples/batch.py, README.md\n"
+        f"the tests     make test",
+        markup=False,
+        highlight=False,
+    )
+
+
+def fitted(name: str, out: Path, decompose: bool) -> loewner.Body:
+    """Decompose and fit a link, save it, and read it back."""
+    mesh = panda(f"visual/{name}.dae")
+    started = time.perf_counter()
+    body = loewner.Body.from_mesh(mesh, decompose=decompose, threshold=0.1)
+    seconds = time.perf_counter() - started
+    body.save(out / f"{name}.npz")
+    body = loewner.Body.load(out / f"{name}.npz")
+    vertices = sum(len(p.vertices) for p in body.pieces)
+    holds = "hold the whole mesh" if body.covering.exact else f"miss up to {body.covering.max_uncovered:.2g} m of it"
+    console.print(
+        f"{name}: {len(body.pieces)} convex pieces, {vertices:,} vertices, {holds}; "
+        f"{seconds:.1f} s; saved as {out / name}.npz"
+    )
+    return body
+
+
+def random_poses(a: loewner.Body, b: loewner.Body, count: int) -> np.ndarray:
+    """Turn b at random and put it between deep inside a and just clear of it."""
+    rng = np.random.default_rng(5)
+    Q, R = np.linalg.qr(rng.normal(size=(count, 3, 3)))
+    Q *= np.sign(np.diagonal(R, axis1=1, axis2=2))[:, None, :]
+    Q[np.linalg.det(Q) < 0, :, 0] *= -1
+    low, high = a.outer.bounding_box()
+    middle_a = (low.min(axis=0) + high.max(axis=0)) / 2
+    middle_b = b.outer.center.mean(axis=0)
+    way = rng.normal(size=(count, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = Q
+    poses[:, :3, 3] = middle_a + way * rng.uniform(0, 0.3, (count, 1)) - Q @ middle_b
+    return poses
+
+
+def check(a: loewner.Body, b: loewner.Body, poses: np.ndarray) -> np.ndarray:
+    """Classify all poses, decide the ambiguous ones, and print what came out."""
+    loewner.classify(a, None, b, poses[:1])  # compiles, if this machine has not before
+    loewner.collide(a, None, b, poses[:1])
+    started = time.perf_counter()
+    verdicts = loewner.classify(a, None, b, poses)
+    middle = time.perf_counter()
+    exact = loewner.collide(a, None, b, poses)
+    ended = time.perf_counter()
+    table = Table("certified verdict", "poses", "exactly: free", "exactly: colliding")
+    for verdict in Verdict:
+        here = verdicts == verdict
+        table.add_row(verdict.name, f"{here.sum():,}", f"{(here & ~exact).sum():,}", f"{(here & exact).sum():,}")
+    console.print(table)
+    pieces = len(a.pieces) * len(b.pieces)
+    per = 1e9 / len(poses)
+    console.print(
+        f"classify {per * (middle - started):,.0f} ns a pose ({per * (middle - started) / pieces:.0f} ns a pair of "
+        f"pieces), collide with exact answers {per * (ended - middle):,.0f} ns a pose; this machine, this run"
+    )
+    wrong = ((verdicts == Verdict.FREE) & exact) | ((verdicts == Verdict.COLLIDING) & ~exact)
+    console.print(f"certified verdicts that the exact answer contradicts: {wrong.sum()}\n")
+    return verdicts
+
+
+def draw(a: loewner.Body, b: loewner.Body, poses: np.ndarray, verdicts: np.ndarray, path: Path) -> Path:
+    """Three poses side by side: free, ambiguous, colliding."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 5.4))
+    for k, verdict in enumerate((Verdict.FREE, Verdict.AMBIGUOUS, Verdict.COLLIDING)):
+        of_kind = poses[verdicts == verdict]
+        if len(of_kind):
+            near = np.argsort(loewner.distance(a, None, b, of_kind).lower)
+            plots.pair(a, None, b, of_kind[near[0]], ax=figure.add_subplot(1, 3, k + 1, projection="3d"))
+    return plots.save(figure, path)
+
+
+if __name__ == "__main__":
+    main()
