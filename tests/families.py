@@ -115,6 +115,13 @@ MORE: dict[str, Maker] = {
 
 FAMILIES = {**EIGHT, **MORE}
 
+# How far apart pairs are placed, see `near_contact`; long thin pieces must come closer to meet at all.
+STRETCH = {"rods 1:0.05:0.05": (0.0, 0.65), "needles 1:1e-3:1e-3": (0.0, 0.03)}
+
+
+def stretch(family: str) -> tuple[float, float]:
+    return STRETCH.get(family, (0.0, 1.6))
+
 
 def pieces(family: str, count: int, seed: int = 0) -> list[np.ndarray]:
     """`count` vertex arrays of one family, sizes within a factor of four of each other."""

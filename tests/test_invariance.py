@@ -6,9 +6,9 @@ import pytest
 import loewner
 from families import EIGHT, FAMILIES, near_contact, pieces, random_poses, sizes
 from loewner import Bodies, Verdict
+from oracles import hull, pack, signed_distances
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
-from oracles import hull, pack, signed_distances
 
 COUNT, ROUNDS = 8, 25
 

@@ -8,10 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes
+from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch
 from loewner import Bodies, Body, Verdict
-
-FREE, COLLIDING, AMBIGUOUS = Verdict
 from oracles import (
     HullPool,
     Support,
@@ -29,6 +27,8 @@ from oracles import (
     posed_support,
     signed_distances,
 )
+
+FREE, COLLIDING, AMBIGUOUS = Verdict
 
 # Closer to touching than this, relative to the size of the pair, float64 input itself decides.
 GRAZING = 1e-9
@@ -72,7 +72,7 @@ def world() -> dict[str, Pairs]:
         pool = pack(map(hull, points))
         i = np.tile(np.arange(BODIES), ROUNDS)
         j = BODIES - 1 - i
-        Ta, Tb = near_contact(rng, pool, i, pool, j)
+        Ta, Tb = near_contact(rng, pool, i, pool, j, stretch=stretch(family))
         gap, _ = signed_distances(pool, i, Ta, pool, j, Tb)
         truth = gap.copy()
         for p in np.flatnonzero(gap > 0):
@@ -249,7 +249,7 @@ def random_pair(family: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     rng = np.random.default_rng(seed)
     A, B = (FAMILIES[family](rng) for _ in range(2))
     pool, zero = pack([hull(A), hull(B)]), np.zeros(1, np.int64)
-    Ta, Tb = near_contact(rng, pool, zero, pool, zero + 1)
+    Ta, Tb = near_contact(rng, pool, zero, pool, zero + 1, stretch=stretch(family))
     return A, Ta[0], B, Tb[0]
 
 

@@ -15,22 +15,27 @@ pytestmark = pytest.mark.verify
 POSES = 1000
 
 
-def panda(name: str) -> Path:
-    """A collision mesh of the Panda robot, from the example-robot-data package."""
+def panda(kind: str, name: str) -> Path:
+    """A mesh of the Panda robot, from the example-robot-data package."""
     prefix = pytest.importorskip("cmeel").__path__[0]
-    mesh = Path(prefix).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes/collision"
-    if not (mesh / name).exists():
+    path = Path(prefix).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes" / kind / name
+    if not path.exists():
         pytest.skip("example-robot-data is not installed")
-    return mesh / name
+    return path
 
 
-@pytest.fixture(scope="module")
-def bodies(tmp_path_factory: pytest.TempPathFactory) -> list[Body]:
+# The collision meshes are convex as they come; the visual ones are real parts, to be decomposed.
+@pytest.fixture(scope="module", params=["collision/link5.stl collision/hand.stl", "visual/link5.dae visual/hand.dae"])
+def bodies(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[Body]:
+    """Read, decomposed, fitted, saved and loaded."""
     pytest.importorskip("coacd")
     folder = tmp_path_factory.mktemp("bodies")
     out = []
-    for name in ("link5.stl", "hand.stl"):
-        Body.from_mesh(panda(name)).save(folder / f"{name}.npz")
+    for source in request.param.split():
+        kind, name = source.split("/")
+        made = Body.from_mesh(panda(kind, name))
+        assert (len(made.pieces) > 1) == (kind == "visual")
+        made.save(folder / f"{name}.npz")
         out.append(Body.load(folder / f"{name}.npz"))
     return out
 

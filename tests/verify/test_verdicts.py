@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import loewner
-from families import EIGHT, MORE, near_contact, pieces, sizes
+from families import EIGHT, MORE, near_contact, pieces, sizes, stretch
 from loewner import Bodies, Verdict
 from oracles import exact_collides, hull, naive_distance, pack, signed_distances
 
@@ -47,7 +47,7 @@ def test_no_wrong_verdict(family: str):
         order = rng.permutation(pool_size)
         b = Bodies([a[k] for k in order])
         i, j = np.tile(np.arange(pool_size), rounds_at_once), np.tile(order, rounds_at_once)
-        Ta, Tb = near_contact(rng, pool, i, pool, j)
+        Ta, Tb = near_contact(rng, pool, i, pool, j, stretch=stretch(family))
         gap, _ = signed_distances(pool, i, Ta, pool, j, Tb)
         truth = judged(points, i, Ta, j, Tb, gap)
         size = reach[i] + reach[j]
@@ -73,8 +73,7 @@ def test_no_wrong_verdict(family: str):
     )
     assert wrong == 0
     assert wrong_exact == 0
-    # The mix is what it says: no tier is starved. Thin pieces have little inner ellipsoid, hence few colliding.
-    assert (tiers > 0.02 * done).all() or family in ("needles 1:1e-3:1e-3", "slivers")
+    assert (tiers > 0.1 * done).all()  # the mix is what it says: no tier is starved
 
 
 def test_distances_hold_everywhere():
@@ -88,7 +87,7 @@ def test_distances_hold_everywhere():
         a = Bodies.from_points(points)
         rounds = -(-count // 100)
         i = np.tile(np.arange(100), rounds)
-        Ta, Tb = near_contact(rng, pool, i, pool, i[::-1])
+        Ta, Tb = near_contact(rng, pool, i, pool, i[::-1], stretch=stretch(family))
         truth, _ = signed_distances(pool, i, Ta, pool, i[::-1], Tb)
         for p in np.flatnonzero(truth > 0):
             truth[p] = naive_distance(pool.hull(i[p]), Ta[p], pool.hull(i[::-1][p]), Tb[p])[0]
