@@ -83,6 +83,7 @@ class Packed:
             self.piece_start,
             self.inner_factor,
             self.outer_factor,
+            np.ascontiguousarray(table[:, : shapes.HOT]),
         )
         for array in kernel:
             array.setflags(write=False)

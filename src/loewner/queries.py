@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import batch, distances
+from loewner._kernels import batch, distances, verdicts
 from loewner.bodies import Bodies, Body
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -140,7 +140,7 @@ def _settle(mode: int, margin: float, pairs: _Batch) -> tuple[NDArray[np.int8], 
     """Verdict of every pair, and how many piece pairs each tier settled."""
     out = np.empty(pairs.count, dtype=np.int8)
     chunks = max(1, -(-pairs.count // CHUNK))
-    tallies = np.zeros((chunks, batch.TIERS), dtype=np.int64)
+    tallies = np.zeros((chunks, verdicts.TIERS), dtype=np.int64)
     if chunks == 1 or numba.get_num_threads() == 1:
         batch.settle_range(mode, margin, 0, pairs.count, *pairs.arguments, out, tallies[0])
     else:
@@ -195,7 +195,7 @@ def classify(
     """
     keep = _check.positive_scalar(margin, "margin", zero=True)
     pairs = _prepare(a, T_world_a, b, T_world_b)
-    out, _ = _settle(batch.CERTIFY, keep, pairs)
+    out, _ = _settle(verdicts.CERTIFY, keep, pairs)
     return Verdict(int(out[0])) if pairs.shape == () else out.reshape(pairs.shape)
 
 
@@ -259,12 +259,12 @@ def collide(
     keep = _check.positive_scalar(margin, "margin", zero=True)
     pairs = _prepare(a, T_world_a, b, T_world_b)
     if method == "exact":
-        out, _ = _settle(batch.EXACT, keep, pairs)
+        out, _ = _settle(verdicts.EXACT, keep, pairs)
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
     elif code == distances.CONTACT_PRODUCT:
-        out, _ = _settle(batch.ESTIMATE, keep, pairs)
+        out, _ = _settle(verdicts.ESTIMATE, keep, pairs)
     else:
-        out, _ = _settle(batch.CERTIFY, keep, pairs)
+        out, _ = _settle(verdicts.CERTIFY, keep, pairs)
         distances.rule_range(code, keep, 0, pairs.count, *pairs.arguments, out)
     colliding = out == Verdict.COLLIDING
     return bool(colliding[0]) if pairs.shape == () else colliding.reshape(pairs.shape)

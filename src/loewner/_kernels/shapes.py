@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of seven arrays:
+A packed set of pieces is a tuple of eight arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -13,6 +13,8 @@ A packed set of pieces is a tuple of seven arrays:
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``inner_factor``, ``outer_factor`` (P, 3, 3) float64
     Factors of the ellipsoids, for the rules that need more than the shape matrix.
+``hot`` (P, HOT) float64
+    The first columns of ``table`` once more, packed for streaming through millions of pieces.
 
 Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
 C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
@@ -25,14 +27,16 @@ from loewner._kernels._jit import njit
 
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
-OUTER_CENTER, OUTER_SHAPE, INNER_CENTER, INNER_SHAPE = 0, 3, 9, 12
-INNER_SIGMA = 18  # lower bound on the smallest semi-axis of the inner ellipsoid
-REACH = 19  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
-OUTER_RADIUS = 20  # upper bound on the largest semi-axis of the outer ellipsoid
-ROUNDING = 21  # radius of the ball added to the core
-FRAME_CENTER, FRAME_FACTOR = 22, 25  # c and F (row by row) of the image of a unit shape
-OUTER_SIGMA = 34  # lower bound on the smallest semi-axis of the outer ellipsoid
-COLUMNS = 36
+OUTER_CENTER, OUTER_SHAPE = 0, 3
+OUTER_RADIUS = 9  # upper bound on the largest semi-axis of the outer ellipsoid
+REACH = 10  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+INNER_CENTER, INNER_SHAPE = 12, 15
+INNER_SIGMA = 21  # lower bound on the smallest semi-axis of the inner ellipsoid
+OUTER_SIGMA = 22  # the same of the outer ellipsoid
+HOT = 24  # the columns up to here are all that the vectorised stages read: three cache lines
+ROUNDING = 24  # radius of the ball added to the core
+FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
+COLUMNS = 37
 
 PAD = 4
 

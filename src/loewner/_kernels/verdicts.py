@@ -1,0 +1,8 @@
+"""Codes that kernels and queries share."""
+
+FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
+CERTIFY, EXACT, ESTIMATE = 0, 1, 2
+
+# Who settled a piece pair.
+BY_SPHERE, BY_OUTER, BY_INNER, BY_SUPPORT, BY_POINT, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5, 6
+TIERS = 7
