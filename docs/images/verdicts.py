@@ -9,20 +9,20 @@ import numpy as np
 
 import loewner
 
-SCALE, WIDTH, HEIGHT = 46.0, 300, 210
+SCALE, WIDTH, HEIGHT = 36.0, 300, 190
 LEFT, RIGHT = ("#4477aa", "#cc6677")
 CAPTIONS = (
     ("FREE", "the outer ones are apart: proven"),
     ("AMBIGUOUS", "neither: estimate, or ask exactly"),
     ("COLLIDING", "the inner ones overlap: proven"),
 )
-SHIFTS = ((4.15, 0.15), (2.85, 0.25), (1.6, 0.2))
+SHIFTS = ((3.9, 0.1), (2.55, 0.3), (1.3, 0.2))
 
 
 def main() -> None:
     """Write the picture beside this file."""
-    a = np.array([[-1.4, -0.7], [0.2, -1.1], [1.3, -0.3], [1.1, 0.8], [-0.2, 1.2], [-1.5, 0.5]])
-    b = np.array([[-1.2, -0.9], [0.6, -1.2], [1.5, 0.1], [0.4, 1.3], [-1.1, 0.7]])
+    a = np.array([[-1.4, -0.9], [1.5, -0.7], [0.9, 0.5], [-0.5, 1.2]])
+    b = np.array([[-1.5, 0.3], [0.1, -1.2], [1.4, -0.2], [0.7, 1.1]])
     parts = []
     for k, ((name, caption), shift) in enumerate(zip(CAPTIONS, SHIFTS, strict=True)):
         drawn = []

@@ -1,0 +1,118 @@
+"""The documents tell the truth: their code runs, their links lead somewhere, the examples work."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
+
+
+def blocks(document: Path) -> str:
+    """All Python blocks of a document, as one program."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", document.read_text(), flags=re.M | re.S))
+
+
+@pytest.fixture
+def folder_with_meshes(tmp_path, monkeypatch):
+    """A working folder that holds the mesh files that the documents name."""
+    mesh = trimesh.creation.box((0.1, 0.2, 0.3))
+    for name in ("part.stl", "link.stl"):
+        mesh.export(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md"])
+def test_code_blocks_run(name, folder_with_meshes, capsys):
+    """Every Python block of the document runs, in order, from a fresh start."""
+    program = blocks(ROOT / name)
+    assert program
+    exec(compile(program, name, "exec"), {})
+
+
+def test_readme_prints_what_it_says(folder_with_meshes, capsys):
+    """The answers in the comments of the README are those that it prints."""
+    exec(compile(blocks(ROOT / "README.md"), "README.md", "exec"), {})
+    out = capsys.readouterr().out.splitlines()
+    assert out[:2] == ["<Verdict.FREE: 0>", "False"]
+    assert any("found all of them in a plane" in line for line in out)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_lead_somewhere(document):
+    """Relative links in documents name files that exist."""
+    links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", document.read_text())
+    missing = [link for link in links if not (document.parent / link).exists()]
+    assert missing == []
+
+
+def test_architecture_names_every_room():
+    """Each module of the package is in ARCHITECTURE.md and in the layers that are checked."""
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    rooms = {p.stem if p.suffix else p.name for p in (ROOT / "src/loewner").iterdir() if p.suffix in ("", ".py")}
+    for room in rooms - {"__init__", "__pycache__"}:
+        assert re.search(rf"\b{room}(\.py|/)", text), room
+
+
+def example(name: str, *arguments: str, cwd: Path) -> str:
+    """Run an example as a user would and return what it printed."""
+    environment = os.environ | {"PYTHONWARNINGS": "error", "LOEWNER_QUIET": "1"}
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / name), *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=environment,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_example_two_meshes(folder_with_meshes):
+    """A box of 0.1 x 0.2 x 0.3 m and itself: exact distances along x are x - 0.1."""
+    out = example("two_meshes.py", "part.stl", "link.stl", cwd=folder_with_meshes)
+    found = [float(x) for x in re.findall(r"exact distance ([-+0-9.]+)", out)]
+    np.testing.assert_allclose(found, [-0.1, 0.0, 0.1, 0.2], atol=1e-4)
+
+
+def test_example_batch(tmp_path):
+    """Shares add up to one, and the exact share lies between the certified ones."""
+    out = example("batch.py", "--poses", "3000", cwd=tmp_path)
+    free, colliding, ambiguous, exact = (float(x) for x in re.findall(r"([0-9.]+)%", out))
+    assert abs(free + colliding + ambiguous - 100) <= 0.2
+    assert colliding - 0.1 <= exact <= colliding + ambiguous + 0.1
+
+
+def test_example_ellipsoid_of_points(tmp_path):
+    """All points are inside; the ellipsoid in the cube is the unit ball."""
+    out = example("ellipsoid_of_points.py", "--points", "500", "--dimension", "4", cwd=tmp_path)
+    assert "all points inside: True" in out
+    assert "[1. 1. 1. 1.]" in out
+
+
+def test_demo(tmp_path):
+    """The demo runs, small, and leaves bodies, picture and report; no verdict is contradicted."""
+    out = example("demo.py", "--hull", "--poses", "60", "--pairs", "60", cwd=tmp_path)
+    assert "exact answer contradicts: 0" in out
+    made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    wanted = {"link5.npz", "hand.npz", "verdicts.png", "paper/report.html", "paper/report.md", "paper.json"}
+    assert {f"demo-out/{name}" for name in wanted} <= made
+
+
+def test_picture_is_what_its_script_draws(tmp_path, monkeypatch):
+    """docs/images/verdicts.svg is made of ellipses that the library fits now, to the drawing's rounding."""
+    source = ROOT / "docs/images/verdicts.py"
+    (tmp_path / "verdicts.py").write_text(source.read_text())
+    subprocess.run([sys.executable, str(tmp_path / "verdicts.py")], check=True, cwd=tmp_path)
+    number = re.compile(r"-?\d+\.?\d*")
+    old, new = ((folder / "verdicts.svg").read_text() for folder in (source.parent, tmp_path))
+    assert number.sub("#", old) == number.sub("#", new)
+    np.testing.assert_allclose(*([float(x) for x in number.findall(text)] for text in (old, new)), atol=0.25)

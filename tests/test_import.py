@@ -1,0 +1,46 @@
+"""What `import loewner` brings in, and what it must not."""
+
+import json
+import subprocess
+import sys
+
+import loewner
+
+OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx")
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules loaded by a fresh interpreter after running `code`."""
+    ask = f"import json, sys; {code}; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_import_is_light():
+    """No optional package is imported by `import loewner`."""
+    assert modules_after("import loewner").isdisjoint(OPTIONAL)
+
+
+def test_command_line_is_light_until_it_prints_tables():
+    """The command line imports no optional package to parse its arguments."""
+    assert modules_after("import loewner.cli; loewner.cli._parser()").isdisjoint(OPTIONAL)
+
+
+def test_import_leaves_scipy_submodules_alone():
+    """SciPy's hulls and linear programs, which take longer to import than `loewner`, wait for their use."""
+    loaded = modules_after("import loewner; assert 'scipy.spatial' not in sys.modules, 'scipy.spatial'")
+    assert "numba" in loaded
+
+
+def test_checking_saved_bodies_needs_no_optional_package(tmp_path):
+    """`loewner check` on two saved bodies works without trimesh, CoACD, matplotlib and Rich."""
+    loewner.Body.box([1, 1, 1]).save(tmp_path / "a.npz")
+    path = str(tmp_path / "a.npz")
+    loaded = modules_after(f"import loewner.cli; assert loewner.cli.main(['check', {path!r}, {path!r}]) == 1")
+    assert loaded.isdisjoint(OPTIONAL)
+
+
+def test_public_names_exist_and_are_listed_once():
+    """Every name in __all__ is there, sorted, once."""
+    assert sorted(set(loewner.__all__)) == sorted(loewner.__all__)
+    assert all(hasattr(loewner, name) for name in loewner.__all__)
