@@ -165,18 +165,21 @@ def estimated_distance(F_outer, F_inner, width):
 
 
 @njit()
-def _center_offset(ta, i, Ta, tb, j, Tb, column):
+def _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, column):
     """World vector from a's to b's ellipsoid center; the translations are subtracted first."""
     ax, ay, az = ta[i, column], ta[i, column + 1], ta[i, column + 2]
     bx, by, bz = tb[j, column], tb[j, column + 1], tb[j, column + 2]
-    x = (Tb[0, 3] - Ta[0, 3]) + (
-        (Tb[0, 0] * bx + Tb[0, 1] * by + Tb[0, 2] * bz) - (Ta[0, 0] * ax + Ta[0, 1] * ay + Ta[0, 2] * az)
+    x = (Tb[kb, 0, 3] - Ta[ka, 0, 3]) + (
+        (Tb[kb, 0, 0] * bx + Tb[kb, 0, 1] * by + Tb[kb, 0, 2] * bz)
+        - (Ta[ka, 0, 0] * ax + Ta[ka, 0, 1] * ay + Ta[ka, 0, 2] * az)
     )
-    y = (Tb[1, 3] - Ta[1, 3]) + (
-        (Tb[1, 0] * bx + Tb[1, 1] * by + Tb[1, 2] * bz) - (Ta[1, 0] * ax + Ta[1, 1] * ay + Ta[1, 2] * az)
+    y = (Tb[kb, 1, 3] - Ta[ka, 1, 3]) + (
+        (Tb[kb, 1, 0] * bx + Tb[kb, 1, 1] * by + Tb[kb, 1, 2] * bz)
+        - (Ta[ka, 1, 0] * ax + Ta[ka, 1, 1] * ay + Ta[ka, 1, 2] * az)
     )
-    z = (Tb[2, 3] - Ta[2, 3]) + (
-        (Tb[2, 0] * bx + Tb[2, 1] * by + Tb[2, 2] * bz) - (Ta[2, 0] * ax + Ta[2, 1] * ay + Ta[2, 2] * az)
+    z = (Tb[kb, 2, 3] - Ta[ka, 2, 3]) + (
+        (Tb[kb, 2, 0] * bx + Tb[kb, 2, 1] * by + Tb[kb, 2, 2] * bz)
+        - (Ta[ka, 2, 0] * ax + Ta[ka, 2, 1] * ay + Ta[ka, 2, 2] * az)
     )
     return x, y, z
 
@@ -188,21 +191,21 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
     `pair`, `pi`, `pj`, `pa`, `pb` say for each lane which pair, pieces and poses it stands for; they are compacted
     along with the lanes.
     """
-    hot_a = a[7]
-    hot_b = b[7]
+    ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[7]
+    tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[7]
     for lane in range(count):
-        i, j, A, B = pi[lane], pj[lane], Ta[pa[lane]], Tb[pb[lane]]
+        i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
         _copy(S, CENTER_A, lane, hot_a, i, OUTER_CENTER, 3)
         _copy(S, CENTER_B, lane, hot_b, j, OUTER_CENTER, 3)
         for c in range(3):
-            S[(SHIFT + c) * LANES + lane] = B[c, 3] - A[c, 3]
+            S[(SHIFT + c) * LANES + lane] = Tb[kb, c, 3] - Ta[ka, c, 3]
         S[RADII * LANES + lane] = hot_a[i, OUTER_RADIUS] + hot_b[j, OUTER_RADIUS]
         S[REACHES * LANES + lane] = hot_a[i, REACH] + hot_b[j, REACH]
         if posed:
             for r in range(3):
                 for c in range(3):
-                    S[(ROT_A + 3 * r + c) * LANES + lane] = A[r, c]
-                    S[(ROT_B + 3 * r + c) * LANES + lane] = B[r, c]
+                    S[(ROT_A + 3 * r + c) * LANES + lane] = Ta[ka, r, c]
+                    S[(ROT_B + 3 * r + c) * LANES + lane] = Tb[kb, r, c]
     padded = _padded(count)
     _fill(S, CENTER_A, SIZE - CENTER_A, count, padded)
     if posed:
@@ -293,19 +296,19 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
         k = pair[lane]
         if out[k] == COLLIDING:
             continue
-        i, j, A, B = pi[lane], pj[lane], Ta[pa[lane]], Tb[pb[lane]]
+        i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
         overlap = S[IN_LEVEL * LANES + lane] <= 1.0
         if full:
             overlap = overlap or S[IN_DISTANCE * LANES + lane] <= margin
         elif not overlap and not S[IN_DOUBT * LANES + lane] > 1.0:
-            x, y, z = _center_offset(a[0], i, A, b[0], j, B, INNER_CENTER)
+            x, y, z = _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, INNER_CENTER)
             overlap = _refined_inner(S, lane, posed, x, y, z) <= 1.0
         if overlap:
             out[k] = COLLIDING
             tally[BY_INNER] += 1
         elif mode == EXACT:
             verdict, tier = exact_piece_pair(
-                a, i, A, b, j, B, margin,
+                ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin,
                 S[OUT_NORMAL * LANES + lane], S[(OUT_NORMAL + 1) * LANES + lane], S[(OUT_NORMAL + 2) * LANES + lane],
                 S[IN_NORMAL * LANES + lane], S[(IN_NORMAL + 1) * LANES + lane], S[(IN_NORMAL + 2) * LANES + lane],
                 S[IN_POINT * LANES + lane], S[(IN_POINT + 1) * LANES + lane], S[(IN_POINT + 2) * LANES + lane],
@@ -316,9 +319,7 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
                 out[k] = verdict
         elif mode == ESTIMATE:
             tally[OPEN] += 1
-            guess = estimated_distance(
-                S[OUT_F * LANES + lane], S[IN_F * LANES + lane], S[OUT_WIDTH * LANES + lane]
-            )
+            guess = estimated_distance(S[OUT_F * LANES + lane], S[IN_F * LANES + lane], S[OUT_WIDTH * LANES + lane])
             # Written so that NaN, which only a broken input could bring this far, counts as colliding.
             if not guess > margin:
                 out[k] = COLLIDING
@@ -357,16 +358,29 @@ def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, bod
     pj = np.empty(LANES, np.int64)
     pa = np.empty(LANES, np.int64)
     pb = np.empty(LANES, np.int64)
+    start_a, start_b = a[4], b[4]
     posed = not (_unturned(Ta) and _unturned(Tb))
     count = 0
+    # Walk the last axis by adding strides; only its end costs divisions.
+    last = shape.shape[0] - 1
+    here = shape[last]
+    ia, ib, ka, kb = 0, 0, 0, 0
     for k in range(start, stop):
         out[k] = FREE
-        ia = row_of(k, shape, body_a)
-        ib = row_of(k, shape, body_b)
-        ka = row_of(k, shape, pose_a)
-        kb = row_of(k, shape, pose_b)
-        for i in range(a[4][ia], a[4][ia + 1]):
-            for j in range(b[4][ib], b[4][ib + 1]):
+        if here == shape[last] or k == start:
+            here = k % shape[last]
+            ia = row_of(k, shape, body_a)
+            ib = row_of(k, shape, body_b)
+            ka = row_of(k, shape, pose_a)
+            kb = row_of(k, shape, pose_b)
+        else:
+            ia += body_a[last]
+            ib += body_b[last]
+            ka += pose_a[last]
+            kb += pose_b[last]
+        here += 1
+        for i in range(start_a[ia], start_a[ia + 1]):
+            for j in range(start_b[ib], start_b[ib + 1]):
                 if out[k] == COLLIDING:
                     break
                 pair[count] = k

@@ -131,7 +131,7 @@ def inner_bound(ta, i, Ta, tb, j, Tb, size):
 
 
 @njit()
-def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, d, work, result):
+def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result):
     """Signed distance of two pieces.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
@@ -141,17 +141,17 @@ def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, d, work,
     distance, gap : float
         The signed distance of the witnesses, and how far the bounds on it are apart.
     """
-    dx = Tb[0, 3] - Ta[0, 3]
-    dy = Tb[1, 3] - Ta[1, 3]
-    dz = Tb[2, 3] - Ta[2, 3]
-    error = rounding_error(a[0], i, b[0], j, dx, dy, dz)
+    dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
+    dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
+    dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
+    error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
     status, lower, upper, k = run(
-        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
     )
-    ra = a[0][i, ROUNDING]
-    rb = b[0][j, ROUNDING]
+    ra = ta[i, ROUNDING]
+    rb = tb[j, ROUNDING]
     if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
         gap = upper - lower
         for c in range(3):
@@ -165,7 +165,7 @@ def exact_piece_distance(a, i, Ta, b, j, Tb, nx, ny, nz, G, weights, v, d, work,
         # The depth sought is the upper bound: the support plane of the normal that comes with it.
         accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
         shallow, deep = penetration(
-            a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, accuracy,
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy,
             S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
         )  # fmt: skip
         lower = -deep - ra - rb
@@ -194,8 +194,10 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
     for k in range(start, stop):
         ia = row_of(k, shape, body_a)
         ib = row_of(k, shape, body_b)
-        A = Ta[row_of(k, shape, pose_a)]
-        B = Tb[row_of(k, shape, pose_b)]
+        ka = row_of(k, shape, pose_a)
+        kb = row_of(k, shape, pose_b)
+        A = Ta[ka]
+        B = Tb[kb]
         lower[k] = np.inf
         upper[k] = np.inf
         estimate[k] = np.inf
@@ -222,7 +224,9 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
                     guess = estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
-                    value, gap = exact_piece_distance(a, i, A, b, j, B, nx, ny, nz, G, weights, v, d, work, result)
+                    value, gap = exact_piece_distance(
+                        ta, a[1], a[2], i, Ta, ka, tb, b[1], b[2], j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result
+                    )
                     if not gap <= SETTLED * size:
                         status[k] = NOT_SETTLED
                     if value < distance[k]:

@@ -26,6 +26,12 @@ CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
 
 @njit()
+def _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+    """`minkowski_support`, called instead of inlined: there are many calls here and each is rare."""
+    minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
+
+
+@njit()
 def _face(S, corners, normals, offsets, f):
     """Form the outward unit normal and offset of face f; False if it has no area to speak of."""
     a = corners[f, 0]
@@ -60,10 +66,10 @@ def _face(S, corners, normals, offsets, f):
 
 
 @njit()
-def _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S):
+def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S):
     """Four support points that span a volume, written to rows 0..3 of S."""
-    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, 1.0, 0.0, 0.0, S, 0)
-    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -1.0, 0.0, 0.0, S, 1)
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, 1.0, 0.0, 0.0, S, 0)
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -1.0, 0.0, 0.0, S, 1)
     # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
@@ -74,12 +80,12 @@ def _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S):
         px, py, pz = ez, 0.0, -ex
     else:
         px, py, pz = -ey, ex, 0.0
-    _farther(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, px, py, pz, S, 2)
+    _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, px, py, pz, S, 2)
     ux = S[2, 0] - S[0, 0]
     uy = S[2, 1] - S[0, 1]
     uz = S[2, 2] - S[0, 2]
     _farther(
-        ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz,
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
         ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, 3,
     )  # fmt: skip
 
@@ -101,16 +107,16 @@ def _volume(S):
 
 
 @njit()
-def _farther(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k):
+def _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not length > 0.0:
         nx, ny, nz, length = 1.0, 0.0, 0.0, 1.0
     nx /= length
     ny /= length
     nz /= length
-    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k)
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
     one = nx * (S[k, 0] - S[0, 0]) + ny * (S[k, 1] - S[0, 1]) + nz * (S[k, 2] - S[0, 2])
-    minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, k + 1)
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, k + 1)
     two = nx * (S[k + 1, 0] - S[0, 0]) + ny * (S[k + 1, 1] - S[0, 1]) + nz * (S[k + 1, 2] - S[0, 2])
     if abs(two) > abs(one):
         for c in range(9):
@@ -208,8 +214,8 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
 
 
 @njit()
-def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, accuracy, S, corners, neighbors, normals, offsets,
-                alive, free, horizon, stack, result):  # fmt: skip
+def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy, S, corners, neighbors, normals,
+                offsets, alive, free, horizon, stack, result):  # fmt: skip
     """Depth of the cores' penetration.
 
     Parameters
@@ -228,7 +234,7 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, accuracy, S, c
     """
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     tolerance = error * (accuracy / POSITION_ROUNDINGS)
-    _first_tetrahedron(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, S)
+    _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S)
     for f in range(4):
         alive[f] = True
     # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
@@ -267,7 +273,7 @@ def penetration(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, accuracy, S, c
         ny = normals[nearest, 1]
         nz = normals[nearest, 2]
         # The least along -n is the farthest along n.
-        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, -nx, -ny, -nz, S, used)
+        _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         upper = min(upper, height)
         last = nearest

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import inline, njit
 from loewner._kernels.epa import CONTACT_ACCURACY, penetration, workspace
 from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
 from loewner._kernels.shapes import INNER_CENTER, core_height, inside_by
@@ -13,8 +13,8 @@ from loewner._kernels.verdicts import AMBIGUOUS, BY_POINT, BY_SEARCH, BY_SUPPORT
 FACE_ROUNDINGS = 6000.0
 
 
-@njit()
-def support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, nx, ny, nz):
+@inline
+def support_gap(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz):
     """Certified lower bound on the distance of two pieces along a direction from a to b."""
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not (0.0 < length < np.inf):
@@ -22,29 +22,31 @@ def support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, nx, ny, nz):
     nx /= length
     ny /= length
     nz /= length
-    ahead = core_height(a[0], a[1], a[2], i, Ta, nx, ny, nz)
-    behind = core_height(b[0], b[1], b[2], j, Tb, -nx, -ny, -nz)
-    gap = (nx * dx + ny * dy + nz * dz) - ahead - behind - swollen_radii(a[0], i, Ta, b[0], j, Tb)
-    return gap - rounding_error(a[0], i, b[0], j, dx, dy, dz)
+    ahead = core_height(ta, la, xa, i, Ta, ka, nx, ny, nz)
+    behind = core_height(tb, lb, xb, j, Tb, kb, -nx, -ny, -nz)
+    gap = (nx * dx + ny * dy + nz * dz) - ahead - behind - swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
+    return gap - rounding_error(ta, i, tb, j, dx, dy, dz)
 
 
-@njit()
-def holds_point(a, i, T, x, y, z, error):
+@inline
+def holds_point(ta, la, fa, i, T, t, x, y, z, error):
     """Tell whether a point, relative to the body's translation, is surely inside a placed piece."""
     # Rᵀ maps the point back; it inverts R only as far as R is orthonormal, hence a check of the
     # way forth: the point tested is R y, within `error` of the point meant.
-    u = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
-    v = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
-    w = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
-    rx = T[0, 0] * u + T[0, 1] * v + T[0, 2] * w - x
-    ry = T[1, 0] * u + T[1, 1] * v + T[1, 2] * w - y
-    rz = T[2, 0] * u + T[2, 1] * v + T[2, 2] * w - z
+    u = T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z
+    v = T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z
+    w = T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z
+    rx = T[t, 0, 0] * u + T[t, 0, 1] * v + T[t, 0, 2] * w - x
+    ry = T[t, 1, 0] * u + T[t, 1, 1] * v + T[t, 1, 2] * w - y
+    rz = T[t, 2, 0] * u + T[t, 2, 1] * v + T[t, 2, 2] * w - z
     away = np.sqrt(rx * rx + ry * ry + rz * rz)
-    return inside_by(a[0], a[1], a[3], i, u, v, w) > error + 2.0 * away
+    return inside_by(ta, la, fa, i, u, v, w) > error + 2.0 * away
 
 
 @njit()
-def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py, pz, S, weights, v, d):
+def exact_piece_pair(
+    ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin, ox, oy, oz, ix, iy, iz, px, py, pz, S, weights, v, d
+):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
     Parameters
@@ -59,30 +61,31 @@ def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py,
     verdict, tier : int
         AMBIGUOUS with tier OPEN if the search could not settle it.
     """
-    dx = Tb[0, 3] - Ta[0, 3]
-    dy = Tb[1, 3] - Ta[1, 3]
-    dz = Tb[2, 3] - Ta[2, 3]
-    outer_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ox, oy, oz)
+    dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
+    dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
+    dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
+    outer_gap = support_gap(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, ox, oy, oz)
     if outer_gap > margin:
         return FREE, BY_SUPPORT
-    inner_gap = support_gap(a, i, Ta, b, j, Tb, dx, dy, dz, ix, iy, iz)
+    inner_gap = support_gap(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, ix, iy, iz)
     if inner_gap > margin:
         return FREE, BY_SUPPORT
-    error = rounding_error(a[0], i, b[0], j, dx, dy, dz)
+    error = rounding_error(ta, i, tb, j, dx, dy, dz)
     c = INNER_CENTER
-    table = a[0]
-    x = px + Ta[0, 0] * table[i, c] + Ta[0, 1] * table[i, c + 1] + Ta[0, 2] * table[i, c + 2]
-    y = py + Ta[1, 0] * table[i, c] + Ta[1, 1] * table[i, c + 1] + Ta[1, 2] * table[i, c + 2]
-    z = pz + Ta[2, 0] * table[i, c] + Ta[2, 1] * table[i, c + 1] + Ta[2, 2] * table[i, c + 2]
+    x = px + Ta[ka, 0, 0] * ta[i, c] + Ta[ka, 0, 1] * ta[i, c + 1] + Ta[ka, 0, 2] * ta[i, c + 2]
+    y = py + Ta[ka, 1, 0] * ta[i, c] + Ta[ka, 1, 1] * ta[i, c + 1] + Ta[ka, 1, 2] * ta[i, c + 2]
+    z = pz + Ta[ka, 2, 0] * ta[i, c] + Ta[ka, 2, 1] * ta[i, c + 1] + Ta[ka, 2, 2] * ta[i, c + 2]
     depth = error * FACE_ROUNDINGS
-    if holds_point(a, i, Ta, x, y, z, depth) and holds_point(b, j, Tb, x - dx, y - dy, z - dz, depth):
+    if holds_point(ta, la, fa, i, Ta, ka, x, y, z, depth) and holds_point(
+        tb, lb, fb, j, Tb, kb, x - dx, y - dy, z - dz, depth
+    ):
         return COLLIDING, BY_POINT
     if inner_gap > outer_gap:
         ox, oy, oz = ix, iy, iz
     if not ox * ox + oy * oy + oz * oz > 0.0:
         ox, oy, oz = 1.0, 0.0, 0.0
     status, _, _, _ = run(
-        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, ox, oy, oz, margin, True, S, weights, v, d
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, ox, oy, oz, margin, True, S, weights, v, d
     )
     if status == APART:
         return FREE, BY_SEARCH
@@ -92,10 +95,10 @@ def exact_piece_pair(a, i, Ta, b, j, Tb, margin, ox, oy, oz, ix, iy, iz, px, py,
     # contact from inside; its work space is made only here, where hardly any pair ever comes.
     work = workspace(True)
     shallow, deep = penetration(
-        a[0], a[1], a[2], i, Ta, b[0], b[1], b[2], j, Tb, dx, dy, dz, CONTACT_ACCURACY,
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, CONTACT_ACCURACY,
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], np.empty(9),
     )  # fmt: skip
-    radii = swollen_radii(a[0], i, Ta, b[0], j, Tb)
+    radii = swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
     if -deep - radii - error > margin:
         return FREE, BY_SEARCH
     if shallow + radii >= -margin - TOUCH_ROUNDINGS * error:

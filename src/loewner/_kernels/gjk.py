@@ -11,7 +11,7 @@ doi:10.1080/10867651.1999.10487502 (termination by the support plane).
 
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import inline, njit
 from loewner._kernels.contact import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.shapes import REACH, ROUNDING, placed_support
 from loewner._kernels.simplex import closest, direction
@@ -32,11 +32,11 @@ ERROR_SHARE = 0.125
 TOUCH_ROUNDINGS = 128.0
 
 
-@njit()
-def minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, S, k):
+@inline
+def minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
     """Write to row k of S the point of A - B that lies least far along n, and where it came from."""
-    ax, ay, az = placed_support(ta, la, xa, i, Ta, -nx, -ny, -nz)
-    bx, by, bz = placed_support(tb, lb, xb, j, Tb, nx, ny, nz)
+    ax, ay, az = placed_support(ta, la, xa, i, Ta, ka, -nx, -ny, -nz)
+    bx, by, bz = placed_support(tb, lb, xb, j, Tb, kb, nx, ny, nz)
     bx += dx
     by += dy
     bz += dz
@@ -51,33 +51,35 @@ def minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, 
     S[k, 8] = bz
 
 
-@njit()
+@inline
 def rounding_error(ta, i, tb, j, dx, dy, dz):
     """Bound on the error of any computed dot product of a unit vector with a point of A - B."""
     return POSITION_ROUNDINGS * (ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz))
 
 
 @njit()
-def stretch(T):
+def stretch(T, t):
     """Bound on how much a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
     squares = 0.0
     for a in range(3):
         for b in range(3):
-            entry = T[0, a] * T[0, b] + T[1, a] * T[1, b] + T[2, a] * T[2, b] - (1.0 if a == b else 0.0)
+            entry = (
+                T[t, 0, a] * T[t, 0, b] + T[t, 1, a] * T[t, 1, b] + T[t, 2, a] * T[t, 2, b] - (1.0 if a == b else 0.0)
+            )
             squares += entry * entry
     return np.sqrt(1.0 + np.sqrt(squares) + 16.0 * UNIT_ROUNDOFF)
 
 
-@njit()
-def swollen_radii(ta, i, Ta, tb, j, Tb):
+@inline
+def swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb):
     """Sum of the rounding radii, as large as the two poses can make them."""
     if ta[i, ROUNDING] == 0.0 and tb[j, ROUNDING] == 0.0:
         return 0.0
-    return ta[i, ROUNDING] * stretch(Ta) + tb[j, ROUNDING] * stretch(Tb)
+    return ta[i, ROUNDING] * stretch(Ta, ka) + tb[j, ROUNDING] * stretch(Tb, kb)
 
 
 @njit()
-def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v, d):
+def run(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v, d):
     """Run GJK from the separating direction n (from A to B; any non-zero vector will do).
 
     Parameters
@@ -100,7 +102,7 @@ def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, set
     """
     radii = ta[i, ROUNDING] + tb[j, ROUNDING]
     reach = limit + radii
-    far = limit + swollen_radii(ta, i, Ta, tb, j, Tb)
+    far = limit + swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     lower = -np.inf
     norm = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -111,7 +113,7 @@ def run(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, nx, ny, nz, limit, set
     length = np.inf
     stalls = 0
     for _ in range(MAX_ROUNDS):
-        minkowski_support(ta, la, xa, i, Ta, tb, lb, xb, j, Tb, dx, dy, dz, d[0], d[1], d[2], S, k)
+        minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, d[0], d[1], d[2], S, k)
         plane = d[0] * S[k, 0] + d[1] * S[k, 1] + d[2] * S[k, 2]
         if plane - error > lower:
             lower = plane - error

@@ -23,7 +23,7 @@ whose cores are a segment and a point).
 
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import inline
 
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
@@ -43,7 +43,7 @@ PAD = 4
 KIND, POINTS_FROM, POINTS_TO, PLANES_FROM, PLANES_TO = 0, 1, 2, 3, 4
 
 
-@njit()
+@inline
 def farthest(points, start, stop, x, y, z):
     """Column of the point with the largest dot product.
 
@@ -83,7 +83,7 @@ def farthest(points, start, stop, x, y, z):
     return i2 if m2 > m0 else i0
 
 
-@njit()
+@inline
 def least_slack(planes, start, stop, x, y, z):
     """Smallest offset - n·x over the planes start .. stop; the same four searches."""
     m0 = np.inf
@@ -98,7 +98,7 @@ def least_slack(planes, start, stop, x, y, z):
     return min(min(m0, m1), min(m2, m3))
 
 
-@njit()
+@inline
 def unit_support(kind, x, y, z):
     """Farthest point of a unit shape: ball, cylinder, cone (apex at +1, base at -1) or segment."""
     if kind == ELLIPSOID:
@@ -121,7 +121,7 @@ def unit_support(kind, x, y, z):
     return x / length, y / length, -1.0
 
 
-@njit()
+@inline
 def core_support(table, layout, points, piece, x, y, z):
     """Farthest point of a piece's core along a direction, both in the body frame."""
     kind = layout[piece, KIND]
@@ -146,12 +146,12 @@ def core_support(table, layout, points, piece, x, y, z):
     )
 
 
-@njit()
-def core_height(table, layout, points, piece, T, x, y, z):
+@inline
+def core_height(table, layout, points, piece, T, t, x, y, z):
     """Support value of a rotated (not translated) core along a direction in the world's axes."""
-    u = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
-    v = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
-    w = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    u = T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z
+    v = T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z
+    w = T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z
     if layout[piece, KIND] == POLYTOPE:
         i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], u, v, w)
         return points[0, i] * u + points[1, i] * v + points[2, i] * w
@@ -159,26 +159,26 @@ def core_height(table, layout, points, piece, T, x, y, z):
     return a * u + b * v + c * w
 
 
-@njit()
-def placed_support(table, layout, points, piece, T, x, y, z):
+@inline
+def placed_support(table, layout, points, piece, T, t, x, y, z):
     """Farthest point of a rotated (not translated) core along a direction in the world's axes."""
     a, b, c = core_support(
         table,
         layout,
         points,
         piece,
-        T[0, 0] * x + T[1, 0] * y + T[2, 0] * z,
-        T[0, 1] * x + T[1, 1] * y + T[2, 1] * z,
-        T[0, 2] * x + T[1, 2] * y + T[2, 2] * z,
+        T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z,
+        T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z,
+        T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z,
     )
     return (
-        T[0, 0] * a + T[0, 1] * b + T[0, 2] * c,
-        T[1, 0] * a + T[1, 1] * b + T[1, 2] * c,
-        T[2, 0] * a + T[2, 1] * b + T[2, 2] * c,
+        T[t, 0, 0] * a + T[t, 0, 1] * b + T[t, 0, 2] * c,
+        T[t, 1, 0] * a + T[t, 1, 1] * b + T[t, 1, 2] * c,
+        T[t, 2, 0] * a + T[t, 2, 1] * b + T[t, 2, 2] * c,
     )
 
 
-@njit()
+@inline
 def inside_by(table, layout, planes, piece, x, y, z):
     """How far inside a piece a point of the body frame lies: a lower bound, negative outside.
 
