@@ -182,7 +182,7 @@ class _Bodies:
     @property
     def nbytes(self) -> int:
         """Memory held by all arrays, in bytes."""
-        return sum(getattr(self._packed, name).nbytes for name in ARRAYS) + self._packed.kernel[0].nbytes
+        return sum(int(array.nbytes) for array in (*_arrays(self._packed).values(), *self._packed.kernel))
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -560,7 +560,7 @@ def _ranges(starts: Ints, stops: Ints) -> Ints:
     if lengths.sum() == 0:
         return np.zeros(0, dtype=np.int64)
     offsets = np.repeat(starts - np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
-    return np.arange(lengths.sum()) + offsets
+    return np.asarray(np.arange(lengths.sum()) + offsets)
 
 
 def _padded(starts: Ints, stops: Ints) -> tuple[Ints, Ints]:
@@ -684,12 +684,12 @@ def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Coverin
     target = Path(path)
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
-    header = {"format": FORMAT, "version": VERSION, "digest": _digest(arrays)}
+    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "digest": _digest(arrays), **arrays}
     temporary = None
     try:
         descriptor, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.stem, suffix=".tmp")
         with os.fdopen(descriptor, "wb") as stream:
-            np.savez_compressed(stream, **header, **arrays)
+            np.savez_compressed(stream, **content)
         os.replace(temporary, target)
     except OSError as error:
         if temporary is not None and os.path.exists(temporary):

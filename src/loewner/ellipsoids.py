@@ -96,9 +96,7 @@ class Ellipsoids:
             raise GeometryError("shape_matrix: expected a positive definite matrix") from None
 
     @classmethod
-    def from_semi_axes(
-        cls, center: ArrayLike, semi_axes: ArrayLike, rotation: ArrayLike | None = None
-    ) -> Ellipsoids:
+    def from_semi_axes(cls, center: ArrayLike, semi_axes: ArrayLike, rotation: ArrayLike | None = None) -> Ellipsoids:
         """Build from semi-axis lengths and an orthogonal matrix whose columns are the axes.
 
         Parameters
@@ -128,7 +126,7 @@ class Ellipsoids:
     @property
     def dim(self) -> int:
         """Dimension n of the space."""
-        return self.center.shape[-1]
+        return int(self.center.shape[-1])
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -159,7 +157,7 @@ class Ellipsoids:
     @property
     def semi_axes(self) -> Floats:
         """Semi-axis lengths, longest first, shape (..., n), in metres."""
-        return np.linalg.svd(self.factor, compute_uv=False)
+        return np.asarray(np.linalg.svd(self.factor, compute_uv=False), dtype=np.float64)
 
     @property
     def rotation(self) -> Floats:
@@ -200,7 +198,7 @@ class Ellipsoids:
         length = np.linalg.norm(w, axis=-1, keepdims=True)
         if not (length > 0).all():
             raise InputError("direction: expected a non-zero vector, found zero")
-        return self.center + np.einsum("...ij,...j->...i", self.factor, w / length)
+        return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Tell whether points lie inside or on the ellipsoid, in plain float64 arithmetic.

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config, event
+from numba.core import event
+
+_config: Any = numba.config  # its settings are made at run time; no type knows them
 
 # Contraction (fused multiply-add) drops roundings and adds none, so every error bound stays
 # valid. Nothing that reorders or assumes away NaN is allowed here.
@@ -78,13 +80,13 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(error_model="numpy", fastmath=FASTMATH, nogil=True, **options)(function)
-        if _CACHING and not config.DISABLE_JIT:
-            before = config.CACHE_DIR
-            config.CACHE_DIR = str(CACHE_FOLDER)
+        if _CACHING and not _config.DISABLE_JIT:
+            before = _config.CACHE_DIR
+            _config.CACHE_DIR = str(CACHE_FOLDER)
             try:
                 dispatcher.enable_caching()
             finally:
-                config.CACHE_DIR = before
+                _config.CACHE_DIR = before
         return dispatcher
 
     return decorate
