@@ -18,9 +18,11 @@ from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as hull_kernel
 from loewner._kernels import mvce as mvce_kernel
 from loewner._kernels import mvie as mvie_kernel
+from loewner._threads import over_blocks
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
+    BLOCK,
     FLATNESS,
     Polytope,
     Progress,
@@ -29,7 +31,6 @@ from loewner.polytopes import (
     check_halfspaces,
     flat_error,
     interior_point,
-    over_blocks,
     writeable,
 )
 
@@ -273,7 +274,7 @@ def _fit_all(
     def run(first: int, last: int) -> None:
         kernel.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
 
-    for _ in over_blocks(run, total, progress):
+    for _ in over_blocks(run, total, BLOCK, progress):
         pass
     return inner, outer, info
 

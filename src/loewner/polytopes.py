@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,13 +14,13 @@ from loewner._check import Floats
 from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as kernel
 from loewner._kernels.mvce import FLAT
+from loewner._threads import over_blocks
 from loewner.errors import GeometryError, InputError
 
 # SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
 
 Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
-T = TypeVar("T")
 
 # Hulls or pieces per block of a batch: a progress report every 10 to 50 ms, and work enough for every thread.
 BLOCK = 512
@@ -157,26 +155,6 @@ def check_size(size: float, name: str) -> None:
 def writeable(array: NDArray[Any]) -> NDArray[Any]:
     """Return `array`, or a copy if it is read-only: to Numba that is another type, compiled all over again."""
     return array if array.flags.writeable else array.copy()
-
-
-def over_blocks(run: Callable[[int, int], T], total: int, progress: Progress | None) -> Iterator[T]:
-    """Yield run(first, last) over blocks of 0..total in order, on as many threads as Numba is set to use.
-
-    For work that spends its time outside the interpreter lock: kernels and Qhull. The first error ends it.
-    """
-    starts = range(0, total, BLOCK)
-    threads = min(numba.get_num_threads(), len(starts))
-    pool = ThreadPoolExecutor(threads) if threads > 1 else None
-    try:
-        for start, result in zip(
-            starts, (pool.map if pool else map)(lambda i: run(i, min(i + BLOCK, total)), starts), strict=True
-        ):
-            yield result
-            if progress is not None:
-                progress(min(start + BLOCK, total), total)
-    finally:
-        if pool:
-            pool.shutdown(cancel_futures=True)
 
 
 def flat_error(name: str, n: int, axis: int, width: float, size: float) -> GeometryError:
@@ -344,7 +322,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
         sets = point_sets[first:last]
         return [_hull(_check.finite_array(x, name, (None, 3)), name) for x, name in zip(sets, names, strict=True)]
 
-    for block in over_blocks(run, len(point_sets), progress):
+    for block in over_blocks(run, len(point_sets), BLOCK, progress):
         parts.extend(block)
 
     def start(column: int) -> Ints:

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import batch, distances, verdicts
+from loewner._threads import over_blocks
 from loewner.bodies import Bodies, Body
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
-# A thread's share of a batch: large enough that handing it out costs nothing, small enough that
-# the last one is not waited for.
-CHUNK = 2048
+# The smallest share of a batch that is worth handing to a thread.
+CHUNK = 4096
 
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
@@ -139,13 +139,20 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> tuple[NDArray
 def _settle(mode: int, margin: float, pairs: _Batch) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """Verdict of every pair, and how many piece pairs each tier settled."""
     out = np.empty(pairs.count, dtype=np.int8)
-    chunks = max(1, -(-pairs.count // CHUNK))
-    tallies = np.zeros((chunks, verdicts.TIERS), dtype=np.int64)
-    if chunks == 1 or numba.get_num_threads() == 1:
-        batch.settle_range(mode, margin, 0, pairs.count, *pairs.arguments, out, tallies[0])
-    else:
-        batch.settle_parallel(mode, margin, CHUNK, *pairs.arguments, out, tallies)
-    return out, tallies.sum(axis=0)
+
+    def run(first: int, last: int) -> NDArray[np.int64]:
+        tally = np.zeros(verdicts.TIERS, dtype=np.int64)
+        batch.settle_range(mode, margin, first, last, *pairs.arguments, out, tally)
+        return tally
+
+    if pairs.count <= CHUNK:
+        return out, run(0, pairs.count)
+    return out, np.sum(list(over_blocks(run, pairs.count, _block(pairs.count))), axis=0)
+
+
+def _block(count: int) -> int:
+    """Pairs a thread takes at a time: a few shares each, so that the last one is not waited for."""
+    return max(CHUNK, -(-count // (4 * numba.get_num_threads())))
 
 
 def classify(
@@ -265,7 +272,12 @@ def collide(
         out, _ = _settle(verdicts.ESTIMATE, keep, pairs)
     else:
         out, _ = _settle(verdicts.CERTIFY, keep, pairs)
-        distances.rule_range(code, keep, 0, pairs.count, *pairs.arguments, out)
+
+        def run(first: int, last: int) -> None:
+            distances.rule_range(code, keep, first, last, *pairs.arguments, out)
+
+        for _ in over_blocks(run, pairs.count, _block(pairs.count)):
+            pass
     colliding = out == Verdict.COLLIDING
     return bool(colliding[0]) if pairs.shape == () else colliding.reshape(pairs.shape)
 
@@ -317,10 +329,12 @@ def distance(
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
-    if n <= CHUNK or numba.get_num_threads() == 1:
-        distances.distance_range(exact, code, 0, n, *pairs.arguments, *numbers, *vectors, status)
-    else:
-        distances.distance_parallel(exact, code, CHUNK, *pairs.arguments, *numbers, *vectors, status)
+
+    def run(first: int, last: int) -> None:
+        distances.distance_range(exact, code, first, last, *pairs.arguments, *numbers, *vectors, status)
+
+    for _ in over_blocks(run, n, _block(n)):
+        pass
     _refuse_unsettled(status != 0, "distance")
 
     def shaped(x: Floats) -> Any:

@@ -5,7 +5,6 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 """
 
 import numpy as np
-from numba import prange
 
 from loewner._kernels import lanes
 from loewner._kernels._jit import inline, njit
@@ -407,14 +406,3 @@ def _unturned(T):
             if T[0, r, c] != (1.0 if r == c else 0.0):
                 return False
     return True
-
-
-@njit(parallel=True)
-def settle_parallel(mode, margin, chunk, shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b, out, tallies):
-    """`settle_range` over chunks of pairs on all threads; each chunk has its own tally row."""
-    n = out.shape[0]
-    for c in prange(tallies.shape[0]):
-        settle_range(
-            mode, margin, c * chunk, min(n, (c + 1) * chunk), shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b,
-            out, tallies[c],
-        )  # fmt: skip

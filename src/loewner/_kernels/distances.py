@@ -5,7 +5,6 @@ piece pairs.
 """
 
 import numpy as np
-from numba import prange
 
 from loewner._kernels._jit import njit
 from loewner._kernels.batch import estimated_distance, row_of
@@ -283,13 +282,3 @@ def rule_range(rule, margin, start, stop, shape, a, body_a, Ta, pose_a, b, body_
                 # NaN counts as colliding, as it should never arise and must not free anybody.
                 if not estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo) > margin:
                     out[k] = 1
-
-
-@njit(parallel=True)
-def distance_parallel(exact, rule, chunk, shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b, lower, upper, estimate,
-                      distance, witness_a, witness_b, normal, status):  # fmt: skip
-    """`distance_range` over chunks of pairs on all threads."""
-    n = lower.shape[0]
-    for c in prange((n + chunk - 1) // chunk):
-        distance_range(exact, rule, c * chunk, min(n, (c + 1) * chunk), shape, a, body_a, Ta, pose_a, b, body_b, Tb,
-                       pose_b, lower, upper, estimate, distance, witness_a, witness_b, normal, status)  # fmt: skip

@@ -1,0 +1,36 @@
+"""Work in blocks on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
+
+A pool of ordinary threads rather than Numba's own: compiling a parallel loop takes several times as long
+as the loop itself, and Numba's default threading layer aborts the process when two of a caller's
+threads enter it at once.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numba
+
+T = TypeVar("T")
+
+
+def over_blocks(
+    run: Callable[[int, int], T], total: int, block: int, progress: Callable[[int, int], None] | None = None
+) -> Iterator[T]:
+    """Yield run(first, last) over blocks of 0..total in order, on as many threads as Numba is set to use.
+
+    The first error ends it.
+    """
+    starts = range(0, total, block)
+    threads = min(numba.get_num_threads(), len(starts))
+    pool = ThreadPoolExecutor(threads) if threads > 1 else None
+    try:
+        for start, result in zip(
+            starts, (pool.map if pool else map)(lambda i: run(i, min(i + block, total)), starts), strict=True
+        ):
+            yield result
+            if progress is not None:
+                progress(min(start + block, total), total)
+    finally:
+        if pool:
+            pool.shutdown(cancel_futures=True)
