@@ -1,0 +1,252 @@
+"""The command line: exit status, what it prints, one clear line for every error."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import loewner
+from loewner import cli
+
+
+@pytest.fixture
+def saved(tmp_path, monkeypatch):
+    """A working folder with two saved boxes and two meshes."""
+    monkeypatch.chdir(tmp_path)
+    loewner.Body.box([1, 1, 1]).save("a.npz")
+    loewner.Body.box([2, 1, 1]).save("b.npz")
+    trimesh.creation.box((1, 1, 1)).export("cube.stl")
+    trimesh.creation.icosphere(subdivisions=1).export("ball.obj")
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    """Exit status, standard output and standard error of a command."""
+    status = cli.main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+# -- check --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("x", "method", "status", "word"),
+    [
+        ("5 0 0", "certified", 0, "FREE"),
+        ("5 0 0", "exact", 0, "FREE"),
+        ("1.6 0 0", "certified", 3, "AMBIGUOUS"),
+        ("1.6 0 0", "exact", 0, "FREE"),
+        ("1.5 0 0", "exact", 1, "COLLIDING"),
+        ("0 0 0", "certified", 1, "COLLIDING"),
+        ("0 0 0", "estimate", 1, "COLLIDING"),
+    ],
+)
+def test_check_status(saved, capsys, x, method, status, word):
+    """Exit status 0 free, 1 colliding (touching too), 3 ambiguous, and the word comes first."""
+    found = run(capsys, "check", "a.npz", "b.npz", "--pose-b", x, "--method", method)
+    assert found[0] == status
+    assert found[1].startswith(word)
+    assert found[2] == ""
+
+
+def test_check_prints_the_exact_distance(saved, capsys):
+    """Boxes with faces at 0.5 and 1.6 - 1: 0.1 m apart along x."""
+    out = run(capsys, "check", "a.npz", "b.npz", "--pose-b", "1.6 0 0")[1]
+    assert float(re.search(r"([-+0-9.e]+) m, exact", out)[1]) == pytest.approx(0.1)
+    assert re.search(r"normal +1 -?0 -?0, from A to B", out)
+
+
+def test_check_json(saved, capsys):
+    """--json prints one JSON object that agrees with the library."""
+    status, out, _ = run(capsys, "check", "a.npz", "b.npz", "--pose-b", "0 1.25 0", "--json")
+    answer = json.loads(out)
+    assert (status, answer["verdict"], answer["method"]) == (0, "FREE", "exact")
+    assert answer["distance"] == pytest.approx(0.25)
+    assert answer["lower"] <= 0.25 <= answer["upper"]
+    assert answer["normal"] == pytest.approx([0, 1, 0])
+    assert np.subtract(answer["witness_b"], answer["witness_a"])[1] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("margin", "status"), [("0.09", 0), ("0.11", 1)])
+def test_check_margin(saved, capsys, margin, status):
+    """A margin larger than the distance makes a collision."""
+    assert run(capsys, "check", "a.npz", "b.npz", "--pose-b", "1.6 0 0", "--margin", margin)[0] == status
+
+
+def test_check_meshes_without_saving(saved, capsys):
+    """Meshes are taken as they are; a ball of radius 1 and a unit cube, one metre of air between."""
+    status, out, _ = run(capsys, "check", "cube.stl", "ball.obj", "--pose-a", "-2.5 0 0", "--json")
+    assert status == 0
+    answer = json.loads(out)
+    assert answer["distance"] == pytest.approx(1.0, abs=0.1)
+    assert answer["a_exact"]
+    assert answer["b_exact"]
+
+
+def test_poses_in_every_form_agree(saved, capsys):
+    """Numbers with a quaternion, a .npy and a .txt matrix give the same answer; -x comes first without trouble."""
+    c, s = np.cos(0.3), np.sin(0.3)
+    T = np.array([[c, -s, 0, -1.9], [s, c, 0, 0.1], [0, 0, 1, 0.2], [0, 0, 0, 1]])
+    np.save("pose.npy", T)
+    np.savetxt("pose.txt", T)
+    typed = f"-1.9 0.1 0.2 {np.cos(0.15)} 0 0 {np.sin(0.15)}"
+    distances = [
+        json.loads(run(capsys, "check", "a.npz", "b.npz", "--pose-b", pose, "--json")[1])["distance"]
+        for pose in ("pose.npy", "pose.txt", typed)
+    ]
+    expected = loewner.distance(loewner.Body.load("a.npz"), None, loewner.Body.load("b.npz"), T, exact=True).distance
+    np.testing.assert_allclose(distances, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.npz", "b.npz"], "none.npz"),
+        (["none.stl", "b.npz"], "none.stl: expected a mesh file, found no such file"),
+        (["empty.stl", "b.npz"], "empty.stl: expected a mesh file, found an empty one"),
+        (["text.npz", "b.npz"], "text.npz"),
+        (["a.npz", "b.npz", "--pose-a", "1 2"], "--pose-a: expected"),
+        (["a.npz", "b.npz", "--pose-a", "x y z"], "--pose-a: expected"),
+        (["a.npz", "b.npz", "--pose-a", "nan 0 0"], "--pose-a: expected"),
+        (["a.npz", "b.npz", "--pose-b", "0 0 0 1 1 0 0"], "--pose-b: expected a unit quaternion"),
+        (["a.npz", "b.npz", "--pose-b", "0 0 0 0 0 0 0"], "--pose-b: expected a unit quaternion"),
+        (["a.npz", "b.npz", "--pose-b", "none.npy"], "none.npy: expected a pose file"),
+        (["a.npz", "b.npz", "--pose-b", "words.txt"], "words.txt: expected a 4x4 matrix"),
+        (["a.npz", "b.npz", "--pose-b", "short.txt"], "short.txt: expected shape (4, 4), found (1, 3)"),
+        (["a.npz", "b.npz", "--pose-b", "scaled.txt"], "expected a rotation"),
+        (["a.npz", "b.npz", "--pose-b", "empty.npy"], "empty.npy: expected a 4x4 matrix"),
+        (["a.npz", "b.npz", "--margin", "-1"], "margin: expected"),
+        (["a.npz", "b.npz", "--margin", "nan"], "margin: expected"),
+        (["cube.stl", "b.npz", "--threshold", "7"], "threshold: expected"),
+    ],
+)
+def test_errors_are_one_line_with_status_2(saved, capsys, arguments, message):
+    """Each error is one line on standard error, says what was found, and shows no traceback."""
+    Path("empty.stl").touch()
+    Path("empty.npy").touch()
+    Path("text.npz").write_text("no arrays here")
+    Path("words.txt").write_text("one two\nthree four\n")
+    Path("short.txt").write_text("1 2 3\n")
+    np.savetxt("scaled.txt", np.diag([2.0, 2.0, 2.0, 1.0]))
+    status, out, err = run(capsys, "check", *arguments)
+    assert status == 2
+    assert out == ""
+    assert err.startswith("loewner: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+# -- fit ----------------------------------------------------------------------------------------
+
+
+def test_fit_saves_bodies_that_load(saved, capsys):
+    """Each mesh becomes DIR/name.npz; the table names it; the bodies answer."""
+    status, out, _ = run(capsys, "fit", "cube.stl", "ball.obj", "-o", "made/here")
+    assert status == 0
+    assert "cube.npz" in out
+    assert "convex, holds the mesh" in out
+    body = loewner.Body.load("made/here/cube.npz")
+    assert body.covering.exact
+    np.testing.assert_allclose(body.outer.semi_axes, [[np.sqrt(3) / 2] * 3], rtol=1e-4)
+    assert run(capsys, "check", "made/here/cube.npz", "made/here/ball.npz", "--pose-b", "3 0 0")[0] == 0
+
+
+def test_fit_options_reach_the_fit(saved, capsys):
+    """--hull takes the hull of two boxes; without it they are two pieces; --tol is kept."""
+    boxes = [trimesh.creation.box((1, 1, 1)), trimesh.creation.box((1, 1, 1)).apply_translation([3, 0, 0])]
+    trimesh.util.concatenate(boxes).export("two.stl")
+    run(capsys, "fit", "two.stl", "-o", "parts", "--tol", "1e-7")
+    run(capsys, "fit", "two.stl", "-o", "hulls", "--hull")
+    parts = loewner.Body.load("parts/two.npz")
+    assert len(parts.pieces) == 2
+    assert parts.gaps.max() <= 1e-7
+    assert len(loewner.Body.load("hulls/two.npz").pieces) == 1
+
+
+def test_fit_refuses_two_meshes_of_one_name(saved, capsys):
+    """a/part.stl and b/part.obj would overwrite each other."""
+    status, _, err = run(capsys, "fit", "a/part.stl", "b/part.obj", "-o", "out")
+    assert status == 2
+    assert "part.npz" in err
+    assert not Path("out").exists()
+
+
+def test_fit_stops_at_a_bad_mesh(saved, capsys):
+    """What came before it is whole; nothing is left of it."""
+    Path("bad.stl").write_bytes(Path("cube.stl").read_bytes()[:-10])
+    status, _, err = run(capsys, "fit", "cube.stl", "bad.stl", "-o", "out")
+    assert status == 2
+    assert "bad.stl" in err
+    assert [p.name for p in Path("out").iterdir()] == ["cube.npz"]
+
+
+def test_fit_into_a_file_is_an_error(saved, capsys):
+    """The output folder cannot be a file."""
+    assert run(capsys, "fit", "cube.stl", "-o", "a.npz")[0] == 2
+
+
+# -- paper --------------------------------------------------------------------------------------
+
+
+def test_paper_prints_tables_and_writes_counts(saved, capsys):
+    """All tables are printed, and the counts add up."""
+    status, out, _ = run(capsys, "paper", "--pairs", "40", "--seed", "3", "--json", "counts.json")
+    assert status == 0
+    for k in "1234":
+        assert f"Table {k} (a)" in out
+    counts = json.loads(Path("counts.json").read_text())
+    assert counts["pairs"] == 40
+    for detector in counts["detectors"]:
+        assert sum(detector["all"].values()) == 40
+
+
+@pytest.mark.parametrize("arguments", [["--pairs", "0"], ["--pairs", "-3"], ["--dataset", "cube"]])
+def test_paper_refuses(saved, capsys, arguments):
+    """Bad numbers and names are one clear line."""
+    status, _, err = run(capsys, "paper", *arguments)
+    assert status == 2
+    assert err.count("\n") == 1
+
+
+# -- the program --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [[], ["fit"], ["check"], ["paper"]])
+def test_help_has_examples(command, capsys):
+    """--help works everywhere; each command shows examples, and `check` its exit status."""
+    with pytest.raises(SystemExit) as caught:
+        cli.main([*command, "--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    if command:
+        assert f"loewner {command[0]} " in out.split("examples:")[1]
+    if command == ["check"]:
+        assert "exit status: 0 free, 1 colliding" in out
+
+
+def test_version(capsys):
+    """--version prints the package's."""
+    with pytest.raises(SystemExit):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"loewner {loewner.__version__}\n"
+
+
+def test_wrong_usage_exits_with_2(capsys):
+    """argparse's own errors have the status of all errors."""
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["check", "only-one"])
+    assert caught.value.code == 2
+
+
+def test_installed_program(saved):
+    """The program is installed, and returns its status to the shell."""
+    program = Path(sys.executable).with_name("loewner")
+    done = subprocess.run([program, "check", "a.npz", "b.npz", "--pose-b", "9 0 0"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("FREE")
