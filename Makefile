@@ -26,7 +26,7 @@ verify: $(VENV)/.dev
 	$(PYTEST) -s -m verify tests
 
 bench: $(VENV)/.dev
-	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+	$(BIN)/python benchmarks/run.py
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
