@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import loewner
-from loewner import Verdict, paper, plots
+from loewner import Verdict, cli, plots
 from robot_meshes import panda
 
 console = Console(width=None if sys.stdout.isatty() else 160)
@@ -43,11 +43,7 @@ def main() -> None:
     console.print(f"{picture}: grey wires are outer ellipsoids, green ones inner\n")
 
     console.rule(f"4. The paper's experiment, {chosen.pairs:,} pairs")
-    experiment = paper.run(chosen.pairs, out=out / "paper", json=out / "paper.json")
-    table = Table(*paper.tables.COLUMNS, caption="percent of pairs [95 % interval] / the paper's percent")
-    for row in paper.tables.rows(experiment):
-        table.add_row(*row)
-    console.print(table)
+    cli.main(["paper", "--pairs", str(chosen.pairs), "--out", str(out / "paper"), "--json", str(out / "paper.json")])
 
     console.rule(f"Done in {time.perf_counter() - started:.0f} s. What next?")
     console.print(

@@ -21,6 +21,8 @@ from loewner.errors import FileError, InputError, LoewnerError, PoseError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from loewner import paper
+
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 FIT_EXAMPLES = """examples:
@@ -295,15 +297,22 @@ def _paper(options: argparse.Namespace) -> int:
         found = paper.run(
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
-    title = f"{len(found):,} pairs, {int(found.truth.sum()):,} colliding; percent [95 %] / the paper's percent"
-    table = Table(*paper.tables.COLUMNS, title=title)
-    for row in paper.tables.rows(found):
-        table.add_row(*row)
+    title = f"{len(found):,} pairs, {int(found.truth.sum()):,} colliding; in percent, +- 95 % / the paper"
+    table = Table("table", "detector", *paper.tables.CELLS, "right", "as the paper", "us", title=title)
+    for row in paper.tables.tables(found):
+        cells = (_cell_text(cell) for cell in row.cells)
+        number, right = paper.tables.number(row.microseconds), paper.tables.percent(row.accuracy)
+        table.add_row(row.title, row.detector, *cells, right, row.statement, number)
     _print(table)
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:
             print(f"{name}: {path}")
     return 0
+
+
+def _cell_text(cell: paper.tables.Cell) -> str:
+    own = f"{100 * cell.share:.1f} +-{50 * (cell.high - cell.low):.1f}"
+    return own if cell.paper_count is None else f"{own} / {100 * cell.paper_share:.1f}"
 
 
 # -- printing -----------------------------------------------------------------------------------
