@@ -3,6 +3,7 @@
 Everything past this module may assume finite float64 in C order and rigid poses.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -72,11 +73,13 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
 
 def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
     """Check a finite number above zero (or not below it, with `zero`)."""
+    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # the usual case, quickly
+        return x
     try:
         value = float(x)
     except (TypeError, ValueError):
         raise InputError(f"{name}: expected a number, found {x!r}") from None
-    if not np.isfinite(value) or value < 0 or (value == 0 and not zero):
+    if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
         raise InputError(f"{name}: expected a finite number {'>= 0' if zero else '> 0'}, found {x!r}")
     return value
 

@@ -81,13 +81,16 @@ class Packed:
             np.ascontiguousarray(self.points[point_of].T),
             np.ascontiguousarray(self.planes[plane_of].T),
             self.piece_start,
-            self.inner_factor,
-            self.outer_factor,
             np.ascontiguousarray(table[:, : shapes.HOT]),
         )
         for array in kernel:
             array.setflags(write=False)
         object.__setattr__(self, "kernel", kernel)
+
+    @property
+    def factors(self) -> tuple[Floats, Floats]:
+        """Factors of the inner and the outer ellipsoids, for the rules that need more than shape matrices."""
+        return self.inner_factor, self.outer_factor
 
     kernel: Any = None  # set in __post_init__: the arrays of `loewner._kernels.shapes`, in order
 

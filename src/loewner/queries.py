@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -64,31 +64,29 @@ class Distance:
     normal: Any = None
 
 
-@dataclass(frozen=True)
-class _Batch:
+class _Pairs(NamedTuple):
     """Operands of a query, broadcast: what the kernels take."""
 
     shape: tuple[int, ...]
-    count: int
-    arguments: tuple[Any, ...]  # from `shape` to `pose_b`, as `batch.settle_range` orders them
+    total: int
+    operands: tuple[Any, ...]  # plan, pack of a, poses of a, pack of b, poses of b
 
 
-_ONE = np.ones(1, dtype=np.int64)
-_STAY = np.zeros(1, dtype=np.int64)
-_IDENTITY_BATCH = _check.IDENTITY.reshape(1, 4, 4).copy()
+# The plan of one pair: batch shape and the four strides, see `batch.settle_range`.
+_ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
 
 
-def _prepare(a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_world_b: ArrayLike | None) -> _Batch:
+def _prepare(a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_world_b: ArrayLike | None) -> _Pairs:
     """Check the operands and work out how they broadcast."""
-    for body, name in ((a, "a"), (b, "b")):
-        if not isinstance(body, (Body, Bodies)):
-            raise InputError(f"{name}: expected loewner.Body or loewner.Bodies, found {type(body).__name__}")
+    if not isinstance(a, (Body, Bodies)):
+        raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
+    if not isinstance(b, (Body, Bodies)):
+        raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}")
     Ta = _check.poses(T_world_a, "T_world_a")
     Tb = _check.poses(T_world_b, "T_world_b")
     pack_a, pack_b = a._packed.kernel, b._packed.kernel
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        one = (_ONE, pack_a, _STAY, Ta.reshape(1, 4, 4), _STAY, pack_b, _STAY, Tb.reshape(1, 4, 4), _STAY)
-        return _Batch((), 1, one)
+        return _Pairs((), 1, (_ONE_PAIR, pack_a, Ta.reshape(1, 4, 4), pack_b, Tb.reshape(1, 4, 4)))
 
     of_a = (len(a),) if isinstance(a, Bodies) else ()
     of_b = (len(b),) if isinstance(b, Bodies) else ()
@@ -101,12 +99,8 @@ def _prepare(a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_
             "expected bodies and poses whose batch shapes broadcast, found "
             f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
         ) from None
-    kernel_shape, strides = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
-    arguments = (
-        kernel_shape, pack_a, strides[0], Ta.reshape(-1, 4, 4), strides[1],
-        pack_b, strides[2], Tb.reshape(-1, 4, 4), strides[3],
-    )  # fmt: skip
-    return _Batch(shape, math.prod(shape), arguments)
+    plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
+    return _Pairs(shape, math.prod(shape), (plan, pack_a, Ta.reshape(-1, 4, 4), pack_b, Tb.reshape(-1, 4, 4)))
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
@@ -120,34 +114,34 @@ def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
     return strides
 
 
-def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
-    """Merge neighbouring axes that every operand walks through evenly; mostly one axis is left."""
-    axes: list[tuple[int, list[int]]] = []
+def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> NDArray[np.int64]:
+    """Merge neighbouring axes that every operand walks through evenly; mostly one axis is left.
+
+    Returns the plan: the shape that is left, then the strides of each operand, one row each.
+    """
+    axes: list[list[int]] = []
     for d, length in enumerate(shape):
         steps = [s[d] for s in strides]
-        if axes and all(outer == step * length for outer, step in zip(axes[-1][1], steps, strict=True)):
-            axes[-1] = (axes[-1][0] * length, steps)
+        if axes and all(outer == step * length for outer, step in zip(axes[-1][1:], steps, strict=True)):
+            axes[-1] = [axes[-1][0] * length, *steps]
         else:
-            axes.append((length, steps))
-    axes = [axis for axis in axes if axis[0] != 1] or [(1, [0] * len(strides))]
-    return (
-        np.array([length for length, _ in axes], dtype=np.int64),
-        [np.array([steps[k] for _, steps in axes], dtype=np.int64) for k in range(len(strides))],
-    )
+            axes.append([length, *steps])
+    axes = [axis for axis in axes if axis[0] != 1] or [[1, *([0] * len(strides))]]
+    return np.ascontiguousarray(np.array(axes, dtype=np.int64).T)
 
 
-def _settle(mode: int, margin: float, pairs: _Batch) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """Verdict of every pair, and how many piece pairs each tier settled."""
-    out = np.empty(pairs.count, dtype=np.int8)
+    out = np.empty(pairs.total, dtype=np.int8)
 
     def run(first: int, last: int) -> NDArray[np.int64]:
         tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        batch.settle_range(mode, margin, first, last, *pairs.arguments, out, tally)
+        batch.settle_range(mode, margin, first, last, *pairs.operands, out, tally)
         return tally
 
-    if pairs.count <= CHUNK:
-        return out, run(0, pairs.count)
-    return out, np.sum(list(over_blocks(run, pairs.count, _block(pairs.count))), axis=0)
+    if pairs.total <= CHUNK:
+        return out, run(0, pairs.total)
+    return out, np.sum(list(over_blocks(run, pairs.total, _block(pairs.total))), axis=0)
 
 
 def _block(count: int) -> int:
@@ -273,10 +267,12 @@ def collide(
     else:
         out, _ = _settle(verdicts.CERTIFY, keep, pairs)
 
-        def run(first: int, last: int) -> None:
-            distances.rule_range(code, keep, first, last, *pairs.arguments, out)
+        factors = a._packed.factors + b._packed.factors
 
-        for _ in over_blocks(run, pairs.count, _block(pairs.count)):
+        def run(first: int, last: int) -> None:
+            distances.rule_range(code, keep, first, last, *pairs.operands, factors, out)
+
+        for _ in over_blocks(run, pairs.total, _block(pairs.total)):
             pass
     colliding = out == Verdict.COLLIDING
     return bool(colliding[0]) if pairs.shape == () else colliding.reshape(pairs.shape)
@@ -325,13 +321,14 @@ def distance(
     """
     code = _rule_code(rule)
     pairs = _prepare(a, T_world_a, b, T_world_b)
-    n, m = pairs.count, pairs.count if exact else 0
+    n, m = pairs.total, pairs.total if exact else 0
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
+    factors = a._packed.factors + b._packed.factors
 
     def run(first: int, last: int) -> None:
-        distances.distance_range(exact, code, first, last, *pairs.arguments, *numbers, *vectors, status)
+        distances.distance_range(exact, code, first, last, *pairs.operands, factors, *numbers, *vectors, status)
 
     for _ in over_blocks(run, n, _block(n)):
         pass

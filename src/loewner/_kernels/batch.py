@@ -117,8 +117,8 @@ def _lane_shapes(S, lane, posed):
     if posed:
         a = S[ROT_A * LANES + lane : (ROT_A + 9) * LANES : LANES]
         b = S[ROT_B * LANES + lane : (ROT_B + 9) * LANES : LANES]
-        p = rotated(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], p[0], p[1], p[2], p[3], p[4], p[5])
-        q = rotated(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], q[0], q[1], q[2], q[3], q[4], q[5])
+        p = rotated(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[5], a[8], p[0], p[1], p[2], p[3], p[4], p[5])
+        q = rotated(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[5], b[8], q[0], q[1], q[2], q[3], q[4], q[5])
     return p, q
 
 
@@ -190,8 +190,8 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
     `pair`, `pi`, `pj`, `pa`, `pb` say for each lane which pair, pieces and poses it stands for; they are compacted
     along with the lanes.
     """
-    ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[7]
-    tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[7]
+    ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[5]
+    tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[5]
     for lane in range(count):
         i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
         _copy(S, CENTER_A, lane, hot_a, i, OUTER_CENTER, 3)
@@ -328,7 +328,7 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
 
 
 @njit()
-def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b, out, tally):
+def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     """Settle pairs start .. stop.
 
     Parameters
@@ -337,8 +337,8 @@ def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, bod
         CERTIFY, EXACT or ESTIMATE.
     margin : float
         Distance that pairs must keep, >= 0.
-    shape : ndarray of int64, shape (d,)
-        Batch shape; `body_a` ... `pose_b` are the strides of the four operands, in rows.
+    plan : ndarray of int64, shape (5, d)
+        Batch shape, then the strides, in rows, of a, Ta, b and Tb along its axes.
     a, b : tuple of ndarray
         Packed pieces, see `shapes`.
     Ta, Tb : ndarray, shape (..., 4, 4), one batch axis
@@ -347,6 +347,7 @@ def settle_range(mode, margin, start, stop, shape, a, body_a, Ta, pose_a, b, bod
     tally : ndarray of int64, shape (TIERS,)
         Piece pairs settled by each tier are added here.
     """
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     G = np.empty((4, 9))
     weights = np.empty(4)

@@ -177,9 +177,10 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
 
 
 @njit()
-def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b, lower, upper,
-                   estimate, distance, witness_a, witness_b, normal, status):  # fmt: skip
-    """Distances of pairs start .. stop; the last five arrays are written only if `exact`."""
+def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                   witness_a, witness_b, normal, status):  # fmt: skip
+    """Distances of pairs start .. stop, operands as in `batch`; the last five arrays are written only if `exact`."""
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     ta = a[0]
     tb = b[0]
     G = np.empty((4, 9))
@@ -216,10 +217,10 @@ def distance_range(exact, rule, start, stop, shape, a, body_a, Ta, pose_a, b, bo
                 if rule == CONTACT_PRODUCT:
                     guess = estimated_distance(F_outer, F_inner, width)
                 else:
-                    _world_ellipsoid(ta, a[5], i, A, B, INNER_CENTER, ai, Fai, False)
-                    _world_ellipsoid(ta, a[6], i, A, B, OUTER_CENTER, ao, Fao, False)
-                    _world_ellipsoid(tb, b[5], j, B, A, INNER_CENTER, bi, Fbi, True)
-                    _world_ellipsoid(tb, b[6], j, B, A, OUTER_CENTER, bo, Fbo, True)
+                    _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
+                    _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)
+                    _world_ellipsoid(tb, factors[2], j, B, A, INNER_CENTER, bi, Fbi, True)
+                    _world_ellipsoid(tb, factors[3], j, B, A, OUTER_CENTER, bo, Fbo, True)
                     guess = estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
@@ -255,10 +256,11 @@ def _world_ellipsoid(table, factors, piece, T, other, column, center, factor, se
 
 
 @njit()
-def rule_range(rule, margin, start, stop, shape, a, body_a, Ta, pose_a, b, body_b, Tb, pose_b, out):
+def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
     """Decide the pairs left AMBIGUOUS in `out` by the sign of the paper's estimate f."""
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     ta = a[0]
     tb = b[0]
     for k in range(start, stop):
@@ -275,10 +277,10 @@ def rule_range(rule, margin, start, stop, shape, a, body_a, Ta, pose_a, b, body_
                 below, _, _, _, _, _ = outer_bound(ta, i, A, tb, j, B, apart + ta[i, REACH] + tb[j, REACH])
                 if below > margin:
                     continue
-                _world_ellipsoid(ta, a[5], i, A, B, INNER_CENTER, ai, Fai, False)
-                _world_ellipsoid(ta, a[6], i, A, B, OUTER_CENTER, ao, Fao, False)
-                _world_ellipsoid(tb, b[5], j, B, A, INNER_CENTER, bi, Fbi, True)
-                _world_ellipsoid(tb, b[6], j, B, A, OUTER_CENTER, bo, Fbo, True)
+                _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
+                _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)
+                _world_ellipsoid(tb, factors[2], j, B, A, INNER_CENTER, bi, Fbi, True)
+                _world_ellipsoid(tb, factors[3], j, B, A, OUTER_CENTER, bo, Fbo, True)
                 # NaN counts as colliding, as it should never arise and must not free anybody.
                 if not estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo) > margin:
                     out[k] = 1

@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of eight arrays:
+A packed set of pieces is a tuple of six arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -11,8 +11,6 @@ A packed set of pieces is a tuple of eight arrays:
     with repeats to a multiple of `PAD` columns, which the searches below take at a time.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
-``inner_factor``, ``outer_factor`` (P, 3, 3) float64
-    Factors of the ellipsoids, for the rules that need more than the shape matrix.
 ``hot`` (P, HOT) float64
     The first columns of ``table`` once more, packed for streaming through millions of pieces.
 
