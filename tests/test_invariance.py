@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import loewner
-from families import EIGHT, FAMILIES, near_contact, pieces, random_poses, sizes
-from loewner import Bodies, Verdict
-from oracles import hull, pack, signed_distances
+from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, sizes
+from loewner import Bodies, Body, Verdict
+from oracles import exact_collides, hull, pack, signed_distances
 
 FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
 
@@ -134,3 +134,37 @@ def test_poses_that_went_through_float32(pairs):
     assert not ((verdict == FREE) & (gap <= 0) & sure).any()
     assert not ((verdict == COLLIDING) & (gap > 0) & sure).any()
     assert np.array_equal(loewner.collide(a, Fa, b, Fb)[sure], gap[sure] <= 0)
+
+
+def float32_corners(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses, rounded to float32, of two unit cubes that touch corner to corner."""
+    T = random_poses(np.random.default_rng(0), count)
+    step = np.eye(4)
+    step[:3, 3] = 1
+    return T.astype(np.float32).astype(float), (T @ step).astype(np.float32).astype(float)
+
+
+def test_bent_poses_are_taken_at_their_word():
+    """A pose through float32 stretches by up to 1e-7; FREE must be true of the stretched bodies, to the last bit."""
+    corners = box_corners(np.ones(3))
+    cube = Body.from_points(corners)
+    Ta, Tb = float32_corners(1500)
+    free = np.flatnonzero(loewner.classify(cube, Ta, cube, Tb) == FREE)
+    assert len(free) > 300
+    for k in free:
+        assert not exact_collides(corners, Ta[k], corners, Tb[k])
+
+
+def test_bounds_hold_under_bent_poses():
+    """Lower <= distance <= upper where the poses are slightly off a rotation."""
+    for a, b in [
+        (Body.sphere(1), Body.sphere(1.2)),
+        (Body.capsule(0.5, 1), Body.sphere(0.3)),
+        (Body.box([1, 1, 1]), Body.cylinder(0.5, 1)),
+    ]:
+        Ta, Tb = float32_corners(300)
+        Tb[:, :3, 3] = Ta[:, :3, 3] + 0.5 * (Tb[:, :3, 3] - Ta[:, :3, 3])
+        result = loewner.distance(a, Ta, b, Tb, exact=True)
+        assert (result.lower <= result.upper).all()
+        assert (result.lower <= result.distance + 1e-10).all()
+        assert (result.distance <= result.upper + 1e-10).all()

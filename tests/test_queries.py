@@ -474,3 +474,58 @@ def test_primitives_against_directions(first: str):
             assert bool(loewner.collide(body_a, Ta, body_b, Tb)) == (d <= 0)
             assert result.lower <= d + 1e-9
             assert d <= result.upper + 1e-9
+
+
+# -- regressions: found by attack ------------------------------------------------------------------------------
+
+
+def test_concentric_bodies_have_a_depth():
+    """Bodies about one centre, where every direction ties, still have a penetration depth."""
+    sphere, tall = Body.sphere, Body.capsule
+    for a, b, expected in [
+        (sphere(1), sphere(2), -3),
+        (sphere(1), sphere(1), -2),
+        (sphere(1e-6), sphere(2), -2.000001),
+        (sphere(0.1), tall(2, 3), -2.1),
+        (tall(1, 1), tall(1, 1), -2),
+        (tall(1, 1), tall(0.5, 2), -1.5),
+        (Body.ellipsoid([1, 1, 1]), Body.ellipsoid([0.5, 0.5, 0.5]), -1.5),
+        (Body.ellipsoid([1, 1, 2]), Body.ellipsoid([0.5, 0.5, 0.1]), -1.5),
+        (Body.cylinder(1, 1), Body.cylinder(0.1, 4), -1.1),
+        (Body.cylinder(1, 1), Body.cylinder(1, 1), -1),
+        (Body.cone(1, 1), Body.cone(1, 1), -1),
+        (Body.box([1, 1, 1]), Body.box([1, 1, 1]), -1),
+    ]:
+        for x, y in ((a, b), (b, a)):
+            result = loewner.distance(x, None, y, None, exact=True)
+            assert float(result.distance) == pytest.approx(expected, abs=1e-8)
+            assert result.witness_b - result.witness_a == pytest.approx(result.distance * result.normal, abs=1e-8)
+
+
+def test_ball_in_a_cone():
+    """A ball much smaller than the cone it is in: witnesses agree with distance and normal."""
+    size, r = (1.1828100922851816, 6.40412847480041), 1.0505651028961072e-05
+    T = translation(-1.0635161908576265, -2.001529903151095, 0.7718515871092677)
+    T_cone = np.eye(4)
+    T_cone[:3, :3] = [
+        [-0.9511742078670844, 0.2553112804360485, 0.17344675370421142],
+        [0.19615429575358004, 0.06614302243204673, 0.9783397123908293],
+        [0.23830887215091473, 0.9645938267818528, -0.1129939413796146],
+    ]
+    result = loewner.distance(Body.cone(*size), T_cone, Body.sphere(r), T, exact=True)
+    a, b = posed_support(cone_support(*size), T_cone), posed_support(ellipsoid_support([r] * 3), T)
+    check_witnesses(result, a, b, 1e-7)
+
+
+@pytest.mark.parametrize("rule", ["contact-product", "rimon-boyd", "lin-han", "center-line"])
+def test_estimate_keeps_what_is_certain_for_long_pieces(rule: str):
+    """A small ball beside a box of 1 : 7 : 2500: the estimate obeys the certificate there too."""
+    rng = np.random.default_rng(57)
+    ball, beam = Body.sphere(0.01), Body.box([0.4, 2.8, 1000])
+    T = random_poses(rng, 4000, 0.0)
+    P = np.tile(np.eye(4), (4000, 1, 1))
+    P[:, :3, 3] = np.einsum("nij,nj->ni", T[:, :3, :3], rng.uniform(-1, 1, size=(4000, 3)) * [1, 2, 800])
+    verdict = loewner.classify(ball, P, beam, T)
+    guess = loewner.collide(ball, P, beam, T, method="estimate", rule=rule)
+    assert not guess[verdict == FREE].any()
+    assert guess[verdict == COLLIDING].all()

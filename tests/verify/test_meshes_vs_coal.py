@@ -25,7 +25,7 @@ def panda(kind: str, name: str) -> Path:
 
 
 # The collision meshes are convex as they come; the visual ones are real parts, to be decomposed.
-@pytest.fixture(scope="module", params=["collision/link5.stl collision/hand.stl", "visual/link5.dae visual/hand.dae"])
+@pytest.fixture(scope="module", params=["collision/link5.stl collision/hand.stl", "visual/link5.dae visual/finger.dae"])
 def bodies(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[Body]:
     """Read, decomposed, fitted, saved and loaded."""
     pytest.importorskip("coacd")
