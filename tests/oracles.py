@@ -130,9 +130,7 @@ def _unit_edges(V, N, edges):
         d /= np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         a, b = N[edges[k, 2]], N[edges[k, 3]]
         turn = (
-            d[0] * (a[1] * b[2] - a[2] * b[1])
-            + d[1] * (a[2] * b[0] - a[0] * b[2])
-            + d[2] * (a[0] * b[1] - a[1] * b[0])
+            d[0] * (a[1] * b[2] - a[2] * b[1]) + d[1] * (a[2] * b[0] - a[0] * b[2]) + d[2] * (a[0] * b[1] - a[1] * b[0])
         )
         out[k] = d if turn >= 0 else -d
     return out
@@ -364,9 +362,7 @@ def _dot(p: Sequence[Fraction], q: Sequence[Fraction]) -> Fraction:
     return sum((x * y for x, y in zip(p, q, strict=True)), Fraction(0))
 
 
-def exact_squared_distance(
-    VA: np.ndarray, TA: np.ndarray | None, VB: np.ndarray, TB: np.ndarray | None
-) -> Fraction:
+def exact_squared_distance(VA: np.ndarray, TA: np.ndarray | None, VB: np.ndarray, TB: np.ndarray | None) -> Fraction:
     """Squared distance of conv(TA VA) and conv(TB VB), as the exact rational number; 0 if they meet.
 
     Wolfe's algorithm for the point of a polytope nearest to the origin, on the Minkowski difference.
