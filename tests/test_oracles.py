@@ -171,9 +171,7 @@ def test_signed_distance_against_coal(sample: dict):
         for p in range(12):
             a, b = coal_convex(coal, points[i[p]]), coal_convex(coal, points[j[p]])
             result = coal.DistanceResult()
-            found = coal.distance(
-                a, coal_pose(coal, Ta[p]), b, coal_pose(coal, Tb[p]), coal.DistanceRequest(), result
-            )
+            found = coal.distance(a, coal_pose(coal, Ta[p]), b, coal_pose(coal, Tb[p]), coal.DistanceRequest(), result)
             if abs(gap[p]) < 1e-5:
                 continue
             apart = gap[p] > 0
