@@ -206,9 +206,7 @@ def test_order_of_the_bodies_does_not_matter(world: dict[str, Pairs]):
         assert not contradiction.any()
         assert np.mean(there == back) > 0.99  # a witness may fall one rounding either side of proof
         clear = np.abs(w.distance) > GRAZING * w.size
-        assert np.array_equal(
-            loewner.collide(w.a, w.Ta, w.b, w.Tb)[clear], loewner.collide(*opposite(w))[clear]
-        )
+        assert np.array_equal(loewner.collide(w.a, w.Ta, w.b, w.Tb)[clear], loewner.collide(*opposite(w))[clear])
         d, e = loewner.distance(w.a, w.Ta, w.b, w.Tb, exact=True), loewner.distance(*opposite(w), exact=True)
         assert (np.abs(d.distance - e.distance) <= 2e-9 * w.size).all()
 
