@@ -20,7 +20,7 @@ demo: $(VENV)/.demo
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests src
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests
 
 verify: $(VENV)/.dev
 	$(PYTEST) -s -m verify tests
