@@ -60,7 +60,7 @@ from loewner._kernels.verdicts import (
     OPEN,
 )
 
-REFINING_STEPS = 8  # Newton steps for the few lanes whose guess may not be good enough
+REFINING_STEPS = 12  # Newton steps for the few lanes whose guess may not be good enough
 
 
 @inline
@@ -117,8 +117,8 @@ def _lane_shapes(S, lane, posed):
     if posed:
         a = S[ROT_A * LANES + lane : (ROT_A + 9) * LANES : LANES]
         b = S[ROT_B * LANES + lane : (ROT_B + 9) * LANES : LANES]
-        p = rotated(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[5], a[8], p[0], p[1], p[2], p[3], p[4], p[5])
-        q = rotated(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[5], b[8], q[0], q[1], q[2], q[3], q[4], q[5])
+        p = rotated(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], p[0], p[1], p[2], p[3], p[4], p[5])
+        q = rotated(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], q[0], q[1], q[2], q[3], q[4], q[5])
     return p, q
 
 
@@ -255,7 +255,7 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
             tally[BY_OUTER] += 1
             continue
         # Only where F can exceed 1 somewhere is there anything left to separate.
-        if not full and not S[OUT_DOUBT * LANES + lane] < 1.0 and _refined_outer(S, lane, posed) > margin:
+        if not S[OUT_DOUBT * LANES + lane] < 1.0 and _refined_outer(S, lane, posed) > margin:
             tally[BY_OUTER] += 1
             continue
         if out[pair[lane]] == COLLIDING:
@@ -299,7 +299,7 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
         overlap = S[IN_LEVEL * LANES + lane] <= 1.0
         if full:
             overlap = overlap or S[IN_DISTANCE * LANES + lane] <= margin
-        elif not overlap and not S[IN_DOUBT * LANES + lane] > 1.0:
+        if not overlap and not S[IN_DOUBT * LANES + lane] > 1.0:
             x, y, z = _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, INNER_CENTER)
             overlap = _refined_inner(S, lane, posed, x, y, z) <= 1.0
         if overlap:

@@ -35,7 +35,7 @@ from loewner._kernels.contact import (
 )
 
 LANES = 64
-NEWTON_STEPS = 4  # of the full stages; s is then good to 1e-6 for round pieces
+NEWTON_STEPS = 6  # of the full stages; s is then good to 1e-9 for round pieces, 1e-3 for plates of 1 : 0.05
 
 ROT_A, ROT_B, SHAPE_A, SHAPE_B, CENTER_A, CENTER_B, SHIFT = 0, 9, 18, 24, 30, 33, 36
 RADII, REACHES, SIZE, SIGMA_A, SIGMA_B, OFFSET = 39, 40, 41, 42, 43, 44
@@ -88,8 +88,8 @@ def guess(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z):
     -------
     s, nx, ny, nz : float
         n = K(s)⁻¹ r.
-    F, highest : float
-        F(s), and what F cannot exceed anywhere: F is concave with slope (1-s)² nᵀPn - s² nᵀQn.
+    F, most : float
+        F(s), and what F cannot exceed anywhere.
     """
     px, py, pz = times(p0, p1, p2, p3, p4, p5, x, y, z)
     qx, qy, qz = times(q0, q1, q2, q3, q4, q5, x, y, z)
@@ -110,10 +110,17 @@ def guess(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z):
     ny /= d
     nz /= d
     F = s * u * (nx * x + ny * y + nz * z)
+    return s, nx, ny, nz, F, highest(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, s, F, nx, ny, nz)
+
+
+@inline
+def highest(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, s, F, nx, ny, nz):
+    """What F cannot exceed anywhere: it is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn."""
     px, py, pz = times(p0, p1, p2, p3, p4, p5, nx, ny, nz)
     qx, qy, qz = times(q0, q1, q2, q3, q4, q5, nx, ny, nz)
+    u = 1.0 - s
     slope = u * u * (px * nx + py * ny + pz * nz) - s * s * (qx * nx + qy * ny + qz * nz)
-    return s, nx, ny, nz, F, F + abs(slope) * max(s, u)
+    return F + abs(slope) * max(s, u)
 
 
 def _stages(posed):
@@ -154,10 +161,10 @@ def _stages(posed):
         for lane in range(count):
             p, q = shapes(S, lane)
             x, y, z = _three(S, lane, OFFSET)
-            _, nx, ny, nz, _, highest = guess(*p, *q, x, y, z)
+            _, nx, ny, nz, _, most = guess(*p, *q, x, y, z)
             _put_three(S, lane, OUT_NORMAL, nx, ny, nz)
             S[OUT_BOUND * LANES + lane] = separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
-            S[OUT_DOUBT * LANES + lane] = highest
+            S[OUT_DOUBT * LANES + lane] = most
 
     @njit()
     def inner_stage(S, count):
@@ -179,9 +186,10 @@ def _stages(posed):
         for lane in range(count):
             p, q = shapes(S, lane)
             x, y, z = _three(S, lane, OFFSET)
-            F, _, nx, ny, nz = maximize(*p, *q, x, y, z, NEWTON_STEPS)
+            F, s, nx, ny, nz = maximize(*p, *q, x, y, z, NEWTON_STEPS)
             _put_three(S, lane, OUT_NORMAL, nx, ny, nz)
             S[OUT_BOUND * LANES + lane] = separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
+            S[OUT_DOUBT * LANES + lane] = highest(*p, *q, s, F, nx, ny, nz)
             S[OUT_F * LANES + lane] = F
             S[OUT_WIDTH * LANES + lane] = (nx * x + ny * y + nz * z) / np.sqrt(nx * nx + ny * ny + nz * nz)
 
@@ -199,6 +207,7 @@ def _stages(posed):
             S[IN_DISTANCE * LANES + lane] = distance
             _put_three(S, lane, IN_NORMAL, nx, ny, nz)
             _put_three(S, lane, IN_POINT, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
+            S[IN_DOUBT * LANES + lane] = F
             S[IN_F * LANES + lane] = F
 
     return near_stage, outer_stage, inner_stage, full_outer_stage, full_inner_stage
