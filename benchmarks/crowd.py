@@ -1,6 +1,6 @@
 """Which of many ellipsoids overlap: broad phase and narrow phase together.
 
-We have no broad phase yet: SciPy's k-d tree on the centers, then one `classify`. Coal: its dynamic AABB tree in C++.
+We have no broad phase yet: SciPy's k-d tree on the centers, then one `overlap`. Coal: its dynamic AABB tree in C++.
 ellipsoid_tree: its own tree, from Python in one call. Making the shapes is not counted, making the trees is.
 """
 
@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 
 import loewner
 from clock import race, timed
-from loewner import Bodies, Body, Verdict
 from report import Row
 from rivals import CoalLoop, Missing, Settings, all_settings, build_loop
-from samples import Array, dataset, fitted, pairs, poses, rotations
+from samples import Array, Pairs, dataset, fitted, poses, rotations
 
 COUNT, QUICK = 5_000, 500
 # Volume per ellipsoid, in cubic metres: each then overlaps some two others.
@@ -32,22 +31,19 @@ def run(quick: bool, folder: Path) -> list[Row]:
     hulls = fitted(dataset.sample(n, 0, "volume").points_1)
     T = poses(rotations(rng, n), rng.uniform(0, np.cbrt(ROOM * n), size=(n, 3)))
     outer = hulls.outer
-    axes = outer.semi_axes
-    frames = T @ poses(outer.rotation, outer.center)
-    ours = Bodies([Body.ellipsoid(a) for a in axes])
-    reach = float(axes[:, 0].max())
+    placed = outer.transformed(T)
+    reach = float(outer.semi_axes.max())
 
     def overlapping() -> Array:
-        near = cKDTree(frames[:, :3, 3]).query_pairs(2 * reach, output_type="ndarray")
-        verdicts = loewner.classify(ours[near[:, 0]], frames[near[:, 0]], ours[near[:, 1]], frames[near[:, 1]])
-        return near[verdicts != Verdict.FREE]
+        near = cKDTree(placed.center).query_pairs(2 * reach, output_type="ndarray")
+        return near[loewner.overlap(placed[near[:, 0]], placed[near[:, 1]])]
 
     found = _ordered(overlapping(), n)
-    us, case = "k-d tree + classify", f"{n} ellipsoids"
+    us, case = "k-d tree + overlap", f"{n} ellipsoids"
     rows = []
     everyone = np.arange(n)
     try:
-        with CoalLoop(build_loop(folder), pairs("crowd", hulls, everyone, everyone, T, T), folder) as loop:
+        with CoalLoop(build_loop(folder), Pairs("crowd", hulls, everyone, everyone, T, T), folder) as loop:
             ways = [s for s in all_settings("ellipsoid-collide", early=(1,)) if s.guess != 1]
             way: Settings = min(ways, key=lambda s: loop.measure(s, task="crowd").cpu)
             cost = race({"us": timed(overlapping, n), "rival": loop.measured(way, task="crowd")}, rounds)
@@ -65,8 +61,7 @@ def run(quick: bool, folder: Path) -> list[Row]:
         return rows
     import ellipsoid_tree
 
-    shapes = outer.transformed(T)
-    centers, matrices = np.asfortranarray(shapes.center), shapes.shape_matrix
+    centers, matrices = np.asfortranarray(placed.center), placed.shape_matrix
 
     def tree() -> Array:
         return np.array(

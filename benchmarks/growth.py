@@ -11,9 +11,10 @@ import numpy as np
 
 import loewner
 from clock import race, timed
+from loewner import Body
 from report import Row, differences
 from rivals import CoalLoop, CoalPython, Missing, Settings, all_settings, build_loop
-from samples import Pairs, many_vertices, repeated_pairs
+from samples import Array, Pairs, many_vertices, repeated_pairs
 
 VERTICES, QUICK_VERTICES = (8, 20, 50, 125, 320, 800, 2_000, 8_000), (8, 50)
 POWERS = (2.0, 4.0)
@@ -35,9 +36,10 @@ def vertices(quick: bool, folder: Path) -> list[Row]:
 def _at(v: int, power: float, quick: bool, folder: Path) -> list[Row]:
     p = many_vertices(v, power, HULLS, PAIRS // 10 if quick else PAIRS)
     n, rounds = len(p), 2 if quick else 3
-    colliding = loewner.collide(*p.arguments())
-    ours = {name: timed(partial(_repeat, query, p, 1), n) for name, query in QUERIES.items()}
-    note = f"{(loewner.classify(*p.arguments()) == loewner.Verdict.AMBIGUOUS).mean():.0%} ambiguous"
+    calls = _calls(p)
+    ours = {name: timed(partial(_answers, query, calls), n) for name, query in QUERIES.items()}
+    colliding = _answers(loewner.collide, calls)
+    note = f"{(_answers(loewner.classify, calls) == loewner.Verdict.AMBIGUOUS).mean():.0%} ambiguous"
     try:
         with CoalLoop(build_loop(folder), p, folder) as loop:
             # The shape of the hull decides which settings are the fastest; wrong ones are out of the race.
@@ -84,3 +86,15 @@ def batches(quick: bool, folder: Path) -> list[Row]:
 def _repeat(query: Callable[..., Any], p: Pairs, times: int) -> None:
     for _ in range(times):
         query(*p.arguments())
+
+
+def _calls(p: Pairs) -> list[tuple[Body, Array, Body, Array]]:
+    """One call for each two hulls, in all their poses."""
+    alone = list(p.bodies)
+    changes = np.flatnonzero(np.diff(p.a, prepend=-1))
+    parts = [slice(i, j) for i, j in zip(changes, [*changes[1:], len(p)], strict=True)]
+    return [(alone[p.a[s.start]], p.Ta[s], alone[p.b[s.start]], p.Tb[s]) for s in parts]
+
+
+def _answers(query: Callable[..., Any], calls: list[tuple[Body, Array, Body, Array]]) -> Array:
+    return np.concatenate([query(*call) for call in calls])

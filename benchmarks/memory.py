@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,34 +39,37 @@ def run(quick: bool, folder: Path) -> list[Held]:
     p = repeated_pairs(QUICK if quick else COUNT)
     part = p.part(slice(0, len(p) // 10))
     return [
-        held("classify", p, lambda: loewner.classify(*p.arguments())),
-        held("collide", p, lambda: loewner.collide(*p.arguments())),
-        held("distance", part, lambda: loewner.distance(*part.arguments())),
-        held("distance, exact", part, lambda: loewner.distance(*part.arguments(), exact=True)),
+        held("classify", loewner.classify, p),
+        held("collide", loewner.collide, p),
+        held("distance", loewner.distance, part),
+        held("distance, exact", partial(loewner.distance, exact=True), part),
     ]
 
 
-def held(query: str, p: Pairs, call: Callable[[], Any]) -> Held:
-    call()  # compiles, and fills what is kept between calls
+def held(name: str, query: Callable[..., Any], p: Pairs) -> Held:
+    query(*p.part(slice(0, 100)).arguments())  # compiles, and fills what is kept between calls
+    operands = p.arguments()
     resident = None
-    if _reset_peak():
+    if _forget_peak():
         before = _status("VmRSS")
-        call()
+        query(*operands)
         resident = (_status("VmHWM") - before) / len(p)
     tracemalloc.start()
     try:
-        call()
+        query(*operands)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    return Held(query, len(p), peak / len(p), resident)
+    return Held(name, len(p), peak / len(p), resident)
 
 
-def _reset_peak() -> bool:
-    """Make Linux forget the peak so far."""
+def _forget_peak() -> bool:
+    """Hand unused memory back to Linux, or the call would fill it unseen, and make it forget the peak so far."""
     try:
+        gc.collect()
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
         Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
+    except (OSError, AttributeError):
         return False
     return True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,6 @@ class Pairs:
     a, b : ndarray of int, shape (n,)
         Which of them meet.
     Ta, Tb : ndarray, shape (n, 4, 4)
-    first, second : Bodies
-        ``bodies[a]``, ``bodies[b]``: what the queries take.
     """
 
     name: str
@@ -38,24 +37,26 @@ class Pairs:
     b: Array
     Ta: Array
     Tb: Array
-    first: Bodies
-    second: Bodies
+
+    @cached_property
+    def first(self) -> Bodies:
+        """``bodies[a]``, a copy of every one: what the queries take."""
+        return self.bodies[self.a]
+
+    @cached_property
+    def second(self) -> Bodies:
+        return self.bodies[self.b]
 
     def __len__(self) -> int:
         return len(self.a)
 
     def part(self, chosen: Array | slice) -> Pairs:
         """Some of the pairs, over the same bodies."""
-        a, b = self.a[chosen], self.b[chosen]
-        return pairs(self.name, self.bodies, a, b, self.Ta[chosen], self.Tb[chosen])
+        return Pairs(self.name, self.bodies, self.a[chosen], self.b[chosen], self.Ta[chosen], self.Tb[chosen])
 
     def arguments(self) -> tuple[Bodies, Array, Bodies, Array]:
         """What `loewner.classify` and its like take."""
         return self.first, self.Ta, self.second, self.Tb
-
-
-def pairs(name: str, bodies: Bodies, a: Array, b: Array, Ta: Array, Tb: Array) -> Pairs:
-    return Pairs(name, bodies, a, b, Ta, Tb, bodies[a], bodies[b])
 
 
 def fitted(point_sets: Sequence[Array] | Array) -> Bodies:
@@ -100,7 +101,7 @@ def paper_pairs(count: int, density: str = "volume", seed: int = 0) -> Pairs:
     a = np.arange(count)
     name = f"distinct hulls, {density}"
     Ta, Tb = poses(rotations(rng, count), np.zeros((count, 3))), poses(rotations(rng, count), shift)
-    return pairs(name, bodies, a, count + a, Ta, Tb)
+    return Pairs(name, bodies, a, count + a, Ta, Tb)
 
 
 def repeated_pairs(count: int, hulls: int = 100, seed: int = 0) -> Pairs:
@@ -110,7 +111,7 @@ def repeated_pairs(count: int, hulls: int = 100, seed: int = 0) -> Pairs:
     bodies = fitted(drawn.points_1)
     a, b = rng.integers(hulls, size=(2, count))
     Ta, Tb = poses(rotations(rng, count), np.zeros((count, 3))), poses(rotations(rng, count), shifts(rng, count))
-    return pairs(f"{hulls} hulls in many poses", bodies, a, b, Ta, Tb)
+    return Pairs(f"{hulls} hulls in many poses", bodies, a, b, Ta, Tb)
 
 
 def many_vertices(vertices: int, power: float, hulls: int, count: int, seed: int = 0) -> Pairs:
@@ -123,9 +124,12 @@ def many_vertices(vertices: int, power: float, hulls: int, count: int, seed: int
     x = rng.normal(size=(hulls, vertices, 3))
     x /= (np.abs(x) ** power).sum(axis=2, keepdims=True) ** (1 / power)
     bodies = fitted(x)
-    a, b = rng.integers(hulls, size=(2, count))
+    # Every hull meets one other, in as many poses: one call per two hulls, and no copies of large ones.
+    a = np.arange(count) % hulls
+    a.sort()
+    b = (a + 1) % hulls
     Ta, Tb = poses(rotations(rng, count), np.zeros((count, 3))), poses(rotations(rng, count), shifts(rng, count, 2.5))
-    return pairs(f"{vertices} vertices, power {power:g}", bodies, a, b, Ta, Tb)
+    return Pairs(f"{vertices} vertices, power {power:g}", bodies, a, b, Ta, Tb)
 
 
 def clearance(A: Array, B: Array) -> float:
