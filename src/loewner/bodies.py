@@ -117,11 +117,13 @@ def _table(p: Packed) -> Floats:
     outer = np.linalg.svd(p.outer_factor, compute_uv=False)
     inner = np.linalg.svd(p.inner_factor, compute_uv=False)
     slack = 32 * 2.0**-53
-    table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300)
-    table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300)
-    table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack)
+    # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
+    bend = 2 * _check.ROTATION_TOLERANCE
+    table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
+    table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
+    table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.
-    table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack)
+    table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
     reach = table[:, shapes.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
         raise GeometryError(

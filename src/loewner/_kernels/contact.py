@@ -114,9 +114,11 @@ def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
         g = ff * d - f * dd
         gg = fff * d - f * ddd
         t = s - g * d / (gg * d - 2.0 * g * dd)
-        # F is concave, so a step past the end only means "far that way"; NaN falls to the lower guard.
-        t = max(t, 0.125 * s)
-        s = min(t, 0.875 + 0.125 * s)
+        # F is concave, so a step past the end only means "far that way"; NaN (r = 0) falls to the lower guard.
+        low = 0.125 * s
+        high = 0.875 + 0.125 * s
+        t = t if t > low else low
+        s = t if t < high else high
     u = 1.0 - s
     d = u * u * u * d0 + u * u * s * d1 + u * s * s * d2 + s * s * s * d3
     nx = (u * u * ux + u * s * vx + s * s * wx) / d

@@ -21,6 +21,11 @@ from loewner._kernels.gjk import minkowski_support, rounding_error
 # worst (all directions equally deep) and far better elsewhere.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
+FLAT = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
+
+# Faces this close to the nearest, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
+WITNESS_WINDOW = 2e4
+
 DEPTH_ACCURACY = 1e-11  # what a distance query asks for
 CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
@@ -104,6 +109,33 @@ def _volume(S):
         + (S[3, 1] - S[0, 1]) * (uz * vx - ux * vz)
         + (S[3, 2] - S[0, 2]) * (ux * vy - uy * vx)
     )
+
+
+@njit()
+def _flat_normal(S, error, result):
+    """Tell whether rows 0..3 span no volume; if so, write a unit normal of their flat to `result`."""
+    ex, ey, ez = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
+    ux, uy, uz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
+    nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
+    long = np.sqrt(ex * ex + ey * ey + ez * ez)
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if long <= 4.0 * error:
+        nx, ny, nz = 1.0, 0.0, 0.0
+    elif area <= 4.0 * error * long:
+        # A line: any direction square to it.
+        if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
+            nx, ny, nz = 0.0, -ez, ey
+        elif abs(ey) <= abs(ez):
+            nx, ny, nz = ez, 0.0, -ex
+        else:
+            nx, ny, nz = -ey, ex, 0.0
+    elif abs(_volume(S)) > 4.0 * error * area:
+        return False
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    result[0] = nx / length
+    result[1] = ny / length
+    result[2] = nz / length
+    return True
 
 
 @njit()
@@ -230,13 +262,18 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
     Returns
     -------
     lower, upper : float
-        Bounds on the depth, to within `rounding_error`; `upper` belongs to the normal and the points.
+        Both `FLAT` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
+        to within `rounding_error`; `upper` belongs to the normal and the points.
     """
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     tolerance = error * (accuracy / POSITION_ROUNDINGS)
     _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S)
     for f in range(4):
         alive[f] = True
+    if _flat_normal(S, error, result):
+        # Cores without a volume between them (points, parallel segments) penetrate by nothing: across
+        # the flat they already touch. The deepest points are the caller's own, from GJK.
+        return FLAT, FLAT
     # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
     if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
         for c in range(9):
@@ -286,14 +323,16 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         used += 1
     if last < 0:
         return -np.inf, np.inf
-    # Several faces may share the nearest plane; the foot of the origin lies in one of them.
+    # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
+    # it. The foot of the origin is inside one of them: that one knows the witnesses.
+    window = lower + max(upper - lower, WITNESS_WINDOW * error)
     best = -np.inf
     for f in range(counts[0]):
-        if (alive[f] or f == last) and offsets[f] <= lower + max(4.0 * error, upper - lower):
+        if (alive[f] or f == last) and offsets[f] <= window:
             wa, wb, wc = _foot(S, corners, normals, f)
-            least = min(wa, min(wb, wc))
-            if least > best:
-                best = least
+            inside = min(0.0, min(wa, min(wb, wc)))
+            if inside > best or (inside == best and offsets[f] < offsets[last]):
+                best = inside
                 last = f
     _witness(S, corners, normals, last, result)
     return lower, upper
