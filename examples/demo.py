@@ -32,7 +32,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
 
     console.rule("1. Two meshes of the Panda arm become bodies")
-    link, hand = (fitted(name, out, not chosen.hull) for name in ("link5", "hand"))
+    link, hand = (fitted(name, out, not chosen.hull, threshold) for name, threshold in (("link5", 0.1), ("hand", 0.2)))
 
     console.rule(f"2. Are they in collision, at {chosen.poses:,} poses?")
     poses = random_poses(link, hand, chosen.poses)
@@ -57,11 +57,11 @@ def main() -> None:
     )
 
 
-def fitted(name: str, out: Path, decompose: bool) -> loewner.Body:
-    """Decompose and fit a link, save it, and read it back."""
+def fitted(name: str, out: Path, decompose: bool, threshold: float) -> loewner.Body:
+    """Decompose a link into convex pieces (fewer with a higher threshold), fit them, save the body, read it back."""
     mesh = panda(f"visual/{name}.dae")
     started = time.perf_counter()
-    body = loewner.Body.from_mesh(mesh, decompose=decompose, threshold=0.1)
+    body = loewner.Body.from_mesh(mesh, decompose=decompose, threshold=threshold)
     seconds = time.perf_counter() - started
     body.save(out / f"{name}.npz")
     body = loewner.Body.load(out / f"{name}.npz")
