@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,27 @@ from report import REQUIRED, Row
 from samples import repeated_pairs
 
 COUNT, QUICK = 200_000, 10_000
-# Wall times of threads are to be believed only where a single thread gets this share of a core, at its best.
-BUSY = 0.95
+# Steps of the control: plain arithmetic, which nothing but the machine keeps from running twice as fast on two threads.
+STEPS, QUICK_STEPS = 60_000_000, 600_000
+
+
+@numba.njit(nogil=True)
+def _plain(steps):
+    s = 0.0
+    for i in range(steps):
+        s += (i % 7) ** 0.5
+    return s
+
+
+def machine_allows(steps: int, rounds: int) -> float:
+    """How many times as fast two threads do plain arithmetic here and now: 2 on an idle machine, 1 on a busy one."""
+
+    def work(threads: int) -> None:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(_plain, [steps // threads] * threads))
+
+    cost = race({str(t): timed(partial(work, t), steps) for t in (1, 2)}, rounds)
+    return cost["1"].wall / cost["2"].wall
 
 
 def run(quick: bool, folder: Path) -> list[Row]:
@@ -37,6 +57,7 @@ def run(quick: bool, folder: Path) -> list[Row]:
         with threads_set_to(threads):
             return query()
 
+    allowed = machine_allows(QUICK_STEPS if quick else STEPS, 2 if quick else 5)
     rows = []
     for name, (items, query) in queries.items():
         cost: dict[str, Cost] = race(
