@@ -4,8 +4,8 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.epa import CONTACT_ACCURACY, penetration, workspace
-from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
-from loewner._kernels.shapes import INNER_CENTER, core_height, inside_by
+from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, quick, rounding_error, run, swollen_radii
+from loewner._kernels.shapes import INNER_CENTER, ROUNDING, core_height, inside_by
 from loewner._kernels.verdicts import AMBIGUOUS, BY_POINT, BY_SEARCH, BY_SUPPORT, COLLIDING, FREE, OPEN
 
 # A hull's face plane may miss its own vertices by 1e-11 of the piece (`hulls.FACE_WIDTH`), so a point
@@ -84,6 +84,12 @@ def exact_piece_pair(
         ox, oy, oz = ix, iy, iz
     if not ox * ox + oy * oy + oz * oz > 0.0:
         ox, oy, oz = 1.0, 0.0, 0.0
+    if margin == 0.0 and ta[i, ROUNDING] == 0.0 and tb[j, ROUNDING] == 0.0:
+        status, ox, oy, oz = quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, ox, oy, oz, error)
+        if status == APART:
+            return FREE, BY_SEARCH
+        if status == TOUCHING:
+            return COLLIDING, BY_SEARCH
     status, _, _, _ = run(
         ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, ox, oy, oz, margin, True, S, weights, v, d
     )
