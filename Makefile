@@ -25,7 +25,8 @@ test: $(VENV)/.dev
 verify: $(VENV)/.dev
 	$(PYTEST) -s -m verify tests
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/run.py
 
 check: $(VENV)/.dev
@@ -52,4 +53,8 @@ $(VENV)/.demo: requirements/core.txt requirements/demo.txt requirements/data.txt
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 	$(PIP) -r requirements/dev.txt
+	@touch $@
+
+$(VENV)/.bench: requirements/bench.txt $(VENV)/.dev
+	$(PIP) --no-deps -r requirements/bench.txt
 	@touch $@
