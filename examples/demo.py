@@ -4,6 +4,7 @@ python examples/demo.py [--poses 1000] [--pairs 1000] [--out demo-out] [--hull]
 """
 
 import argparse
+import os
 import sys
 import time
 from pathlib import Path
@@ -45,11 +46,12 @@ def main() -> None:
     console.rule(f"4. The paper's experiment, {chosen.pairs:,} pairs")
     cli.main(["paper", "--pairs", str(chosen.pairs), "--out", str(out / "paper"), "--json", str(out / "paper.json")])
 
+    command = f"{os.path.relpath(sys.executable)} -m loewner"
     console.rule(f"Done in {time.perf_counter() - started:.0f} s. What next?")
     console.print(
         f"look at       {picture}, {out / 'paper' / 'report.html'}\n"
-        f"your meshes   loewner fit a.stl b.stl -o bodies\n"
-        f'              loewner check bodies/a.npz bodies/b.npz --pose-b "0.1 0 0"\n'
+        f"your meshes   {command} fit a.stl b.stl -o bodies\n"
+        f'              {command} check bodies/a.npz bodies/b.npz --pose-b "0.1 0 0"\n'
         f"in Python     examples/two_meshes.py, examples/batch.py, README.md\n"
         f"the tests     make test",
         markup=False,

@@ -7,8 +7,8 @@ moved by handing a pose to a query; the fits are never computed again.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
+from loewner._files import replacing
 from loewner._kernels import shapes
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
@@ -209,6 +210,8 @@ class Body(_Bodies):
     """
 
     def __init__(self, packed: Packed, covering: meshes.Covering | None = None) -> None:
+        if not isinstance(packed, Packed):
+            raise InputError("Body: make one by Body.from_points, from_mesh, box, sphere, ... or load")
         if len(packed.piece_start) != 2:
             raise InputError(f"Body: expected the pieces of one body, found {len(packed.piece_start) - 1} bodies")
         self._packed = packed
@@ -268,6 +271,10 @@ class Body(_Bodies):
         MissingExtraError
             If a package of the extra "meshes" is needed and missing.
         """
+        known = inspect.signature(meshes.convex_pieces).parameters
+        for name in options:
+            if name not in known:
+                raise InputError(f"from_mesh: expected options among {', '.join(known)}, found {name!r}")
         pieces, covering = meshes.convex_pieces(source, decompose=decompose, **options)
         body = cls.from_pieces(pieces, tol=tol)
         body.covering = covering
@@ -690,16 +697,8 @@ def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Coverin
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
     content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "digest": _digest(arrays), **arrays}
-    temporary = None
-    try:
-        descriptor, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.stem, suffix=".tmp")
-        with os.fdopen(descriptor, "wb") as stream:
-            np.savez_compressed(stream, **content)
-        os.replace(temporary, target)
-    except OSError as error:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
-        raise FileError(f"{target}: could not be written ({error.strerror or error})") from None
+    with replacing(target) as temporary, open(temporary, "xb") as stream:
+        np.savez_compressed(stream, **content)
 
 
 def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:

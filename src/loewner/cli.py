@@ -191,14 +191,17 @@ def _answer(
 def _print_answer(
     options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
 ) -> None:
-    how = {"certified": "certified by the ellipsoids", "estimate": "estimated", "exact": "exact"}[options.method]
+    how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[options.method]
     if certified == verdict != loewner.Verdict.AMBIGUOUS:
         how = "certified by the ellipsoids"
-    keep = f" within a margin of {options.margin:g} m" if options.margin else ""
+    relation = {loewner.Verdict.FREE: "by more than", loewner.Verdict.COLLIDING: "or closer than"}
+    keep = f" {relation.get(verdict, 'with a margin of')} {options.margin:g} m" if options.margin else ""
     print(f"{verdict.name}{keep}  ({how})")
     print(f"distance    {found.lower:.6g} .. {found.upper:.6g} m, from the ellipsoids")
     if found.distance is not None:
-        print(f"            {found.distance:.9g} m, exact{' (penetration depth)' if found.distance < 0 else ''}")
+        several = len(a.pieces) > 1 or len(b.pieces) > 1
+        depth = f" (penetration depth{' of the deepest two pieces' if several else ''})" if found.distance < 0 else ""
+        print(f"            {found.distance:.9g} m, exact{depth}")
         print(f"on A        {_numbers(found.witness_a)}")
         print(f"on B        {_numbers(found.witness_b)}")
         print(f"normal      {_numbers(found.normal)}, from A to B")
@@ -210,7 +213,7 @@ def _print_answer(
 
 
 def _numbers(vector: Floats) -> str:
-    return " ".join(f"{x:.6g}" for x in vector)
+    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
 
 
 def _from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._files import replacing
 from loewner.bodies import Body
 from loewner.errors import FileError, InputError, MissingExtraError
 from loewner.queries import Verdict, classify, collide
@@ -115,17 +115,11 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     """
     target = Path(path)
     figure = getattr(figure, "figure", figure)
-    temporary = None
-    try:
-        with tempfile.NamedTemporaryFile(dir=target.parent, suffix=target.suffix, delete=False) as file:
-            temporary = Path(file.name)
-        figure.savefig(temporary, dpi=120, bbox_inches="tight")
-        temporary.chmod(0o644)
-        temporary.replace(target)
-    except (OSError, ValueError) as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise FileError(f"{target}: could not be written ({error})") from None
+    with replacing(target) as temporary:
+        try:
+            figure.savefig(temporary, dpi=120, bbox_inches="tight")
+        except ValueError as error:  # a suffix that matplotlib does not know
+            raise FileError(f"{target}: could not be written ({error})") from None
     return target
 
 

@@ -38,7 +38,11 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Distance:
-    """Distances in metres, each of the batch's shape; negative is the penetration depth.
+    """Distances in metres, each of the batch's shape; negative is a penetration depth.
+
+    Everything here is about the nearest, or else the deepest, two pieces. For bodies of several pieces a
+    negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
+    other, and parting them can take more, since another pair may then be in the way.
 
     Attributes
     ----------
@@ -47,12 +51,12 @@ class Distance:
     estimate : float or ndarray
         The O(1) guess of the rule asked for, clipped to the bounds.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the bodies, or minus their penetration depth: the
-        shortest translation that separates them (for several pieces, of the deepest piece pair).
+        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two
+        pieces: the shortest translation that separates those two.
     witness_a, witness_b : ndarray, shape (..., 3), or None
         Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (..., 3), or None
-        Unit vector from a to b; moving b along it parts the bodies fastest.
+        Unit vector from a to b; moving b along it parts those two pieces fastest.
     """
 
     lower: Any
@@ -302,7 +306,8 @@ def distance(
     Returns
     -------
     Distance
-        Separation is positive, penetration negative, touching zero.
+        Separation is positive, penetration negative, touching zero. The signed distance of two
+        bodies is the least over their piece pairs; see `Distance` for what that means for depths.
 
     Raises
     ------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as _json
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner._files import replacing
 from loewner.bodies import Bodies
 from loewner.errors import FileError
 from loewner.paper import detectors
@@ -210,28 +210,6 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
 
 
 def write_atomically(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all: to a temporary name beside it, then renamed.
-
-    Raises
-    ------
-    FileError
-        If that fails; an older file of that name is then untouched.
-    """
-    temporary = None
-    try:
-        descriptor, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.stem, suffix=".tmp")
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
-    except OSError as error:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
-        raise FileError(f"{target}: could not be written ({error.strerror or error})") from None
-
-
-def _umask() -> int:
-    """Return the process's file mode mask; mkstemp ignores it and makes files that only the owner reads."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    """Write a file whole or not at all; a `FileError` leaves an older one untouched."""
+    with replacing(target) as temporary:
+        temporary.write_bytes(content)
