@@ -244,6 +244,29 @@ def test_wrong_usage_exits_with_2(capsys):
     assert caught.value.code == 2
 
 
+def test_a_crash_is_not_a_collision(saved, capsys, monkeypatch):
+    """A bug in the library shows its traceback, and its status is that of errors."""
+
+    def broken(*_, **__):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(loewner, "classify", broken)
+    status, _, err = run(capsys, "check", "a.npz", "b.npz")
+    assert status == 2
+    assert "ZeroDivisionError: a bug" in err
+
+
+def test_a_reader_that_leaves_is_not_a_collision(saved):
+    """With standard output closed at the other end, the status is that of errors, without a traceback."""
+    program = Path(sys.executable).with_name("loewner")
+    arguments = [program, "check", "a.npz", "b.npz", "--pose-b", "9 0 0"]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+    assert process.returncode == 2
+    assert "Traceback" not in err
+
+
 def test_installed_program(saved):
     """The program is installed, and returns its status to the shell."""
     program = Path(sys.executable).with_name("loewner")

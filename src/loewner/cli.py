@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,10 +51,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     options = _parser().parse_args(arguments)
     try:
-        return int(options.run(options))
+        status = int(options.run(options))
+        sys.stdout.flush()
+        return status
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
-        return ERROR
+    except BrokenPipeError:
+        # The reader left (`| head`). Python would fail once more when it closes standard output.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception:
+        # Python's own status for a crash is 1, which here says "colliding".
+        traceback.print_exc()
+    return ERROR
 
 
 def _parser() -> argparse.ArgumentParser:
