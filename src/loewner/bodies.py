@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -702,6 +703,11 @@ def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Coverin
 
 
 def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:
+    if os.path.isfile(path) and not zipfile.is_zipfile(path):
+        raise FileError(
+            f"{path}: expected a body saved as .npz, found another kind of file or a damaged one; "
+            "for a mesh use loewner.Body.from_mesh"
+        )
     try:
         stored = np.load(path, allow_pickle=False)
         if not isinstance(stored, np.lib.npyio.NpzFile):

@@ -102,6 +102,7 @@ def pair(
     if verdict == Verdict.AMBIGUOUS:
         title += ", exact: " + ("colliding" if collide(a, Ta, b, Tb) else "free")
     ax.set_title(title)
+    _legend(ax, [("a", COLOURS[0]), ("b", COLOURS[1])] + ([("inner", INNER), ("outer", OUTER)] if ellipsoids else []))
     return ax
 
 
@@ -145,12 +146,19 @@ def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None
     for piece in body.pieces:
         if piece.vertices is not None and piece.triangles is not None:
             corners = (piece.vertices @ T[:3, :3].T + T[:3, 3])[piece.triangles]
-            ax.add_collection3d(Poly3DCollection(corners, facecolors=colour, linewidths=0, alpha=0.25, shade=True))
+            ax.add_collection3d(Poly3DCollection(corners, facecolors=colour, linewidths=0, alpha=0.55, shade=True))
     if ellipsoids:
-        for fitted, line, width in ((body.outer, OUTER, 0.5), (body.inner, INNER, 1.0)):
+        for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)
             for center, factor in zip(moved.center, moved.factor, strict=True):
                 ax.add_collection3d(Line3DCollection(center + _WIRES @ factor.T, colors=line, linewidths=width))
+
+
+def _legend(ax: Any, entries: list[tuple[str, str]]) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=colour, linewidth=4, label=label) for label, colour in entries]
+    ax.legend(handles=handles, loc="upper left", fontsize="small", frameon=False)
 
 
 def _wires() -> Floats:
@@ -184,4 +192,6 @@ def _frame(ax: Any, corners: Floats) -> None:
         zlabel="z, m",
     )
     ax.set_box_aspect((1, 1, 1))
-    ax.locator_params(nbins=4)
+    ax.locator_params(nbins=3)
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.labelpad = 12  # clear of the ticks' numbers
