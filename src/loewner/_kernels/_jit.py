@@ -75,6 +75,17 @@ class _Announcer(event.Listener):
 event.register("numba:compile", _Announcer())
 
 
+def _name_by_process(dispatcher: Any) -> None:
+    """Let no two processes write compiled code under one name.
+
+    Numba numbers the data files of a function. Two processes that compile it for different argument types at
+    the same time would take the same number, and one type could then load the code of the other.
+    """
+    files = dispatcher._cache._cache_file
+    plain = files._data_name
+    files._data_name = lambda number: f"{os.getpid()}-{plain(number)}"
+
+
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a kernel: NumPy's error model, contraction only, cached under `CACHE_FOLDER`."""
 
@@ -85,6 +96,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             _config.CACHE_DIR = str(CACHE_FOLDER)
             try:
                 dispatcher.enable_caching()
+                _name_by_process(dispatcher)
             finally:
                 _config.CACHE_DIR = before
         return dispatcher

@@ -360,7 +360,7 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     pb = np.empty(LANES, np.int64)
     start_a, start_b = a[4], b[4]
     posed = not (_unturned(Ta) and _unturned(Tb))
-    count = 0
+    count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
     # Walk the last axis by adding strides; only its end costs divisions.
     last = shape.shape[0] - 1
     here = shape[last]
@@ -392,7 +392,7 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 if count == LANES:
                     _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
                            tally)  # fmt: skip
-                    count = 0
+                    count = np.int64(0)
     if count > 0:
         _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
 

@@ -73,8 +73,9 @@ def _face(S, corners, normals, offsets, f):
 @njit()
 def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S):
     """Four support points that span a volume, written to rows 0..3 of S."""
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, 1.0, 0.0, 0.0, S, 0)
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -1.0, 0.0, 0.0, S, 1)
+    rows = np.arange(5)  # as data: the functions below would be compiled once per constant
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, 1.0, 0.0, 0.0, S, rows[0])
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -1.0, 0.0, 0.0, S, rows[1])
     # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
@@ -85,13 +86,13 @@ def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
         px, py, pz = ez, 0.0, -ex
     else:
         px, py, pz = -ey, ex, 0.0
-    _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, px, py, pz, S, 2)
+    _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, px, py, pz, S, rows[2])
     ux = S[2, 0] - S[0, 0]
     uy = S[2, 1] - S[0, 1]
     uz = S[2, 2] - S[0, 2]
     _farther(
         ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
-        ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, 3,
+        ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, rows[3],
     )  # fmt: skip
 
 
@@ -295,7 +296,8 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
     used = 4
     upper = np.inf
     lower = -np.inf
-    last = -1
+    last = np.int64(-1)
+    best_row = np.int64(0)
     while used < MAX_POINTS:
         nearest = -1
         least = np.inf
@@ -312,7 +314,10 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         # The least along -n is the farthest along n.
         _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
-        upper = min(upper, height)
+        if height < upper:
+            upper = height
+            best_row = used
+            result[0], result[1], result[2] = nx, ny, nz
         last = nearest
         if upper - least <= tolerance or height - least <= 4.0 * error:
             break
@@ -323,6 +328,11 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         used += 1
     if last < 0:
         return -np.inf, np.inf
+    if upper - lower > WITNESS_WINDOW * error:
+        # Many directions tie and the faces are still coarse: the best support plane and its own points.
+        for c in range(6):
+            result[3 + c] = S[best_row, 3 + c]
+        return lower, upper
     # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
     # it. The foot of the origin is inside one of them: that one knows the witnesses.
     window = lower + max(upper - lower, WITNESS_WINDOW * error)
