@@ -527,3 +527,24 @@ def test_estimate_keeps_what_is_certain_for_long_pieces(rule: str):
     guess = loewner.collide(ball, P, beam, T, method="estimate", rule=rule)
     assert not guess[verdict == FREE].any()
     assert guess[verdict == COLLIDING].all()
+
+
+@pytest.mark.parametrize("rule", ["contact-product", "rimon-boyd", "lin-han", "center-line"])
+def test_estimate_obeys_the_certificate_at_extreme_sizes(rule: str):
+    """A cube of 7 cm beside a cone of 5 cm by 8 km, far from the origin: free is free."""
+    cube, spike = Body.box([0.06628702538750511] * 3), Body.cone(0.04647938998257031, 8428.439090463668)
+    Ta = [
+        [0.8553448915481567, -0.5172001123428345, 0.029817722737789154, -3250637568.0],
+        [0.3324909806251526, 0.5921900272369385, 0.7340031862258911, 3740723456.0],
+        [-0.39728429913520813, -0.6179117560386658, 0.6784911155700684, -317784064.0],
+        [0, 0, 0, 1],
+    ]
+    Tb = [
+        [0.5933630466461182, 0.16310887038707733, -0.7882359027862549, -3250640384.0],
+        [0.05231747031211853, 0.9693686366081238, 0.23997369408607483, 3740723968.0],
+        [0.8032329678535461, -0.18363001942634583, 0.5666540265083313, -317784256.0],
+        [0, 0, 0, 1],
+    ]
+    verdict = loewner.classify(cube, Ta, spike, Tb)
+    guess = loewner.collide(cube, Ta, spike, Tb, method="estimate", rule=rule)
+    assert verdict == AMBIGUOUS or guess == (verdict == COLLIDING)

@@ -266,8 +266,6 @@ def collide(
     if method == "exact":
         out, _ = _settle(verdicts.EXACT, keep, pairs)
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
-    elif code == distances.CONTACT_PRODUCT:
-        out, _ = _settle(verdicts.ESTIMATE, keep, pairs)
     else:
         out, _ = _settle(verdicts.CERTIFY, keep, pairs)
 

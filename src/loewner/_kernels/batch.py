@@ -15,7 +15,6 @@ from loewner._kernels.lanes import (
     CENTER_B,
     IN_DISTANCE,
     IN_DOUBT,
-    IN_F,
     IN_LEVEL,
     IN_NORMAL,
     IN_POINT,
@@ -24,9 +23,7 @@ from loewner._kernels.lanes import (
     OFFSET,
     OUT_BOUND,
     OUT_DOUBT,
-    OUT_F,
     OUT_NORMAL,
-    OUT_WIDTH,
     RADII,
     REACHES,
     ROT_A,
@@ -54,7 +51,6 @@ from loewner._kernels.verdicts import (
     BY_OUTER,
     BY_SPHERE,
     COLLIDING,
-    ESTIMATE,
     EXACT,
     FREE,
     OPEN,
@@ -151,18 +147,6 @@ def _refined_inner(S, lane, posed, x, y, z):
     return level
 
 
-@inline
-def estimated_distance(F_outer, F_inner, width):
-    """Distance that the two contact functions suggest; negative exactly if F_outer F_inner < 1.
-
-    √F is the factor by which both ellipsoids must grow to touch. The geometric mean g of the outer
-    and the inner factor is taken for the pieces' own; pieces whose width along the normal times g
-    equals the centers' offset along it are apart by offset (1 - 1/g).
-    """
-    g = np.sqrt(np.sqrt(max(F_outer * F_inner, 0.0)))
-    return width * (1.0 - 1.0 / g) if g > 0.0 else -np.inf
-
-
 @njit()
 def _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, column):
     """World vector from a's to b's ellipsoid center; the translations are subtracted first."""
@@ -236,8 +220,8 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
     _fill(S, SHIFT, 3, count, padded)
     _fill(S, SIZE, 1, count, padded)
     _fill(S, OFFSET, 3, count, padded)
-    # Estimates need F at its maximum, margins the near points: then every lane iterates.
-    full = mode == ESTIMATE or margin > 0.0
+    # A margin needs the near points, and they the best s: then every lane iterates.
+    full = margin > 0.0
     if posed:
         _fill(S, ROT_A, 18, count, padded)
         if full:
@@ -263,7 +247,7 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
         if left < lane:
             _move(S, left, lane, SHIFT, 3)
             _move(S, left, lane, SIZE, 1)
-            _move(S, left, lane, OUT_BOUND, OUT_WIDTH + 1 - OUT_BOUND)
+            _move(S, left, lane, OUT_BOUND, OUT_DOUBT + 1 - OUT_BOUND)
             if posed:
                 _move(S, left, lane, ROT_A, 18)
             pair[left], pi[left], pj[left], pa[left], pb[left] = pair[lane], pi[lane], pj[lane], pa[lane], pb[lane]
@@ -316,12 +300,6 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
             tally[tier] += 1
             if verdict != FREE:
                 out[k] = verdict
-        elif mode == ESTIMATE:
-            tally[OPEN] += 1
-            guess = estimated_distance(S[OUT_F * LANES + lane], S[IN_F * LANES + lane], S[OUT_WIDTH * LANES + lane])
-            # Written so that NaN, which only a broken input could bring this far, counts as colliding.
-            if not guess > margin:
-                out[k] = COLLIDING
         else:
             tally[OPEN] += 1
             out[k] = AMBIGUOUS
@@ -334,7 +312,7 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     Parameters
     ----------
     mode : int
-        CERTIFY, EXACT or ESTIMATE.
+        CERTIFY or EXACT.
     margin : float
         Distance that pairs must keep, >= 0.
     plan : ndarray of int64, shape (5, d)

@@ -6,8 +6,8 @@ piece pairs.
 
 import numpy as np
 
-from loewner._kernels._jit import njit
-from loewner._kernels.batch import estimated_distance, row_of
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.batch import row_of
 from loewner._kernels.contact import (
     SHAPE_ROUNDINGS,
     UNIT_ROUNDOFF,
@@ -134,6 +134,18 @@ def inner_bound(ta, i, Ta, tb, j, Tb, size):
         if distance < best:
             best = distance
     return best, F
+
+
+@inline
+def estimated_distance(F_outer, F_inner, width):
+    """Distance that the two contact functions suggest; negative exactly if F_outer F_inner < 1.
+
+    √F is the factor by which both ellipsoids must grow to touch. The geometric mean g of the outer
+    and the inner factor is taken for the pieces' own; pieces whose width along the normal times g
+    equals the centers' offset along it are apart by offset (1 - 1/g).
+    """
+    g = np.sqrt(np.sqrt(max(F_outer * F_inner, 0.0)))
+    return width * (1.0 - 1.0 / g) if g > 0.0 else -np.inf
 
 
 @njit()
@@ -273,7 +285,7 @@ def _world_ellipsoid(table, factors, piece, T, other, column, center, factor, se
 
 @njit()
 def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
-    """Decide the pairs left AMBIGUOUS in `out` by the sign of the paper's estimate f."""
+    """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -290,8 +302,14 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
         apart = abs(B[0, 3] - A[0, 3]) + abs(B[1, 3] - A[1, 3]) + abs(B[2, 3] - A[2, 3])
         for i in range(a[4][ia], a[4][ia + 1]):
             for j in range(b[4][ib], b[4][ib + 1]):
-                below, _, _, _, _, _ = outer_bound(ta, i, A, tb, j, B, apart + ta[i, REACH] + tb[j, REACH])
+                size = apart + ta[i, REACH] + tb[j, REACH]
+                below, _, _, _, F_outer, width = outer_bound(ta, i, A, tb, j, B, size)
                 if below > margin:
+                    continue
+                if rule == CONTACT_PRODUCT:
+                    _, F_inner = inner_bound(ta, i, A, tb, j, B, size)
+                    if not estimated_distance(F_outer, F_inner, width) > margin:
+                        out[k] = 1
                     continue
                 _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
                 _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)

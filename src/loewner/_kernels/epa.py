@@ -26,6 +26,10 @@ FLAT = -2e300  # in place of a depth: the Minkowski difference is a point, a seg
 # Faces this close to the nearest, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
 WITNESS_WINDOW = 2e4
 
+# Turn of the directions, in radians, whose support points refine a witness: what they miss of the depth is
+# its square.
+HAIR = 1e-5
+
 DEPTH_ACCURACY = 1e-11  # what a distance query asks for
 CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
@@ -297,7 +301,6 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
     upper = np.inf
     lower = -np.inf
     last = np.int64(-1)
-    best_row = np.int64(0)
     while used < MAX_POINTS:
         nearest = -1
         least = np.inf
@@ -316,7 +319,6 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         if height < upper:
             upper = height
-            best_row = used
             result[0], result[1], result[2] = nx, ny, nz
         last = nearest
         if upper - least <= tolerance or height - least <= 4.0 * error:
@@ -328,10 +330,11 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         used += 1
     if last < 0:
         return -np.inf, np.inf
-    if upper - lower > WITNESS_WINDOW * error:
-        # Many directions tie and the faces are still coarse: the best support plane and its own points.
-        for c in range(6):
-            result[3 + c] = S[best_row, 3 + c]
+    # If many directions tie, the faces are still coarse. Support points around the best normal, a hair's
+    # breadth apart, carry a much finer face.
+    if upper - lower > WITNESS_WINDOW * error and _fine_foot(
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result
+    ):
         return lower, upper
     # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
     # it. The foot of the origin is inside one of them: that one knows the witnesses.
@@ -346,6 +349,51 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
                 last = f
     _witness(S, corners, normals, last, result)
     return lower, upper
+
+
+@njit()
+def _fine_foot(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result):
+    """Witnesses for the normal in `result` from the support points of five directions around it.
+
+    The origin's foot must lie in a triangle of three of the points, seen along the normal; False if it lies in none.
+    """
+    nx, ny, nz = result[0], result[1], result[2]
+    if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
+        ux, uy, uz = 0.0, -nz, ny
+    elif abs(ny) <= abs(nz):
+        ux, uy, uz = nz, 0.0, -nx
+    else:
+        ux, uy, uz = -ny, nx, 0.0
+    length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / length, uy / length, uz / length
+    wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+    for r in range(5):
+        a = HAIR * ((r == 1) - (r == 2))
+        b = HAIR * ((r == 3) - (r == 4))
+        _support(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
+            -(nx + a * ux + b * wx), -(ny + a * uy + b * wy), -(nz + a * uz + b * wz), S, used + r,
+        )  # fmt: skip
+    for p in range(used, used + 5):
+        for q in range(p + 1, used + 5):
+            for r in range(q + 1, used + 5):
+                ap = S[p, 0] * ux + S[p, 1] * uy + S[p, 2] * uz
+                aq = S[q, 0] * ux + S[q, 1] * uy + S[q, 2] * uz
+                ar = S[r, 0] * ux + S[r, 1] * uy + S[r, 2] * uz
+                bp = S[p, 0] * wx + S[p, 1] * wy + S[p, 2] * wz
+                bq = S[q, 0] * wx + S[q, 1] * wy + S[q, 2] * wz
+                br = S[r, 0] * wx + S[r, 1] * wy + S[r, 2] * wz
+                wp = aq * br - ar * bq
+                wq = ar * bp - ap * br
+                wr = ap * bq - aq * bp
+                total = wp + wq + wr
+                if total == 0.0:
+                    continue
+                if wp / total >= -1e-9 and wq / total >= -1e-9 and wr / total >= -1e-9:
+                    for c in range(3, 9):
+                        result[c] = (wp * S[p, c] + wq * S[q, c] + wr * S[r, c]) / total
+                    return True
+    return False
 
 
 @njit()
@@ -395,7 +443,7 @@ def _witness(S, corners, normals, f, result):
 @njit()
 def workspace(wanted):
     """Arrays that `penetration` writes to; one set serves any number of calls in turn."""
-    points = MAX_POINTS + 2 if wanted else 1
+    points = MAX_POINTS + 8 if wanted else 1
     faces = MAX_FACES if wanted else 1
     return (
         np.empty((points, 9)),

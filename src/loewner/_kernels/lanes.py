@@ -16,8 +16,8 @@ inner
     a common point of the inner ellipsoids at the same kind of guess.
 
 Each says besides whether a better s could still change the answer; only those few lanes iterate
-(`refined_outer`, `refined_inner` in `batch`). The full stages, which iterate in every lane, serve queries that
-need F itself (estimates) or near points (margins).
+(`_refined_outer`, `_refined_inner` in `batch`). The full stages, which iterate in every lane, serve queries with a
+margin, which need near points.
 """
 
 import numpy as np
@@ -41,9 +41,9 @@ ROT_A, ROT_B, SHAPE_A, SHAPE_B, CENTER_A, CENTER_B, SHIFT = 0, 9, 18, 24, 30, 33
 RADII, REACHES, SIZE, SIGMA_A, SIGMA_B, OFFSET = 39, 40, 41, 42, 43, 44
 INPUTS = 47
 NEAR = 47  # how much farther apart than their bounding spheres allow; positive means FREE
-OUT_BOUND, OUT_NORMAL, OUT_DOUBT, OUT_F, OUT_WIDTH = 48, 49, 52, 53, 54
-IN_LEVEL, IN_DISTANCE, IN_NORMAL, IN_POINT, IN_DOUBT, IN_F = 55, 56, 57, 60, 63, 64
-ROWS = 65
+OUT_BOUND, OUT_NORMAL, OUT_DOUBT = 48, 49, 52
+IN_LEVEL, IN_DISTANCE, IN_NORMAL, IN_POINT, IN_DOUBT = 53, 54, 55, 58, 61
+ROWS = 62
 
 
 @inline
@@ -190,8 +190,6 @@ def _stages(posed):
             _put_three(S, lane, OUT_NORMAL, nx, ny, nz)
             S[OUT_BOUND * LANES + lane] = separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
             S[OUT_DOUBT * LANES + lane] = highest(*p, *q, s, F, nx, ny, nz)
-            S[OUT_F * LANES + lane] = F
-            S[OUT_WIDTH * LANES + lane] = (nx * x + ny * y + nz * z) / np.sqrt(nx * nx + ny * ny + nz * nz)
 
     @njit()
     def full_inner_stage(S, count):
@@ -208,7 +206,6 @@ def _stages(posed):
             _put_three(S, lane, IN_NORMAL, nx, ny, nz)
             _put_three(S, lane, IN_POINT, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
             S[IN_DOUBT * LANES + lane] = F
-            S[IN_F * LANES + lane] = F
 
     return near_stage, outer_stage, inner_stage, full_outer_stage, full_inner_stage
 

@@ -1,7 +1,7 @@
 """Codes that kernels and queries share."""
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
-CERTIFY, EXACT, ESTIMATE = 0, 1, 2
+CERTIFY, EXACT = 0, 1
 
 # Who settled a piece pair.
 BY_SPHERE, BY_OUTER, BY_INNER, BY_SUPPORT, BY_POINT, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5, 6
