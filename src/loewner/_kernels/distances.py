@@ -187,15 +187,21 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
             S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
         )  # fmt: skip
         if deep == FLAT:
-            shallow = 0.0
-            deep = 0.0
             for c in range(6):
                 result[3 + c] = 0.0
                 for row in range(k):
                     result[3 + c] += weights[row] * G[row, 3 + c]
-        lower = -deep - ra - rb
-        upper = lower
-        gap = deep - shallow
+        if deep == FLAT and upper + ra + rb > 4.0 * error:
+            # Cores that are apart after all: what GJK has, with the gap it has.
+            for c in range(3):
+                result[c] = -d[c]
+            gap = upper - lower
+        else:
+            if deep == FLAT:
+                shallow = 0.0
+                deep = 0.0
+            upper = -deep - ra - rb
+            gap = deep - shallow
     for c in range(3):
         result[3 + c] += ra * result[c]
         result[6 + c] -= rb * result[c]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.epa import CONTACT_ACCURACY, penetration, workspace
+from loewner._kernels.epa import CONTACT_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.gjk import APART, TOUCH_ROUNDINGS, TOUCHING, quick, rounding_error, run, swollen_radii
 from loewner._kernels.shapes import INNER_CENTER, ROUNDING, core_height, inside_by
 from loewner._kernels.verdicts import AMBIGUOUS, BY_POINT, BY_SEARCH, BY_SUPPORT, COLLIDING, FREE, OPEN
@@ -104,6 +104,8 @@ def exact_piece_pair(
         ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, CONTACT_ACCURACY,
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], np.empty(9),
     )  # fmt: skip
+    if deep == FLAT:  # a sentinel, not a depth: it must not pass for a separation
+        return AMBIGUOUS, OPEN
     radii = swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
     if -deep - radii - error > margin:
         return FREE, BY_SEARCH
