@@ -15,10 +15,6 @@ from loewner.errors import InputError, PoseError
 
 Floats = NDArray[np.float64]
 
-# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
-# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
-ROTATION_TOLERANCE = 1e-6
-
 IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
 
@@ -92,19 +88,21 @@ def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
     return vector
 
 
-def poses(T: ArrayLike | None, name: str) -> Floats:
+def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     """Check rigid motions.
 
     Parameters
     ----------
     T : array_like, shape (..., 4, 4), or None
         Homogeneous matrices; ``None`` is the identity.
+    check : bool
+        False leaves the entries to whoever goes through them anyway.
 
     Raises
     ------
     PoseError
         If the shape is wrong, an entry is not finite, the last row is not (0, 0, 0, 1), or the
-        rotation part is not orthonormal to `ROTATION_TOLERANCE` with determinant +1.
+        rotation part is not orthonormal to `rigid.ROTATION_TOLERANCE` with determinant +1.
     """
     if T is None:
         return IDENTITY
@@ -116,12 +114,19 @@ def poses(T: ArrayLike | None, name: str) -> Floats:
         raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}")
     if not array.flags.carray:  # read-only: to Numba another type, see above
         array = array.copy()
-    batch = array.reshape(-1, 4, 4)
-    at, kind, size = rigid.first_fault(batch, ROTATION_TOLERANCE)
+    if check:
+        rigid_motions(array, name)
+    return array
+
+
+def rigid_motions(T: Floats, name: str) -> None:
+    """Check poses of shape (..., 4, 4) one by one."""
+    batch = T.reshape(-1, 4, 4)
+    at, kind, size = rigid.first_fault(batch)
     if at < len(batch):
         where = f"{name}[{at}]" if len(batch) > 1 else name
-        raise PoseError(f"{where}: {_POSE_FAULTS[kind].format(size=size, tolerance=ROTATION_TOLERANCE, T=batch[at])}")
-    return array
+        tolerance = rigid.ROTATION_TOLERANCE
+        raise PoseError(f"{where}: {_POSE_FAULTS[kind].format(size=size, tolerance=tolerance, T=batch[at])}")
 
 
 _POSE_FAULTS = {

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import shapes
+from loewner._kernels import rigid, shapes
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
 
@@ -120,8 +120,9 @@ def _table(p: Packed) -> Floats:
     inner = np.linalg.svd(p.inner_factor, compute_uv=False)
     slack = 32 * 2.0**-53
     # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
-    bend = 2 * _check.ROTATION_TOLERANCE
+    bend = 2 * rigid.ROTATION_TOLERANCE
     table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
+    table[:, shapes.INNER_GRIP] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
     table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
     table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.

@@ -80,14 +80,16 @@ class _Pairs(NamedTuple):
 _ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
 
 
-def _prepare(a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_world_b: ArrayLike | None) -> _Pairs:
-    """Check the operands and work out how they broadcast."""
+def _prepare(
+    a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_world_b: ArrayLike | None, *, check: bool
+) -> _Pairs:
+    """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`."""
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
     if not isinstance(b, (Body, Bodies)):
         raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}")
-    Ta = _check.poses(T_world_a, "T_world_a")
-    Tb = _check.poses(T_world_b, "T_world_b")
+    Ta = _check.poses(T_world_a, "T_world_a", check=check)
+    Tb = _check.poses(T_world_b, "T_world_b", check=check)
     pack_a, pack_b = a._packed.kernel, b._packed.kernel
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, (_ONE_PAIR, pack_a, Ta.reshape(1, 4, 4), pack_b, Tb.reshape(1, 4, 4)))
@@ -140,7 +142,10 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
 
     def run(first: int, last: int) -> NDArray[np.int64]:
         tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        batch.settle_range(mode, margin, first, last, *pairs.operands, out, tally)
+        if not batch.settle_range(mode, margin, first, last, *pairs.operands, out, tally):
+            _, _, Ta, _, Tb = pairs.operands
+            _check.rigid_motions(Ta, "T_world_a")
+            _check.rigid_motions(Tb, "T_world_b")
         return tally
 
     if pairs.total <= CHUNK:
@@ -199,7 +204,7 @@ def classify(
     <Verdict.FREE: 0>
     """
     keep = _check.positive_scalar(margin, "margin", zero=True)
-    pairs = _prepare(a, T_world_a, b, T_world_b)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
     out, _ = _settle(verdicts.CERTIFY, keep, pairs)
     return Verdict(int(out[0])) if pairs.shape == () else out.reshape(pairs.shape)
 
@@ -262,7 +267,7 @@ def collide(
         raise UnknownNameError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
     code = _rule_code(rule)
     keep = _check.positive_scalar(margin, "margin", zero=True)
-    pairs = _prepare(a, T_world_a, b, T_world_b)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
     if method == "exact":
         out, _ = _settle(verdicts.EXACT, keep, pairs)
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
@@ -324,7 +329,7 @@ def distance(
     1.5
     """
     code = _rule_code(rule)
-    pairs = _prepare(a, T_world_a, b, T_world_b)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=True)
     n, m = pairs.total, pairs.total if exact else 0
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]

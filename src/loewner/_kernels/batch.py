@@ -1,4 +1,4 @@
-"""Verdicts for ranges of pairs: a queue that feeds piece pairs to the vectorised stages, then the rest one by one.
+"""Verdicts for ranges of pairs: lists of piece pairs for the certificate, then the open ones one by one.
 
 The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d of each operand
 (two bodies, two pose arrays): broadcasting without copies.
@@ -8,55 +8,27 @@ import numpy as np
 
 from loewner._kernels import lanes
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.contact import maximize, nearness, rotated, separation
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.lanes import (
-    CENTER_A,
-    CENTER_B,
-    IN_DISTANCE,
-    IN_DOUBT,
-    IN_LEVEL,
+    BLOCK,
     IN_NORMAL,
     IN_POINT,
-    LANES,
-    NEAR,
-    OFFSET,
-    OUT_BOUND,
-    OUT_DOUBT,
+    LISTS,
+    OPEN_LANE,
     OUT_NORMAL,
-    RADII,
-    REACHES,
-    ROT_A,
-    ROT_B,
+    PAIR,
+    PIECE_A,
+    PIECE_B,
+    POSE_A,
+    POSE_B,
     ROWS,
-    SHAPE_A,
-    SHAPE_B,
-    SHIFT,
-    SIGMA_A,
-    SIGMA_B,
-    SIZE,
 )
-from loewner._kernels.shapes import (
-    INNER_CENTER,
-    INNER_SHAPE,
-    INNER_SIGMA,
-    OUTER_CENTER,
-    OUTER_RADIUS,
-    OUTER_SHAPE,
-    REACH,
-)
-from loewner._kernels.verdicts import (
-    AMBIGUOUS,
-    BY_INNER,
-    BY_OUTER,
-    BY_SPHERE,
-    COLLIDING,
-    EXACT,
-    FREE,
-    OPEN,
-)
+from loewner._kernels.shapes import POINTS_FROM, POINTS_TO
+from loewner._kernels.vectors import LANES, prefetch
+from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN
 
-REFINING_STEPS = 12  # Newton steps for the few lanes whose guess may not be good enough
+# What `_flush` found: usual pairs, mostly pairs far apart, or a pose that is no rigid motion.
+MIXED, FAR, FAULTY = 0, 1, 2
 
 
 @inline
@@ -73,236 +45,115 @@ def row_of(k, shape, strides):
     return row
 
 
-@inline
-def _copy(S, row, lane, source, at, column, count):
-    for c in range(count):
-        S[(row + c) * LANES + lane] = source[at, column + c]
-
-
-@inline
-def _move(S, target, lane, row, count):
-    for c in range(count):
-        S[(row + c) * LANES + target] = S[(row + c) * LANES + lane]
-
-
-@inline
-def _fill(S, row, count, used, padded):
-    """Repeat lane 0 in the lanes between `used` and `padded`, so that vectors are whole and all numbers sane."""
-    for lane in range(used, padded):
-        for c in range(count):
-            S[(row + c) * LANES + lane] = S[(row + c) * LANES]
+@njit()
+def is_identity(T):
+    """Tell whether an operand has one pose only and that does nothing."""
+    if T.shape[0] != 1:
+        return False
+    for r in range(4):
+        for c in range(4):
+            if T[0, r, c] != (1.0 if r == c else 0.0):
+                return False
+    return True
 
 
 @inline
-def _padded(count):
-    """Round up to whole vectors, so that the compiler's remainder loop has nothing to do."""
-    return (count + 7) // 8 * 8
+def _fill(count, L):
+    """Repeat the last listed pair up to whole vectors."""
+    for lane in range(count, (count + LANES - 1) // LANES * LANES):
+        for row in range(PIECE_A, POSE_B + 1):
+            L[row * BLOCK + lane] = L[row * BLOCK + count - 1]
 
 
 @njit()
-def _lane_shapes(S, lane, posed):
-    """World shape matrices of one lane."""
-    p = (
-        S[SHAPE_A * LANES + lane], S[(SHAPE_A + 1) * LANES + lane], S[(SHAPE_A + 2) * LANES + lane],
-        S[(SHAPE_A + 3) * LANES + lane], S[(SHAPE_A + 4) * LANES + lane], S[(SHAPE_A + 5) * LANES + lane],
-    )  # fmt: skip
-    q = (
-        S[SHAPE_B * LANES + lane], S[(SHAPE_B + 1) * LANES + lane], S[(SHAPE_B + 2) * LANES + lane],
-        S[(SHAPE_B + 3) * LANES + lane], S[(SHAPE_B + 4) * LANES + lane], S[(SHAPE_B + 5) * LANES + lane],
-    )  # fmt: skip
-    if posed:
-        a = S[ROT_A * LANES + lane : (ROT_A + 9) * LANES : LANES]
-        b = S[ROT_B * LANES + lane : (ROT_B + 9) * LANES : LANES]
-        p = rotated(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], p[0], p[1], p[2], p[3], p[4], p[5])
-        q = rotated(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], q[0], q[1], q[2], q[3], q[4], q[5])
-    return p, q
+def _culled(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+    """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
+    if not lanes.spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+        return -1
+    left = 0
+    for lane in range(count):
+        for row in range(PAIR, POSE_B + 1):
+            L[row * BLOCK + left] = L[row * BLOCK + lane]
+        left += tier[lane] != BY_SPHERE
+    return left
+
+
+@inline
+def _fetch(layout, points, piece):
+    """Have the vertices of a piece on their way while other pairs are worked on."""
+    width = points.shape[1]
+    for at in range(layout[piece, POINTS_FROM], layout[piece, POINTS_TO], 8):
+        prefetch(points, at)
+        prefetch(points, width + at)
+        prefetch(points, 2 * width + at)
 
 
 @njit()
-def _refined_outer(S, lane, posed):
-    """Try again to separate the outer ellipsoids of one lane, with s iterated to the maximum."""
-    p, q = _lane_shapes(S, lane, posed)
-    x, y, z = S[OFFSET * LANES + lane], S[(OFFSET + 1) * LANES + lane], S[(OFFSET + 2) * LANES + lane]
-    _, _, nx, ny, nz = maximize(*p, *q, x, y, z, REFINING_STEPS)
-    S[OUT_NORMAL * LANES + lane] = nx
-    S[(OUT_NORMAL + 1) * LANES + lane] = ny
-    S[(OUT_NORMAL + 2) * LANES + lane] = nz
-    return separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
+def _flush(mode, margin, far_first, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G, weights, v, d, out, tally):
+    """Settle the listed piece pairs and merge them into the verdicts of their pairs.
 
-
-@njit()
-def _refined_inner(S, lane, posed, x, y, z):
-    """Try again to find a common point of the inner ellipsoids of one lane; their centers are (x, y, z) apart."""
-    p, q = _lane_shapes(S, lane, posed)
-    _, s, nx, ny, nz = maximize(*p, *q, x, y, z, REFINING_STEPS)
-    level, _, _, ax, ay, az, bx, by, bz = nearness(
-        *p, *q, x, y, z, nx, ny, nz, s, S[SIGMA_A * LANES + lane], S[SIGMA_B * LANES + lane], S[SIZE * LANES + lane]
-    )
-    S[IN_NORMAL * LANES + lane] = nx
-    S[(IN_NORMAL + 1) * LANES + lane] = ny
-    S[(IN_NORMAL + 2) * LANES + lane] = nz
-    S[IN_POINT * LANES + lane] = 0.5 * (ax + bx)
-    S[(IN_POINT + 1) * LANES + lane] = 0.5 * (ay + by)
-    S[(IN_POINT + 2) * LANES + lane] = 0.5 * (az + bz)
-    return level
-
-
-@njit()
-def _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, column):
-    """World vector from a's to b's ellipsoid center; the translations are subtracted first."""
-    ax, ay, az = ta[i, column], ta[i, column + 1], ta[i, column + 2]
-    bx, by, bz = tb[j, column], tb[j, column + 1], tb[j, column + 2]
-    x = (Tb[kb, 0, 3] - Ta[ka, 0, 3]) + (
-        (Tb[kb, 0, 0] * bx + Tb[kb, 0, 1] * by + Tb[kb, 0, 2] * bz)
-        - (Ta[ka, 0, 0] * ax + Ta[ka, 0, 1] * ay + Ta[ka, 0, 2] * az)
-    )
-    y = (Tb[kb, 1, 3] - Ta[ka, 1, 3]) + (
-        (Tb[kb, 1, 0] * bx + Tb[kb, 1, 1] * by + Tb[kb, 1, 2] * bz)
-        - (Ta[ka, 1, 0] * ax + Ta[ka, 1, 1] * ay + Ta[ka, 1, 2] * az)
-    )
-    z = (Tb[kb, 2, 3] - Ta[ka, 2, 3]) + (
-        (Tb[kb, 2, 0] * bx + Tb[kb, 2, 1] * by + Tb[kb, 2, 2] * bz)
-        - (Ta[ka, 2, 0] * ax + Ta[ka, 2, 1] * ay + Ta[ka, 2, 2] * az)
-    )
-    return x, y, z
-
-
-@njit()
-def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally):
-    """Settle the queued lanes and merge them into the verdicts of their pairs.
-
-    `pair`, `pi`, `pj`, `pa`, `pb` say for each lane which pair, pieces and poses it stands for; they are compacted
-    along with the lanes.
+    With `far_first` the spheres go first, by themselves. Returns MIXED, FAR or FAULTY.
     """
     ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[5]
     tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[5]
-    for lane in range(count):
-        i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
-        _copy(S, CENTER_A, lane, hot_a, i, OUTER_CENTER, 3)
-        _copy(S, CENTER_B, lane, hot_b, j, OUTER_CENTER, 3)
-        for c in range(3):
-            S[(SHIFT + c) * LANES + lane] = Tb[kb, c, 3] - Ta[ka, c, 3]
-        S[RADII * LANES + lane] = hot_a[i, OUTER_RADIUS] + hot_b[j, OUTER_RADIUS]
-        S[REACHES * LANES + lane] = hot_a[i, REACH] + hot_b[j, REACH]
-        if posed:
-            for r in range(3):
-                for c in range(3):
-                    S[(ROT_A + 3 * r + c) * LANES + lane] = Ta[ka, r, c]
-                    S[(ROT_B + 3 * r + c) * LANES + lane] = Tb[kb, r, c]
-    padded = _padded(count)
-    _fill(S, CENTER_A, SIZE - CENTER_A, count, padded)
-    if posed:
-        _fill(S, ROT_A, 18, count, padded)
-        lanes.posed_near(S, padded)
+    listed = count
+    _fill(count, L)
+    if far_first:
+        count = _culled(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier)
+        if count < 0:
+            return FAULTY
+        if count == 0:
+            tally[BY_SPHERE] += listed
+            return FAR
+        _fill(count, L)
+    if margin > 0.0:
+        good = lanes.certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V)
     else:
-        lanes.plain_near(S, padded)
+        good = lanes.certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V)
+    if not good:
+        return FAULTY
 
-    left = 0
+    # Without branches: nobody can predict how the next pair comes out.
+    far, outer, left = listed - count, 0, 0
+    unsettled = FREE if mode == EXACT else AMBIGUOUS
     for lane in range(count):
-        if S[NEAR * LANES + lane] > margin:
-            tally[BY_SPHERE] += 1
-            continue
-        if left < lane:
-            _move(S, left, lane, OFFSET, 3)
-            _move(S, left, lane, SHIFT, 3)
-            _move(S, left, lane, SIZE, 1)
-            if posed:
-                _move(S, left, lane, ROT_A, 18)
-            pair[left], pi[left], pj[left], pa[left], pb[left] = pair[lane], pi[lane], pj[lane], pa[lane], pb[lane]
-        _copy(S, SHAPE_A, left, hot_a, pi[left], OUTER_SHAPE, 6)
-        _copy(S, SHAPE_B, left, hot_b, pj[left], OUTER_SHAPE, 6)
-        left += 1
-    if left == 0:
-        return
-    count = left
-    padded = _padded(count)
-    _fill(S, SHAPE_A, 12, count, padded)
-    _fill(S, SHIFT, 3, count, padded)
-    _fill(S, SIZE, 1, count, padded)
-    _fill(S, OFFSET, 3, count, padded)
-    # A margin needs the near points, and they the best s: then every lane iterates.
-    full = margin > 0.0
-    if posed:
-        _fill(S, ROT_A, 18, count, padded)
-        if full:
-            lanes.posed_full_outer(S, padded)
-        else:
-            lanes.posed_outer(S, padded)
-    elif full:
-        lanes.plain_full_outer(S, padded)
+        t = tier[lane]
+        far += t == BY_SPHERE
+        outer += t == BY_OUTER
+        L[OPEN_LANE * BLOCK + left] = lane
+        left += t == OPEN
+    tally[BY_SPHERE] += far
+    tally[BY_OUTER] += outer
+    tally[BY_INNER] += listed - far - outer - left
+    for lane in range(count):
+        k = L[PAIR * BLOCK + lane]
+        verdict = COLLIDING * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
+        before = out[k]
+        out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
+    if mode != EXACT:
+        tally[OPEN] += left
     else:
-        lanes.plain_outer(S, padded)
-
-    left = 0
-    for lane in range(count):
-        if S[OUT_BOUND * LANES + lane] > margin:
-            tally[BY_OUTER] += 1
-            continue
-        # Only where F can exceed 1 somewhere is there anything left to separate.
-        if not S[OUT_DOUBT * LANES + lane] < 1.0 and _refined_outer(S, lane, posed) > margin:
-            tally[BY_OUTER] += 1
-            continue
-        if out[pair[lane]] == COLLIDING:
-            continue
-        if left < lane:
-            _move(S, left, lane, SHIFT, 3)
-            _move(S, left, lane, SIZE, 1)
-            _move(S, left, lane, OUT_BOUND, OUT_DOUBT + 1 - OUT_BOUND)
-            if posed:
-                _move(S, left, lane, ROT_A, 18)
-            pair[left], pi[left], pj[left], pa[left], pb[left] = pair[lane], pi[lane], pj[lane], pa[lane], pb[lane]
-        i, j = pi[left], pj[left]
-        _copy(S, CENTER_A, left, hot_a, i, INNER_CENTER, 3)
-        _copy(S, CENTER_B, left, hot_b, j, INNER_CENTER, 3)
-        _copy(S, SHAPE_A, left, hot_a, i, INNER_SHAPE, 6)
-        _copy(S, SHAPE_B, left, hot_b, j, INNER_SHAPE, 6)
-        S[SIGMA_A * LANES + left] = hot_a[i, INNER_SIGMA]
-        S[SIGMA_B * LANES + left] = hot_b[j, INNER_SIGMA]
-        left += 1
-    if left == 0:
-        return
-    count = left
-    padded = _padded(count)
-    _fill(S, SHAPE_A, OFFSET - SHAPE_A, count, padded)
-    if posed:
-        _fill(S, ROT_A, 18, count, padded)
-        if full:
-            lanes.posed_full_inner(S, padded)
-        else:
-            lanes.posed_inner(S, padded)
-    elif full:
-        lanes.plain_full_inner(S, padded)
-    else:
-        lanes.plain_inner(S, padded)
-
-    for lane in range(count):
-        k = pair[lane]
-        if out[k] == COLLIDING:
-            continue
-        i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
-        overlap = S[IN_LEVEL * LANES + lane] <= 1.0
-        if full:
-            overlap = overlap or S[IN_DISTANCE * LANES + lane] <= margin
-        if not overlap and not S[IN_DOUBT * LANES + lane] > 1.0:
-            x, y, z = _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, INNER_CENTER)
-            overlap = _refined_inner(S, lane, posed, x, y, z) <= 1.0
-        if overlap:
-            out[k] = COLLIDING
-            tally[BY_INNER] += 1
-        elif mode == EXACT:
-            verdict, tier = exact_piece_pair(
-                ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin,
-                S[OUT_NORMAL * LANES + lane], S[(OUT_NORMAL + 1) * LANES + lane], S[(OUT_NORMAL + 2) * LANES + lane],
-                S[IN_NORMAL * LANES + lane], S[(IN_NORMAL + 1) * LANES + lane], S[(IN_NORMAL + 2) * LANES + lane],
-                S[IN_POINT * LANES + lane], S[(IN_POINT + 1) * LANES + lane], S[(IN_POINT + 2) * LANES + lane],
+        for n in range(left):
+            lane = L[OPEN_LANE * BLOCK + n]
+            _fetch(la, xa, L[PIECE_A * BLOCK + lane])
+            _fetch(lb, xb, L[PIECE_B * BLOCK + lane])
+        for n in range(left):
+            lane = L[OPEN_LANE * BLOCK + n]
+            k = L[PAIR * BLOCK + lane]
+            if out[k] == COLLIDING:
+                continue
+            i, j = L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane]
+            verdict, t = exact_piece_pair(
+                ta, la, xa, fa, i, Ta, L[POSE_A * BLOCK + lane], tb, lb, xb, fb, j, Tb, L[POSE_B * BLOCK + lane], margin,
+                V[OUT_NORMAL * BLOCK + lane], V[(OUT_NORMAL + 1) * BLOCK + lane], V[(OUT_NORMAL + 2) * BLOCK + lane],
+                V[IN_NORMAL * BLOCK + lane], V[(IN_NORMAL + 1) * BLOCK + lane], V[(IN_NORMAL + 2) * BLOCK + lane],
+                V[IN_POINT * BLOCK + lane], V[(IN_POINT + 1) * BLOCK + lane], V[(IN_POINT + 2) * BLOCK + lane],
                 G, weights, v, d,
             )  # fmt: skip
-            tally[tier] += 1
+            tally[t] += 1
             if verdict != FREE:
                 out[k] = verdict
-        else:
-            tally[OPEN] += 1
-            out[k] = AMBIGUOUS
+    return FAR if 2 * far > listed else MIXED
 
 
 @njit()
@@ -324,21 +175,40 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
         Receives the verdicts; AMBIGUOUS in mode EXACT means that the search did not settle the pair.
     tally : ndarray of int64, shape (TIERS,)
         Piece pairs settled by each tier are added here.
+
+    Returns
+    -------
+    bool
+        False if one of the poses is no rigid motion; nothing then holds.
     """
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S = np.empty(ROWS * LANES)
+    V = np.empty(ROWS * BLOCK)
+    L = np.empty(LISTS * BLOCK, np.int64)
+    tier = np.empty(BLOCK, np.int8)
     G = np.empty((4, 9))
     weights = np.empty(4)
     v = np.empty(3)
     d = np.empty(3)
-    pair = np.empty(LANES, np.int64)
-    pi = np.empty(LANES, np.int64)
-    pj = np.empty(LANES, np.int64)
-    pa = np.empty(LANES, np.int64)
-    pb = np.empty(LANES, np.int64)
-    start_a, start_b = a[4], b[4]
-    posed = not (_unturned(Ta) and _unturned(Tb))
+    la, lb, start_a, start_b = a[1], b[1], a[4], b[4]
+    moved_a, moved_b = not is_identity(Ta), not is_identity(Tb)
+    found = MIXED
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
+    if shape.shape[0] == 1 and len(start_a) == len(la) + 1 and len(start_b) == len(lb) + 1:
+        # One piece a body, one axis: the lists are arithmetic progressions.
+        for first in range(start, stop, BLOCK):
+            count = min(BLOCK, stop - first)
+            for lane in range(count):
+                L[PAIR * BLOCK + lane] = first + lane
+                L[PIECE_A * BLOCK + lane] = (first + lane) * body_a[0]
+                L[PIECE_B * BLOCK + lane] = (first + lane) * body_b[0]
+                L[POSE_A * BLOCK + lane] = (first + lane) * pose_a[0]
+                L[POSE_B * BLOCK + lane] = (first + lane) * pose_b[0]
+                out[first + lane] = FREE
+            found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+                           weights, v, d, out, tally)  # fmt: skip
+            if found == FAULTY:
+                return False
+        return True
     # Walk the last axis by adding strides; only its end costs divisions.
     last = shape.shape[0] - 1
     here = shape[last]
@@ -361,27 +231,19 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
             for j in range(start_b[ib], start_b[ib + 1]):
                 if out[k] == COLLIDING:
                     break
-                pair[count] = k
-                pi[count] = i
-                pj[count] = j
-                pa[count] = ka
-                pb[count] = kb
+                L[PAIR * BLOCK + count] = k
+                L[PIECE_A * BLOCK + count] = i
+                L[PIECE_B * BLOCK + count] = j
+                L[POSE_A * BLOCK + count] = ka
+                L[POSE_B * BLOCK + count] = kb
                 count += 1
-                if count == LANES:
-                    _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
-                           tally)  # fmt: skip
+                if count == BLOCK:
+                    found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+                                   weights, v, d, out, tally)  # fmt: skip
+                    if found == FAULTY:
+                        return False
                     count = np.int64(0)
     if count > 0:
-        _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
-
-
-@njit()
-def _unturned(T):
-    """Tell whether an operand has one pose only and that does not rotate."""
-    if T.shape[0] != 1:
-        return False
-    for r in range(3):
-        for c in range(3):
-            if T[0, r, c] != (1.0 if r == c else 0.0):
-                return False
-    return True
+        found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+                       weights, v, d, out, tally)  # fmt: skip
+    return found != FAULTY

@@ -9,17 +9,16 @@ with a quadratic q and a cubic d whose coefficients are formed once, so a Newton
 scalar operations. Neither F nor s is trusted afterwards: n = K⁻¹ r and the points
 a + (1-s) P n = b - s Q n are checked by themselves (see docs/certified.md).
 
-Symmetric matrices are six scalars in the order xx, xy, xz, yy, yz, zz. All functions are pure,
-branch-free and return scalars, so a loop over pairs vectorises.
+Symmetric matrices are six numbers in the order xx, xy, xz, yy, yz, zz. All functions are pure and
+branch-free; a number may be a float or a vector of eight (see `vectors`), one for each of eight pairs.
 
 References
 ----------
 Perram and Wertheim (1985), J. Comput. Phys. 58(3), doi:10.1016/0021-9991(85)90171-8.
 """
 
-import numpy as np
-
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.vectors import larger, magnitude, root, smaller
 
 UNIT_ROUNDOFF = 2.0**-53
 
@@ -95,9 +94,9 @@ def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
     k2 = c0 - c1 + c2
     # Two spheres attain the maximum at s = radius of a / sum of radii; use the radii along r.
     tx, ty, tz = times(p0, p1, p2, p3, p4, p5, x, y, z)
-    hp = np.sqrt(max(tx * x + ty * y + tz * z, 0.0))
+    hp = root(larger(tx * x + ty * y + tz * z, 0.0))
     tx, ty, tz = times(q0, q1, q2, q3, q4, q5, x, y, z)
-    hq = np.sqrt(max(tx * x + ty * y + tz * z, 0.0))
+    hq = root(larger(tx * x + ty * y + tz * z, 0.0))
     # Concentric ellipsoids (r = 0) would divide zero by zero: F is 0 everywhere, any s will do.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
     for _ in range(steps):
@@ -117,8 +116,7 @@ def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
         # F is concave, so a step past the end only means "far that way"; NaN (r = 0) falls to the lower guard.
         low = 0.125 * s
         high = 0.875 + 0.125 * s
-        t = t if t > low else low
-        s = t if t < high else high
+        s = smaller(larger(t, low), high)
     u = 1.0 - s
     d = u * u * u * d0 + u * u * s * d1 + u * s * s * d2 + s * s * s * d3
     nx = (u * u * ux + u * s * vx + s * s * wx) / d
@@ -132,8 +130,8 @@ def outward_width(p0, p1, p2, p3, p4, p5, x, y, z, squared_length):
     """√(nᵀPn), P n, with the square root rounded outward by the error of a rotated shape matrix."""
     px, py, pz = times(p0, p1, p2, p3, p4, p5, x, y, z)
     square = px * x + py * y + pz * z
-    square = max(square, 0.0) + SHAPE_ROUNDINGS * (p0 + p3 + p5) * squared_length
-    return np.sqrt(square) * (1.0 + 4.0 * UNIT_ROUNDOFF), px, py, pz
+    square = larger(0.0, square) + SHAPE_ROUNDINGS * (p0 + p3 + p5) * squared_length
+    return root(square) * (1.0 + 4.0 * UNIT_ROUNDOFF), px, py, pz
 
 
 @inline
@@ -146,10 +144,10 @@ def separation(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, 
     squared = nx * nx + ny * ny + nz * nz
     hp, _, _, _ = outward_width(p0, p1, p2, p3, p4, p5, nx, ny, nz, squared)
     hq, _, _, _ = outward_width(q0, q1, q2, q3, q4, q5, nx, ny, nz, squared)
-    length = np.sqrt(squared)
+    length = root(squared)
     bound = (nx * x + ny * y + nz * z - hp - hq) / length - POSITION_ROUNDINGS * size
     # The quotient itself rounds; step away from it in the safe direction.
-    return bound - 8.0 * UNIT_ROUNDOFF * abs(bound)
+    return bound - 8.0 * UNIT_ROUNDOFF * magnitude(bound)
 
 
 @inline
@@ -168,7 +166,7 @@ def nearness(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz
         The two points, relative to the center of a.
     """
     squared = nx * nx + ny * ny + nz * nz
-    length = np.sqrt(squared)
+    length = root(squared)
     hp, px, py, pz = outward_width(p0, p1, p2, p3, p4, p5, nx, ny, nz, squared)
     hq, qx, qy, qz = outward_width(q0, q1, q2, q3, q4, q5, nx, ny, nz, squared)
     u = 1.0 - s
@@ -179,14 +177,15 @@ def nearness(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz
     gx = x - u * px - s * qx
     gy = y - u * py - s * qy
     gz = z - u * pz - s * qz
-    slack = np.sqrt(gx * gx + gy * gy + gz * gz) + POSITION_ROUNDINGS * size
+    slack = root(gx * gx + gy * gy + gz * gz) + POSITION_ROUNDINGS * size
     lc = lb + slack / sigma_b
-    level = max(la, lc) * (1.0 + 8.0 * UNIT_ROUNDOFF)
+    # A NaN in either must stay one: `larger` passes on that of its second argument.
+    level = (larger(la, lc) + 0.0 * la) * (1.0 + 8.0 * UNIT_ROUNDOFF)
     # A ball of radius (1 - level) σ about the common point is inside each.
     depth = ((1.0 - la) * sigma_a + (1.0 - lc) * sigma_b) * (1.0 - 16.0 * UNIT_ROUNDOFF)
     # Pull each point back into its own ellipsoid where it sticks out.
-    fa = u / max(1.0, la * (1.0 + 8.0 * UNIT_ROUNDOFF))
-    fb = s / max(1.0, lb * (1.0 + 8.0 * UNIT_ROUNDOFF))
+    fa = u / larger(1.0, la * (1.0 + 8.0 * UNIT_ROUNDOFF))
+    fb = s / larger(1.0, lb * (1.0 + 8.0 * UNIT_ROUNDOFF))
     ax = fa * px
     ay = fa * py
     az = fa * pz
@@ -196,7 +195,7 @@ def nearness(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz
     dx = bx - ax
     dy = by - ay
     dz = bz - az
-    distance = np.sqrt(dx * dx + dy * dy + dz * dz) * (1.0 + 8.0 * UNIT_ROUNDOFF) + POSITION_ROUNDINGS * size
+    distance = root(dx * dx + dy * dy + dz * dz) * (1.0 + 8.0 * UNIT_ROUNDOFF) + POSITION_ROUNDINGS * size
     return level, distance, depth, ax, ay, az, bx, by, bz
 
 

@@ -1,13 +1,9 @@
-"""The vectorised stages of the certificate: many piece pairs side by side.
+"""The certificate, eight piece pairs at a time, in registers.
 
-A scratch array holds one row per quantity and one column per piece pair (lane), flat, with
-compile-time row offsets: that is what lets the compiler prove the rows apart and use vector
-instructions. Every loop here is branch-free over lanes; the queue around it is in `batch`.
-
-Three stages, each for the lanes the one before left open:
+Three stages, each only if some of the eight are still open:
 
 near
-    vector between the outer centers; bounding spheres.
+    bounding spheres of the outer ellipsoids.
 outer
     a separating direction for the outer ellipsoids. The maximizer of the contact function is
     guessed from the widths along r, s = h_a / (h_a + h_b), which is exact for spheres; K(s)⁻¹ r is then
@@ -15,16 +11,16 @@ outer
 inner
     a common point of the inner ellipsoids at the same kind of guess.
 
-Each says besides whether a better s could still change the answer; only those few lanes iterate
-(`_refined_outer`, `_refined_inner` in `batch`). The full stages, which iterate in every lane, serve queries with a
-margin, which need near points.
-"""
+Each tells besides whether a better s could still change the answer; only then are the eight iterated. With a margin
+the near points matter, and they need the best s: `certify_margin` iterates always.
 
-import numpy as np
+The checks compare squares, not square roots (docs/certified.md): dividing and taking roots would be half the work.
+"""
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.contact import (
     POSITION_ROUNDINGS,
+    SHAPE_ROUNDINGS,
     UNIT_ROUNDOFF,
     adjugate,
     maximize,
@@ -33,182 +29,362 @@ from loewner._kernels.contact import (
     separation,
     times,
 )
+from loewner._kernels.shapes import (
+    HOT,
+    INNER_CENTER,
+    INNER_GRIP,
+    INNER_SHAPE,
+    INNER_SIGMA,
+    OUTER_CENTER,
+    OUTER_RADIUS,
+    OUTER_SHAPE,
+    REACH,
+)
+from loewner._kernels.rigid import is_rigid
+from loewner._kernels.vectors import ALL, LANES, bits, choose, columns, larger, magnitude, mark, share, spread, store
+from loewner._kernels.verdicts import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
 
-LANES = 64
-NEWTON_STEPS = 6  # of the full stages; s is then good to 1e-9 for round pieces, 1e-3 for plates of 1 : 0.05
+BLOCK = 64  # piece pairs that are settled together
 
-ROT_A, ROT_B, SHAPE_A, SHAPE_B, CENTER_A, CENTER_B, SHIFT = 0, 9, 18, 24, 30, 33, 36
-RADII, REACHES, SIZE, SIGMA_A, SIGMA_B, OFFSET = 39, 40, 41, 42, 43, 44
-INPUTS = 47
-NEAR = 47  # how much farther apart than their bounding spheres allow; positive means FREE
-OUT_BOUND, OUT_NORMAL, OUT_DOUBT = 48, 49, 52
-IN_LEVEL, IN_DISTANCE, IN_NORMAL, IN_POINT, IN_DOUBT = 53, 54, 55, 58, 61
-ROWS = 62
+NEWTON_STEPS = 12
+ATTEMPTS = 2  # at a better s than the first guess, for the few it may not be good enough for
+
+# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the lanes still open in the end.
+PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, OPEN_LANE = 0, 1, 2, 3, 4, 5
+LISTS = 6
+
+# Rows of the array in which open pairs leave what the exact tests start from.
+OUT_NORMAL, IN_NORMAL, IN_POINT = 0, 3, 6
+ROWS = 9
 
 
 @inline
-def _rotation(S, lane, row):
-    k = row * LANES + lane
+def _near_columns(hot, rows, at):
+    """Outer center, outer radius, inner center, reach."""
+    return columns(hot, HOT, rows, at, OUTER_CENTER)
+
+
+@inline
+def _pose(T, rows, at, moved):
+    """Rotation (row by row), translation, and whether all eight are rigid.
+
+    A pose array that is the identity alone is not even read.
+    """
+    if moved:
+        p = columns(T, 16, rows, at, 0)
+        q = columns(T, 16, rows, at, 8)
+        good = bits(is_rigid(p, q)) == ALL
+        return p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2], p[3], p[7], q[3], good
+    one = spread(1.0)
+    zero = spread(0.0)
+    return one, zero, zero, zero, one, zero, zero, zero, one, zero, zero, zero, True
+
+
+@inline
+def _turns(r):
+    """Whether any of the eight rotations is not exactly the identity."""
+    off = magnitude(r[1]) + magnitude(r[2]) + magnitude(r[3]) + magnitude(r[5]) + magnitude(r[6]) + magnitude(r[7])
+    on = magnitude(r[0] - 1.0) + magnitude(r[4] - 1.0) + magnitude(r[8] - 1.0)
+    return bits(off + on <= 0.0) != ALL
+
+
+@inline
+def _turned(r, x, y, z):
     return (
-        S[k], S[k + LANES], S[k + 2 * LANES], S[k + 3 * LANES], S[k + 4 * LANES], S[k + 5 * LANES],
-        S[k + 6 * LANES], S[k + 7 * LANES], S[k + 8 * LANES],
-    )  # fmt: skip
+        r[0] * x + r[1] * y + r[2] * z,
+        r[3] * x + r[4] * y + r[5] * z,
+        r[6] * x + r[7] * y + r[8] * z,
+    )
 
 
 @inline
-def _six(S, lane, row):
-    k = row * LANES + lane
-    return S[k], S[k + LANES], S[k + 2 * LANES], S[k + 3 * LANES], S[k + 4 * LANES], S[k + 5 * LANES]
+def _offset(a, turned_a, ax, ay, az, b, turned_b, bx, by, bz):
+    """World vector from a's to b's point of their bodies; the translations are subtracted first."""
+    if turned_a:
+        ax, ay, az = _turned(a, ax, ay, az)
+    if turned_b:
+        bx, by, bz = _turned(b, bx, by, bz)
+    return (b[9] - a[9]) + (bx - ax), (b[10] - a[10]) + (by - ay), (b[11] - a[11]) + (bz - az)
 
 
 @inline
-def _three(S, lane, row):
-    k = row * LANES + lane
-    return S[k], S[k + LANES], S[k + 2 * LANES]
+def _size(a, reach_a, b, reach_b):
+    """Sum of the lengths that go into the vector between two centers."""
+    return magnitude(b[9] - a[9]) + magnitude(b[10] - a[10]) + magnitude(b[11] - a[11]) + reach_a + reach_b
 
 
 @inline
-def _put_three(S, lane, row, x, y, z):
-    k = row * LANES + lane
-    S[k] = x
-    S[k + LANES] = y
-    S[k + 2 * LANES] = z
+def _clear(x, y, z, radii, size, margin):
+    """Mask: bounding spheres surely farther apart than the margin."""
+    far = radii + POSITION_ROUNDINGS * size + margin
+    return (x * x + y * y + z * z) * (1.0 - 16.0 * UNIT_ROUNDOFF) > far * far
 
 
 @inline
-def _turned(r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z):
-    return r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
+def _shape(hot, rows, at, column, r, turned):
+    """World shape matrices, and the two entries of the table behind them."""
+    c = columns(hot, HOT, rows, at, column)
+    q = c[0], c[1], c[2], c[3], c[4], c[5]
+    if turned:
+        q = rotated(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], q[0], q[1], q[2], q[3], q[4], q[5])
+    return q[0], q[1], q[2], q[3], q[4], q[5], c[6], c[7]
 
 
 @inline
-def guess(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z):
-    """Contact normal at the guessed s, without iterating.
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@inline
+def _guess(p, q, x, y, z):
+    """s of two spheres as wide as the ellipsoids are along r."""
+    px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], x, y, z)
+    qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], x, y, z)
+    return share(larger(_dot(px, py, pz, x, y, z), 1e-300), larger(_dot(qx, qy, qz, x, y, z), 1e-300))
+
+
+@inline
+def _normal(p, q, s, x, y, z):
+    """n = K(s)⁻¹ r."""
+    u = 1.0 - s
+    k0 = u * p[0] + s * q[0]
+    k1 = u * p[1] + s * q[1]
+    k2 = u * p[2] + s * q[2]
+    k3 = u * p[3] + s * q[3]
+    k4 = u * p[4] + s * q[4]
+    k5 = u * p[5] + s * q[5]
+    a0, a1, a2, a3, a4, a5 = adjugate(k0, k1, k2, k3, k4, k5)
+    nx, ny, nz = times(a0, a1, a2, a3, a4, a5, x, y, z)
+    inverse = 1.0 / (k0 * a0 + k1 * a1 + k2 * a2)
+    return nx * inverse, ny * inverse, nz * inverse
+
+
+@njit()
+def _better(p, q, x, y, z, nx, ny, nz, attempt):
+    """Another s and its normal: first that of spheres as wide as the ellipsoids are along n, then Newton's."""
+    if attempt == 0:
+        s = _guess(p, q, nx, ny, nz)
+        nx, ny, nz = _normal(p, q, s, x, y, z)
+        return s, nx, ny, nz
+    return _best(p, q, x, y, z)
+
+
+@njit()
+def _best(p, q, x, y, z):
+    """s and n = K(s)⁻¹ r at the maximum of F."""
+    _, s, nx, ny, nz = maximize(
+        p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, NEWTON_STEPS
+    )
+    return s, nx, ny, nz
+
+
+@inline
+def _apart(p, q, x, y, z, nx, ny, nz, s, size):
+    """Masks: surely separated by n; surely not separable at all.
+
+    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere.
+    """
+    px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
+    qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
+    pn = _dot(px, py, pz, nx, ny, nz)
+    qn = _dot(qx, qy, qz, nx, ny, nz)
+    squared = _dot(nx, ny, nz, nx, ny, nz)
+    along = _dot(nx, ny, nz, x, y, z)
+    # n·r > √b + √c, with n·r rounded down and the squared widths b and c rounded up.
+    a = along - POSITION_ROUNDINGS * size * (magnitude(nx) + magnitude(ny) + magnitude(nz))
+    b = pn + SHAPE_ROUNDINGS * (p[0] + p[3] + p[5]) * squared
+    c = qn + SHAPE_ROUNDINGS * (q[0] + q[3] + q[5]) * squared
+    t = a * a * (1.0 - 8.0 * UNIT_ROUNDOFF) - (b + c)
+    separated = (a > 0.0) & (t > 0.0) & (t * t * (1.0 - 16.0 * UNIT_ROUNDOFF) > 4.0 * (b * c))
+    u = 1.0 - s
+    most = s * u * along + magnitude(u * u * pn - s * s * qn) * larger(s, u)
+    return separated, most < 1.0
+
+
+@inline
+def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size):
+    """Masks: surely a common point at (1-s) P n from a's center; surely no common point anywhere. And that point."""
+    px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
+    qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
+    pn = _dot(px, py, pz, nx, ny, nz)
+    qn = _dot(qx, qy, qz, nx, ny, nz)
+    squared = _dot(nx, ny, nz, nx, ny, nz)
+    length = magnitude(nx) + magnitude(ny) + magnitude(nz)
+    u = 1.0 - s
+    # The point seen from a, and how far the same point seen from b misses it: zero in exact arithmetic.
+    ax, ay, az = u * px, u * py, u * pz
+    slack = magnitude(x - ax - s * qx) + magnitude(y - ay - s * qy) + magnitude(z - az - s * qz)
+    slack = slack + POSITION_ROUNDINGS * size
+    # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
+    error_p = SHAPE_ROUNDINGS * (p[0] + p[3] + p[5])
+    error_q = SHAPE_ROUNDINGS * (q[0] + q[3] + q[5])
+    free_a = 1.0 - 32.0 * UNIT_ROUNDOFF - u * error_p * length * grip_a
+    free_b = 1.0 - 32.0 * UNIT_ROUNDOFF - (s * error_q * length + slack) * grip_b
+    inside_a = (free_a > 0.0) & (u * u * (pn + error_p * squared) <= free_a * free_a)
+    inside_b = (free_b > 0.0) & (s * s * (qn + error_q * squared) <= free_b * free_b)
+    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z) > 1.0, ax, ay, az
+
+
+@inline
+def _put_three(V, row, at, x, y, z):
+    store(V, row * BLOCK + at, x)
+    store(V, (row + 1) * BLOCK + at, y)
+    store(V, (row + 2) * BLOCK + at, z)
+
+
+@inline
+def _put_tiers(tier, at, far, free, overlap):
+    mark(tier, at, far | ~far, OPEN)
+    mark(tier, at, overlap, BY_INNER)
+    mark(tier, at, free, BY_OUTER)
+    mark(tier, at, far, BY_SPHERE)
+
+
+@njit()
+def spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+    """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
+
+    Returns False if a pose is no rigid motion, as `certify` does.
+    """
+    none = spread(0.0) > 0.0
+    for at in range(0, count, LANES):
+        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+        if not (a[12] and b[12]):
+            return False
+        p = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
+        q = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
+        x, y, z = _offset(a, moved_a, p[0], p[1], p[2], b, moved_b, q[0], q[1], q[2])
+        size = _size(a, p[REACH], b, q[REACH])
+        _put_tiers(tier, at, _clear(x, y, z, p[OUTER_RADIUS] + q[OUTER_RADIUS], size, margin), none, none)
+    return True
+
+
+@njit()
+def certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    """Certify the listed piece pairs, margin 0.
+
+    Parameters
+    ----------
+    count : int
+        Piece pairs; the lists are filled with repeats up to a multiple of `LANES`.
+    hot_a, hot_b : ndarray, shape (P, HOT)
+    Ta, Tb : ndarray, shape (N, 4, 4)
+    moved_a, moved_b : bool
+        False if the operand's only pose is the identity.
+    L : ndarray of int64, shape (LISTS * BLOCK,)
+        Pieces and poses of each pair.
+    tier : ndarray of int8
+        Receives BY_SPHERE, BY_OUTER, BY_INNER or OPEN.
+    V : ndarray, shape (ROWS * BLOCK,)
+        Receives contact normals and the common point that was tried, relative to a's inner center.
 
     Returns
     -------
-    s, nx, ny, nz : float
-        n = K(s)⁻¹ r.
-    F, most : float
-        F(s), and what F cannot exceed anywhere.
+    bool
+        False if a pose is no rigid motion; the rest is then not done.
     """
-    px, py, pz = times(p0, p1, p2, p3, p4, p5, x, y, z)
-    qx, qy, qz = times(q0, q1, q2, q3, q4, q5, x, y, z)
-    hp = np.sqrt(max(px * x + py * y + pz * z, 0.0))
-    hq = np.sqrt(max(qx * x + qy * y + qz * z, 0.0))
-    s = (hp + 1e-300) / (hp + hq + 2e-300)
-    u = 1.0 - s
-    k0 = u * p0 + s * q0
-    k1 = u * p1 + s * q1
-    k2 = u * p2 + s * q2
-    k3 = u * p3 + s * q3
-    k4 = u * p4 + s * q4
-    k5 = u * p5 + s * q5
-    a0, a1, a2, a3, a4, a5 = adjugate(k0, k1, k2, k3, k4, k5)
-    d = k0 * a0 + k1 * a1 + k2 * a2
-    nx, ny, nz = times(a0, a1, a2, a3, a4, a5, x, y, z)
-    nx /= d
-    ny /= d
-    nz /= d
-    F = s * u * (nx * x + ny * y + nz * z)
-    return s, nx, ny, nz, F, highest(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, s, F, nx, ny, nz)
+    none = spread(0.0) > 0.0
+    for at in range(0, count, LANES):
+        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+        if not (a[12] and b[12]):
+            return False
+        turned_a = moved_a and _turns(a)
+        turned_b = moved_b and _turns(b)
+        near_a = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
+        near_b = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
+        size = _size(a, near_a[REACH], b, near_b[REACH])
 
-
-@inline
-def highest(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, s, F, nx, ny, nz):
-    """What F cannot exceed anywhere: it is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn."""
-    px, py, pz = times(p0, p1, p2, p3, p4, p5, nx, ny, nz)
-    qx, qy, qz = times(q0, q1, q2, q3, q4, q5, nx, ny, nz)
-    u = 1.0 - s
-    slope = u * u * (px * nx + py * ny + pz * nz) - s * s * (qx * nx + qy * ny + qz * nz)
-    return F + abs(slope) * max(s, u)
-
-
-def _stages(posed):
-    """Compile the stages for posed operands, or for operands whose rotations are all the identity."""
-
-    @inline
-    def shapes(S, lane):
-        p = _six(S, lane, SHAPE_A)
-        q = _six(S, lane, SHAPE_B)
-        if posed:
-            p = rotated(*_rotation(S, lane, ROT_A), *p)
-            q = rotated(*_rotation(S, lane, ROT_B), *q)
-        return p, q
-
-    @inline
-    def offset(S, lane):
-        ax, ay, az = _three(S, lane, CENTER_A)
-        bx, by, bz = _three(S, lane, CENTER_B)
-        if posed:
-            ax, ay, az = _turned(*_rotation(S, lane, ROT_A), ax, ay, az)
-            bx, by, bz = _turned(*_rotation(S, lane, ROT_B), bx, by, bz)
-        tx, ty, tz = _three(S, lane, SHIFT)
-        return tx + (bx - ax), ty + (by - ay), tz + (bz - az)
-
-    @njit()
-    def near_stage(S, count):
-        for lane in range(count):
-            x, y, z = offset(S, lane)
-            _put_three(S, lane, OFFSET, x, y, z)
-            tx, ty, tz = _three(S, lane, SHIFT)
-            size = abs(tx) + abs(ty) + abs(tz) + S[REACHES * LANES + lane]
-            S[SIZE * LANES + lane] = size
-            apart = np.sqrt(x * x + y * y + z * z) * (1.0 - 8.0 * UNIT_ROUNDOFF)
-            S[NEAR * LANES + lane] = apart - S[RADII * LANES + lane] - POSITION_ROUNDINGS * size
-
-    @njit()
-    def outer_stage(S, count):
-        for lane in range(count):
-            p, q = shapes(S, lane)
-            x, y, z = _three(S, lane, OFFSET)
-            _, nx, ny, nz, _, most = guess(*p, *q, x, y, z)
-            _put_three(S, lane, OUT_NORMAL, nx, ny, nz)
-            S[OUT_BOUND * LANES + lane] = separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
-            S[OUT_DOUBT * LANES + lane] = most
-
-    @njit()
-    def inner_stage(S, count):
-        for lane in range(count):
-            p, q = shapes(S, lane)
-            x, y, z = offset(S, lane)
-            s, nx, ny, nz, F, _ = guess(*p, *q, x, y, z)
-            level, _, _, ax, ay, az, bx, by, bz = nearness(
-                *p, *q, x, y, z, nx, ny, nz, s, S[SIGMA_A * LANES + lane], S[SIGMA_B * LANES + lane],
-                S[SIZE * LANES + lane],
+        x, y, z = _offset(a, turned_a, near_a[0], near_a[1], near_a[2], b, turned_b, near_b[0], near_b[1], near_b[2])
+        far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, 0.0)
+        free = far
+        overlap = none
+        if bits(free) != ALL:
+            p = _shape(hot_a, L, PIECE_A * BLOCK + at, OUTER_SHAPE, a, turned_a)
+            q = _shape(hot_b, L, PIECE_B * BLOCK + at, OUTER_SHAPE, b, turned_b)
+            s = _guess(p, q, x, y, z)
+            nx, ny, nz = _normal(p, q, s, x, y, z)
+            separated, inseparable = _apart(p, q, x, y, z, nx, ny, nz, s, size)
+            free = free | separated
+            for attempt in range(ATTEMPTS):
+                if bits(free | inseparable) == ALL:
+                    break
+                s, mx, my, mz = _better(p, q, x, y, z, nx, ny, nz, attempt)
+                separated, enough = _apart(p, q, x, y, z, mx, my, mz, s, size)
+                nx = choose(inseparable, nx, mx)
+                ny = choose(inseparable, ny, my)
+                nz = choose(inseparable, nz, mz)
+                free = free | separated
+                inseparable = inseparable | enough
+            _put_three(V, OUT_NORMAL, at, nx, ny, nz)
+        if bits(free) != ALL:
+            p = _shape(hot_a, L, PIECE_A * BLOCK + at, INNER_SHAPE, a, turned_a)
+            q = _shape(hot_b, L, PIECE_B * BLOCK + at, INNER_SHAPE, b, turned_b)
+            c = INNER_CENTER
+            x, y, z = _offset(
+                a, turned_a, near_a[c], near_a[c + 1], near_a[c + 2], b, turned_b, near_b[c], near_b[c + 1],
+                near_b[c + 2],
             )  # fmt: skip
-            S[IN_LEVEL * LANES + lane] = level
-            _put_three(S, lane, IN_NORMAL, nx, ny, nz)
-            _put_three(S, lane, IN_POINT, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
-            S[IN_DOUBT * LANES + lane] = F
-
-    @njit()
-    def full_outer_stage(S, count):
-        for lane in range(count):
-            p, q = shapes(S, lane)
-            x, y, z = _three(S, lane, OFFSET)
-            F, s, nx, ny, nz = maximize(*p, *q, x, y, z, NEWTON_STEPS)
-            _put_three(S, lane, OUT_NORMAL, nx, ny, nz)
-            S[OUT_BOUND * LANES + lane] = separation(*p, *q, x, y, z, nx, ny, nz, S[SIZE * LANES + lane])
-            S[OUT_DOUBT * LANES + lane] = highest(*p, *q, s, F, nx, ny, nz)
-
-    @njit()
-    def full_inner_stage(S, count):
-        for lane in range(count):
-            p, q = shapes(S, lane)
-            x, y, z = offset(S, lane)
-            F, s, nx, ny, nz = maximize(*p, *q, x, y, z, NEWTON_STEPS)
-            level, distance, _, ax, ay, az, bx, by, bz = nearness(
-                *p, *q, x, y, z, nx, ny, nz, s, S[SIGMA_A * LANES + lane], S[SIGMA_B * LANES + lane],
-                S[SIZE * LANES + lane],
-            )  # fmt: skip
-            S[IN_LEVEL * LANES + lane] = level
-            S[IN_DISTANCE * LANES + lane] = distance
-            _put_three(S, lane, IN_NORMAL, nx, ny, nz)
-            _put_three(S, lane, IN_POINT, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
-            S[IN_DOUBT * LANES + lane] = F
-
-    return near_stage, outer_stage, inner_stage, full_outer_stage, full_inner_stage
+            grip_a, grip_b = p[INNER_GRIP - INNER_SHAPE], q[INNER_GRIP - INNER_SHAPE]
+            s = _guess(p, q, x, y, z)
+            nx, ny, nz = _normal(p, q, s, x, y, z)
+            overlap, apart, px, py, pz = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size)
+            settled = overlap | apart
+            for attempt in range(ATTEMPTS):
+                if bits(free | settled) == ALL:
+                    break
+                s, mx, my, mz = _better(p, q, x, y, z, nx, ny, nz, attempt)
+                found, apart, ax, ay, az = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size)
+                nx = choose(settled, nx, mx)
+                ny = choose(settled, ny, my)
+                nz = choose(settled, nz, mz)
+                px = choose(settled, px, ax)
+                py = choose(settled, py, ay)
+                pz = choose(settled, pz, az)
+                overlap = overlap | found
+                settled = settled | found | apart
+            _put_three(V, IN_NORMAL, at, nx, ny, nz)
+            _put_three(V, IN_POINT, at, px, py, pz)
+        _put_tiers(tier, at, far, free, overlap)
+    return True
 
 
-posed_near, posed_outer, posed_inner, posed_full_outer, posed_full_inner = _stages(True)
-plain_near, plain_outer, plain_inner, plain_full_outer, plain_full_inner = _stages(False)
+@njit()
+def certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    """Certify the listed piece pairs, margin > 0; parameters and result as for `certify`."""
+    for at in range(0, count, LANES):
+        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+        if not (a[12] and b[12]):
+            return False
+        near_a = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
+        near_b = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
+        size = _size(a, near_a[REACH], b, near_b[REACH])
+        x, y, z = _offset(a, moved_a, near_a[0], near_a[1], near_a[2], b, moved_b, near_b[0], near_b[1], near_b[2])
+        far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, margin)
+        p = _shape(hot_a, L, PIECE_A * BLOCK + at, OUTER_SHAPE, a, moved_a)
+        q = _shape(hot_b, L, PIECE_B * BLOCK + at, OUTER_SHAPE, b, moved_b)
+        s, nx, ny, nz = _best(p, q, x, y, z)
+        _put_three(V, OUT_NORMAL, at, nx, ny, nz)
+        gap = separation(
+            p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, size
+        )
+        free = far | (gap > margin)
+
+        p = _shape(hot_a, L, PIECE_A * BLOCK + at, INNER_SHAPE, a, moved_a)
+        q = _shape(hot_b, L, PIECE_B * BLOCK + at, INNER_SHAPE, b, moved_b)
+        c = INNER_CENTER
+        x, y, z = _offset(
+            a, moved_a, near_a[c], near_a[c + 1], near_a[c + 2], b, moved_b, near_b[c], near_b[c + 1], near_b[c + 2]
+        )
+        s, nx, ny, nz = _best(p, q, x, y, z)
+        level, distance, _, ax, ay, az, bx, by, bz = nearness(
+            p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, s,
+            1.0 / p[INNER_GRIP - INNER_SHAPE], 1.0 / q[INNER_GRIP - INNER_SHAPE], size,
+        )  # fmt: skip
+        overlap = (level <= 1.0) | (distance <= margin)
+        _put_three(V, IN_NORMAL, at, nx, ny, nz)
+        _put_three(V, IN_POINT, at, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
+        _put_tiers(tier, at, far, free, overlap)
+    return True

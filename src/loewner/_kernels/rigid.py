@@ -1,12 +1,24 @@
 """Is a 4x4 matrix a rigid motion? One pass over a batch, without temporaries."""
 
-from loewner._kernels._jit import njit
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.vectors import ALL, LANES, bits, columns, magnitude
+
+# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
+# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
+ROTATION_TOLERANCE = 1e-6
+
+# What eight poses are checked with at once: a hair more, so that whatever fails has a fault one by one too.
+QUICK_TOLERANCE = ROTATION_TOLERANCE * (1 + 1e-9)
+
+LARGEST = np.finfo(np.float64).max
 
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
 
 @njit()
-def fault(T, tolerance):
+def fault(T):
     """What is wrong with one pose, and by how much."""
     worst = 0.0
     total = 0.0
@@ -24,7 +36,7 @@ def fault(T, tolerance):
         return NOT_FINITE, total
     if T[3, 0] != 0.0 or T[3, 1] != 0.0 or T[3, 2] != 0.0 or T[3, 3] != 1.0:
         return LAST_ROW, 0.0
-    if worst > tolerance:
+    if worst > ROTATION_TOLERANCE:
         return NOT_ORTHONORMAL, worst
     determinant = (
         T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1])
@@ -36,11 +48,39 @@ def fault(T, tolerance):
     return RIGID, worst
 
 
+@inline
+def is_rigid(p, q):
+    """Whether eight poses, their entries in row order in p and q, are free of faults: a mask."""
+    a = magnitude(p[0] * p[0] + p[4] * p[4] + q[0] * q[0] - 1.0)
+    b = magnitude(p[1] * p[1] + p[5] * p[5] + q[1] * q[1] - 1.0)
+    c = magnitude(p[2] * p[2] + p[6] * p[6] + q[2] * q[2] - 1.0)
+    d = magnitude(p[0] * p[1] + p[4] * p[5] + q[0] * q[1])
+    e = magnitude(p[0] * p[2] + p[4] * p[6] + q[0] * q[2])
+    f = magnitude(p[1] * p[2] + p[5] * p[6] + q[1] * q[2])
+    orthonormal = (
+        (a <= QUICK_TOLERANCE) & (b <= QUICK_TOLERANCE) & (c <= QUICK_TOLERANCE)
+        & (d <= QUICK_TOLERANCE) & (e <= QUICK_TOLERANCE) & (f <= QUICK_TOLERANCE)
+    )  # fmt: skip
+    # The determinant's sign, from R orthonormal: +1 or -1.
+    turn = p[0] * (p[5] * q[2] - p[6] * q[1]) - p[1] * (p[4] * q[2] - p[6] * q[0]) + p[2] * (p[4] * q[1] - p[5] * q[0])
+    last_row = magnitude(q[4]) + magnitude(q[5]) + magnitude(q[6]) + magnitude(q[7] - 1.0)
+    finite = magnitude(p[3]) + magnitude(p[7]) + magnitude(q[3]) < LARGEST
+    return orthonormal & (turn > 0.0) & (last_row <= 0.0) & finite
+
+
 @njit()
-def first_fault(Ts, tolerance):
+def first_fault(Ts):
     """Index, kind and size of the first fault in a batch (N, 4, 4); index N if all are rigid."""
-    for k in range(Ts.shape[0]):
-        kind, size = fault(Ts[k], tolerance)
-        if kind != RIGID:
-            return k, kind, size
-    return Ts.shape[0], RIGID, 0.0
+    total = Ts.shape[0]
+    rows = np.arange(LANES)
+    for start in range(0, total, LANES):
+        stop = min(start + LANES, total)
+        if stop == start + LANES and bits(is_rigid(columns(Ts, 16, rows, 0, 0), columns(Ts, 16, rows, 0, 8))) == ALL:
+            rows += LANES
+            continue
+        for k in range(start, stop):
+            kind, size = fault(Ts[k])
+            if kind != RIGID:
+                return k, kind, size
+        rows += LANES
+    return total, RIGID, 0.0

@@ -25,13 +25,17 @@ from loewner._kernels._jit import inline
 
 POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
-OUTER_CENTER, OUTER_SHAPE = 0, 3
-OUTER_RADIUS = 9  # upper bound on the largest semi-axis of the outer ellipsoid
-REACH = 10  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
-INNER_CENTER, INNER_SHAPE = 12, 15
-INNER_SIGMA = 21  # lower bound on the smallest semi-axis of the inner ellipsoid
-OUTER_SIGMA = 22  # the same of the outer ellipsoid
-HOT = 24  # the columns up to here are all that the vectorised stages read: three cache lines
+# The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
+OUTER_CENTER = 0
+OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
+INNER_CENTER = 4
+REACH = 7  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+OUTER_SHAPE = 8
+INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
+OUTER_SIGMA = 15  # the same of the outer ellipsoid
+INNER_SHAPE = 16
+INNER_GRIP = 22  # upper bound on 1 / INNER_SIGMA
+HOT = 24  # the columns up to here are all that the vectorised stages read
 ROUNDING = 24  # radius of the ball added to the core
 FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
 COLUMNS = 37
