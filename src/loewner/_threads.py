@@ -5,6 +5,7 @@ as the loop itself, and Numba's default threading layer aborts the process when 
 threads enter it at once.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -12,6 +13,18 @@ from typing import TypeVar
 import numba
 
 T = TypeVar("T")
+
+_pools: dict[int, ThreadPoolExecutor] = {}  # by number of threads; starting one costs as much as 1,000 pairs
+
+
+def _pool(threads: int) -> ThreadPoolExecutor:
+    if threads not in _pools:
+        _pools[threads] = ThreadPoolExecutor(threads, thread_name_prefix="loewner")
+    return _pools[threads]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pools.clear)  # a child process inherits the pool, but not its threads
 
 
 def over_blocks(
@@ -23,14 +36,8 @@ def over_blocks(
     """
     starts = range(0, total, block)
     threads = min(numba.get_num_threads(), len(starts))
-    pool = ThreadPoolExecutor(threads) if threads > 1 else None
-    try:
-        for start, result in zip(
-            starts, (pool.map if pool else map)(lambda i: run(i, min(i + block, total)), starts), strict=True
-        ):
-            yield result
-            if progress is not None:
-                progress(min(start + block, total), total)
-    finally:
-        if pool:
-            pool.shutdown(cancel_futures=True)
+    each = _pool(threads).map if threads > 1 else map
+    for start, result in zip(starts, each(lambda i: run(i, min(i + block, total)), starts), strict=True):
+        yield result
+        if progress is not None:
+            progress(min(start + block, total), total)

@@ -11,7 +11,7 @@ import inspect
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import rigid, shapes
+from loewner._kernels import handles, rigid, shapes
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
 
@@ -85,19 +85,27 @@ class Packed:
             self.piece_start,
             np.ascontiguousarray(table[:, : shapes.HOT]),
         )
-        for array in kernel:
-            array.setflags(write=False)
+        # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
+        object.__setattr__(self, "handle_table", handles.table_of(kernel))
+        object.__setattr__(self, "handle", self.handle_table.ctypes.data)
+
+    def __reduce__(self) -> Any:
+        """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
+        return type(self), tuple(getattr(self, name) for name in ARRAYS)
 
     @property
     def factors(self) -> tuple[Floats, Floats]:
         """Factors of the inner and the outer ellipsoids, for the rules that need more than shape matrices."""
         return self.inner_factor, self.outer_factor
 
-    kernel: Any = None  # set in __post_init__: the arrays of `loewner._kernels.shapes`, in order
+    # Set in __post_init__: the arrays of `loewner._kernels.shapes`, in order, and their handle.
+    kernel: Any = field(init=False)
+    handle_table: Any = field(init=False)
+    handle: int = field(init=False)
 
 
-ARRAYS = tuple(f.name for f in fields(Packed) if f.name != "kernel")
+ARRAYS = tuple(f.name for f in fields(Packed) if f.init)
 
 
 def _table(p: Packed) -> Floats:

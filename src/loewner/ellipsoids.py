@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._kernels import rigid
 from loewner.errors import GeometryError, InputError
 
 
@@ -114,7 +115,7 @@ class Ellipsoids:
         if rotation is not None:
             R = _check.finite_array(rotation, "rotation", ("...", axes.shape[-1], axes.shape[-1]))
             defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
-            if defect > _check.ROTATION_TOLERANCE:
+            if defect > rigid.ROTATION_TOLERANCE:
                 raise InputError(f"rotation: expected an orthogonal matrix, found a departure of {defect:.3g}")
             F = R @ F
         c = _check.finite_array(center, "center", ("...", axes.shape[-1]))

@@ -36,6 +36,9 @@ class Verdict(IntEnum):
     """Neither; ask `collide` for an estimate or the exact answer."""
 
 
+_VERDICTS = tuple(Verdict)
+
+
 @dataclass(frozen=True, eq=False)
 class Distance:
     """Distances in metres, each of the batch's shape; negative is a penetration depth.
@@ -136,6 +139,16 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> NDArray[np.in
     return np.ascontiguousarray(np.array(axes, dtype=np.int64).T)
 
 
+def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any) -> int:
+    """Verdict of two single bodies by the shortest way; -1 if they have to go the long one."""
+    if type(a) is Body and type(b) is Body:
+        Ta, Tb = _check.one_pose(T_world_a), _check.one_pose(T_world_b)
+        if Ta is not None and Tb is not None:
+            verdict: int = batch.settle_one(mode, margin, a._packed.handle, Ta, b._packed.handle, Tb)
+            return verdict
+    return -1
+
+
 def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """Verdict of every pair, and how many piece pairs each tier settled."""
     out = np.empty(pairs.total, dtype=np.int8)
@@ -204,6 +217,9 @@ def classify(
     <Verdict.FREE: 0>
     """
     keep = _check.positive_scalar(margin, "margin", zero=True)
+    one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
+    if one >= 0:
+        return _VERDICTS[one]
     pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
     out, _ = _settle(verdicts.CERTIFY, keep, pairs)
     return Verdict(int(out[0])) if pairs.shape == () else out.reshape(pairs.shape)
@@ -267,6 +283,10 @@ def collide(
         raise UnknownNameError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
     code = _rule_code(rule)
     keep = _check.positive_scalar(margin, "margin", zero=True)
+    if method == "exact":
+        one = _settle_one(verdicts.EXACT, keep, a, T_world_a, b, T_world_b)
+        if one in (verdicts.FREE, verdicts.COLLIDING):
+            return one == verdicts.COLLIDING
     pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
     if method == "exact":
         out, _ = _settle(verdicts.EXACT, keep, pairs)

@@ -9,6 +9,7 @@ import numpy as np
 from loewner._kernels import lanes
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.exact import exact_piece_pair
+from loewner._kernels.handles import arrays_of
 from loewner._kernels.lanes import (
     BLOCK,
     IN_NORMAL,
@@ -25,7 +26,7 @@ from loewner._kernels.lanes import (
 )
 from loewner._kernels.shapes import POINTS_FROM, POINTS_TO
 from loewner._kernels.vectors import LANES, prefetch
-from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN
+from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, TIERS
 
 # What `_flush` found: usual pairs, mostly pairs far apart, or a pose that is no rigid motion.
 MIXED, FAR, FAULTY = 0, 1, 2
@@ -143,8 +144,9 @@ def _flush(mode, margin, far_first, moved_a, moved_b, a, Ta, b, Tb, count, L, ti
             if out[k] == COLLIDING:
                 continue
             i, j = L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane]
+            ka, kb = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
             verdict, t = exact_piece_pair(
-                ta, la, xa, fa, i, Ta, L[POSE_A * BLOCK + lane], tb, lb, xb, fb, j, Tb, L[POSE_B * BLOCK + lane], margin,
+                ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin,
                 V[OUT_NORMAL * BLOCK + lane], V[(OUT_NORMAL + 1) * BLOCK + lane], V[(OUT_NORMAL + 2) * BLOCK + lane],
                 V[IN_NORMAL * BLOCK + lane], V[(IN_NORMAL + 1) * BLOCK + lane], V[(IN_NORMAL + 2) * BLOCK + lane],
                 V[IN_POINT * BLOCK + lane], V[(IN_POINT + 1) * BLOCK + lane], V[(IN_POINT + 2) * BLOCK + lane],
@@ -247,3 +249,18 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
         found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
                        weights, v, d, out, tally)  # fmt: skip
     return found != FAULTY
+
+
+@njit()
+def settle_one(mode, margin, a, Ta, b, Tb):
+    """Verdict of one pair of bodies, given by their handles (see `handles`), or -1 if a pose is no rigid motion."""
+    plan = np.zeros((5, 1), np.int64)
+    plan[0, 0] = 1
+    out = np.empty(1, np.int8)
+    tally = np.zeros(TIERS, np.int64)
+    if settle_range(
+        mode, margin, np.int64(0), np.int64(1), plan, arrays_of(a), Ta.reshape((1, 4, 4)), arrays_of(b),
+        Tb.reshape((1, 4, 4)), out, tally,
+    ):  # fmt: skip
+        return np.int64(out[0])
+    return np.int64(-1)

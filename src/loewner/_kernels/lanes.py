@@ -29,18 +29,17 @@ from loewner._kernels.contact import (
     separation,
     times,
 )
+from loewner._kernels.rigid import is_rigid
 from loewner._kernels.shapes import (
     HOT,
     INNER_CENTER,
     INNER_GRIP,
     INNER_SHAPE,
-    INNER_SIGMA,
     OUTER_CENTER,
     OUTER_RADIUS,
     OUTER_SHAPE,
     REACH,
 )
-from loewner._kernels.rigid import is_rigid
 from loewner._kernels.vectors import ALL, LANES, bits, choose, columns, larger, magnitude, mark, share, spread, store
 from loewner._kernels.verdicts import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
 
