@@ -36,6 +36,9 @@ KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
 # forms; nothing anybody collides is near either end.
 SMALLEST, LARGEST = 1e-30, 1e30
 
+# Sizes at which the certificate may work in single precision first (docs/certified.md).
+SINGLE_SIZES = 1e-3, 1e3
+
 # Relative allowance for the rounding of a closed form and of a stored factor.
 CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
@@ -84,6 +87,7 @@ class Packed:
             np.ascontiguousarray(self.planes[plane_of].T),
             self.piece_start,
             np.ascontiguousarray(table[:, : shapes.HOT]),
+            _single(table[:, : shapes.HOT]),
         )
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
@@ -142,6 +146,16 @@ def _table(p: Packed) -> Floats:
             f"{outer[:, 0].min():g} .. {reach.max():g}"
         )
     return table
+
+
+def _single(hot: Floats) -> NDArray[np.float32]:
+    """The kernels' hot columns in single precision, if all sizes suit it; otherwise no rows."""
+    least, most = SINGLE_SIZES
+    if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
+        return np.empty((0, shapes.HOT), dtype=np.float32)
+    rounded = hot.copy()
+    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= 1 + 2.0**-22
+    return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,13 @@ from loewner._kernels.lanes import (
     ROWS,
 )
 from loewner._kernels.shapes import POINTS_FROM, POINTS_TO
-from loewner._kernels.vectors import LANES, prefetch
+from loewner._kernels.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, TIERS
 
-# What `_flush` found: usual pairs, mostly pairs far apart, or a pose that is no rigid motion.
-MIXED, FAR, FAULTY = 0, 1, 2
+# What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
+# that single precision could not settle. Or a pose that is no rigid motion.
+FAR, CLOSE = 1, 2
+FAULTY = -1
 
 
 @inline
@@ -61,15 +63,16 @@ def is_identity(T):
 @inline
 def _fill(count, L):
     """Repeat the last listed pair up to whole vectors."""
-    for lane in range(count, (count + LANES - 1) // LANES * LANES):
+    for lane in range(count, (count + SINGLE_LANES - 1) // SINGLE_LANES * SINGLE_LANES):
         for row in range(PIECE_A, POSE_B + 1):
             L[row * BLOCK + lane] = L[row * BLOCK + count - 1]
 
 
 @njit()
-def _culled(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+def _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier):
     """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
-    if not lanes.spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+    done = single and lanes.single_spheres(count, margin, a[6], Ta, moved_a, b[6], Tb, moved_b, L, tier)
+    if not (done or lanes.spheres(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)):
         return -1
     left = 0
     for lane in range(count):
@@ -77,6 +80,34 @@ def _culled(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
             L[row * BLOCK + left] = L[row * BLOCK + lane]
         left += tier[lane] != BY_SPHERE
     return left
+
+
+@njit()
+def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
+    """Certify the lanes left UNSURE once more, at the best s. How many there were, -1 for a faulty pose."""
+    unsure = 0
+    for lane in range(count):
+        unsure += tier[lane] == lanes.UNSURE
+    if unsure == 0:
+        return 0
+    again = np.empty(LISTS * BLOCK, np.int64)
+    unsure = 0
+    for lane in range(count):
+        for row in range(PIECE_A, POSE_B + 1):
+            again[row * BLOCK + unsure] = L[row * BLOCK + lane]
+        again[PAIR * BLOCK + unsure] = lane
+        unsure += tier[lane] == lanes.UNSURE
+    _fill(unsure, again)
+    tiers = np.empty(BLOCK, np.int8)
+    W = np.empty(ROWS * BLOCK)
+    if not lanes.certify_best(unsure, 0.0, a[5], Ta, moved_a, b[5], Tb, moved_b, again, tiers, W):
+        return -1
+    for n in range(unsure):
+        lane = again[PAIR * BLOCK + n]
+        tier[lane] = tiers[n]
+        for row in range(ROWS):
+            V[row * BLOCK + lane] = W[row * BLOCK + n]
+    return unsure
 
 
 @inline
@@ -90,50 +121,67 @@ def _fetch(layout, points, piece):
 
 
 @njit()
-def _flush(mode, margin, far_first, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G, weights, v, d, out, tally):
+def _flush(
+    mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G, weights, v, d, out, tally
+):
     """Settle the listed piece pairs and merge them into the verdicts of their pairs.
 
-    With `far_first` the spheres go first, by themselves. Returns MIXED, FAR or FAULTY.
+    `distinct` says that the list is of consecutive pairs of bodies, one piece pair each.
+
+    Takes and returns FAR | CLOSE as a hint how to start with the next block, or returns FAULTY.
     """
-    ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[5]
-    tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[5]
+    ta, la, xa, fa = a[0], a[1], a[2], a[3]
+    tb, lb, xb, fb = b[0], b[1], b[2], b[3]
     listed = count
     _fill(count, L)
-    if far_first:
-        count = _culled(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier)
+    single = len(a[6]) > 0 and len(b[6]) > 0 and hint & CLOSE == 0
+    if hint & FAR:
+        count = _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
         if count < 0:
             return FAULTY
         if count == 0:
             tally[BY_SPHERE] += listed
-            return FAR
+            return hint
         _fill(count, L)
+    unsure = 0
     if margin > 0.0:
-        good = lanes.certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V)
+        if not lanes.certify_best(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V):
+            return FAULTY
     else:
-        good = lanes.certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V)
-    if not good:
-        return FAULTY
+        done = single and lanes.single_certify(count, a[6], Ta, moved_a, b[6], Tb, moved_b, L, tier, V)
+        if not (done or lanes.certify(count, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)):
+            return FAULTY
+        unsure = _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V)
+        if unsure < 0:
+            return FAULTY
 
     # Without branches: nobody can predict how the next pair comes out.
     far, outer, left = listed - count, 0, 0
-    unsettled = FREE if mode == EXACT else AMBIGUOUS
     for lane in range(count):
-        t = tier[lane]
-        far += t == BY_SPHERE
-        outer += t == BY_OUTER
-        L[OPEN_LANE * BLOCK + left] = lane
-        left += t == OPEN
+        far += tier[lane] == BY_SPHERE
+        outer += tier[lane] == BY_OUTER
+        left += tier[lane] == OPEN
     tally[BY_SPHERE] += far
     tally[BY_OUTER] += outer
     tally[BY_INNER] += listed - far - outer - left
-    for lane in range(count):
-        k = L[PAIR * BLOCK + lane]
-        verdict = COLLIDING * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
-        before = out[k]
-        out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
+    unsettled = np.int8(FREE if mode == EXACT else AMBIGUOUS)
+    first = L[PAIR * BLOCK]
+    if distinct and count == listed:
+        for lane in range(count):
+            out[first + lane] = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
+    else:
+        for lane in range(count):
+            k = L[PAIR * BLOCK + lane]
+            verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
+            before = out[k]
+            out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
     if mode != EXACT:
         tally[OPEN] += left
-    else:
+    elif left > 0:
+        left = 0
+        for lane in range(count):
+            L[OPEN_LANE * BLOCK + left] = lane
+            left += tier[lane] == OPEN
         for n in range(left):
             lane = L[OPEN_LANE * BLOCK + n]
             _fetch(la, xa, L[PIECE_A * BLOCK + lane])
@@ -155,7 +203,7 @@ def _flush(mode, margin, far_first, moved_a, moved_b, a, Ta, b, Tb, count, L, ti
             tally[t] += 1
             if verdict != FREE:
                 out[k] = verdict
-    return FAR if 2 * far > listed else MIXED
+    return FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0))
 
 
 @njit()
@@ -193,7 +241,7 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     d = np.empty(3)
     la, lb, start_a, start_b = a[1], b[1], a[4], b[4]
     moved_a, moved_b = not is_identity(Ta), not is_identity(Tb)
-    found = MIXED
+    hint = 0
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
     if shape.shape[0] == 1 and len(start_a) == len(la) + 1 and len(start_b) == len(lb) + 1:
         # One piece a body, one axis: the lists are arithmetic progressions.
@@ -206,9 +254,9 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 L[POSE_A * BLOCK + lane] = (first + lane) * pose_a[0]
                 L[POSE_B * BLOCK + lane] = (first + lane) * pose_b[0]
                 out[first + lane] = FREE
-            found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+            hint = _flush(mode, margin, True, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
                            weights, v, d, out, tally)  # fmt: skip
-            if found == FAULTY:
+            if hint == FAULTY:
                 return False
         return True
     # Walk the last axis by adding strides; only its end costs divisions.
@@ -240,15 +288,15 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 L[POSE_B * BLOCK + count] = kb
                 count += 1
                 if count == BLOCK:
-                    found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+                    hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
                                    weights, v, d, out, tally)  # fmt: skip
-                    if found == FAULTY:
+                    if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        found = _flush(mode, margin, found == FAR, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
+        hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
                        weights, v, d, out, tally)  # fmt: skip
-    return found != FAULTY
+    return hint != FAULTY
 
 
 @njit()

@@ -39,10 +39,18 @@ def _floats(typingctx, address):
     return signature(types.CPointer(types.float64), types.int64), generate
 
 
+@intrinsic
+def _singles(typingctx, address):
+    def generate(context, builder, sig, args):
+        return builder.inttoptr(args[0], ir.FloatType().as_pointer())
+
+    return signature(types.CPointer(types.float32), types.int64), generate
+
+
 @inline
 def arrays_of(handle):
     """The arrays of a packed set from its handle."""
-    t = carray(_integers(handle), (6, ENTRIES))
+    t = carray(_integers(handle), (7, ENTRIES))
     return (
         carray(_floats(t[0, 0]), (t[0, 1], t[0, 2])),
         carray(_integers(t[1, 0]), (t[1, 1], t[1, 2])),
@@ -50,4 +58,5 @@ def arrays_of(handle):
         carray(_floats(t[3, 0]), (t[3, 1], t[3, 2])),
         carray(_integers(t[4, 0]), (t[4, 1],)),
         carray(_floats(t[5, 0]), (t[5, 1], t[5, 2])),
+        carray(_singles(t[6, 0]), (t[6, 1], t[6, 2])),
     )

@@ -1,6 +1,10 @@
-"""The certificate, eight piece pairs at a time, in registers.
+"""The certificate, many piece pairs at a time, in registers.
 
-Three stages, each only if some of the eight are still open:
+First sixteen at a time in single precision, with error bounds to match: proof enough for almost every pair, at half the
+cost and half the memory. Pairs within that rounding of a decision are left to the same in double precision, eight at
+a time.
+
+Three stages, each only if some of them are still open:
 
 near
     bounding spheres of the outer ellipsoids.
@@ -11,11 +15,13 @@ outer
 inner
     a common point of the inner ellipsoids at the same kind of guess.
 
-Each tells besides whether a better s could still change the answer; only then are the eight iterated. With a margin
+Each tells besides whether a better s could still change the answer; only then is it improved. With a margin
 the near points matter, and they need the best s: `certify_margin` iterates always.
 
 The checks compare squares, not square roots (docs/certified.md): dividing and taking roots would be half the work.
 """
+
+import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.contact import (
@@ -29,7 +35,7 @@ from loewner._kernels.contact import (
     separation,
     times,
 )
-from loewner._kernels.rigid import is_rigid
+from loewner._kernels.rigid import is_rigid, is_rigid_single
 from loewner._kernels.shapes import (
     HOT,
     INNER_CENTER,
@@ -40,13 +46,35 @@ from loewner._kernels.shapes import (
     OUTER_SHAPE,
     REACH,
 )
-from loewner._kernels.vectors import ALL, LANES, bits, choose, columns, larger, magnitude, mark, share, spread, store
+from loewner._kernels.vectors import (
+    ALL,
+    LANES,
+    SINGLE_ALL,
+    SINGLE_LANES,
+    bits,
+    choose,
+    columns,
+    larger,
+    magnitude,
+    mark,
+    share,
+    single_columns,
+    spread,
+    store,
+)
 from loewner._kernels.verdicts import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
 
-BLOCK = 64  # piece pairs that are settled together
+BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
-ATTEMPTS = 2  # at a better s than the first guess, for the few it may not be good enough for
+
+# Errors in units of the roundoff: of the shape matrices times trace |n|², and of the positions times the lengths.
+SHAPE_ERROR, POSITION_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF, POSITION_ROUNDINGS / UNIT_ROUNDOFF
+SINGLE_ROUNDOFF = 2.0**-24
+SINGLE_SURE = 1e-3
+
+# What `certify` says where a better s may settle a pair.
+UNSURE = 7
 
 # Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the lanes still open in the end.
 PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, OPEN_LANE = 0, 1, 2, 3, 4, 5
@@ -58,33 +86,11 @@ ROWS = 9
 
 
 @inline
-def _near_columns(hot, rows, at):
-    """Outer center, outer radius, inner center, reach."""
-    return columns(hot, HOT, rows, at, OUTER_CENTER)
-
-
-@inline
-def _pose(T, rows, at, moved):
-    """Rotation (row by row), translation, and whether all eight are rigid.
-
-    A pose array that is the identity alone is not even read.
-    """
-    if moved:
-        p = columns(T, 16, rows, at, 0)
-        q = columns(T, 16, rows, at, 8)
-        good = bits(is_rigid(p, q)) == ALL
-        return p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2], p[3], p[7], q[3], good
-    one = spread(1.0)
-    zero = spread(0.0)
-    return one, zero, zero, zero, one, zero, zero, zero, one, zero, zero, zero, True
-
-
-@inline
 def _turns(r):
-    """Whether any of the eight rotations is not exactly the identity."""
+    """Mask: rotations that are not exactly the identity."""
     off = magnitude(r[1]) + magnitude(r[2]) + magnitude(r[3]) + magnitude(r[5]) + magnitude(r[6]) + magnitude(r[7])
     on = magnitude(r[0] - 1.0) + magnitude(r[4] - 1.0) + magnitude(r[8] - 1.0)
-    return bits(off + on <= 0.0) != ALL
+    return off + on > 0.0
 
 
 @inline
@@ -113,16 +119,22 @@ def _size(a, reach_a, b, reach_b):
 
 
 @inline
-def _clear(x, y, z, radii, size, margin):
-    """Mask: bounding spheres surely farther apart than the margin."""
-    far = radii + POSITION_ROUNDINGS * size + margin
-    return (x * x + y * y + z * z) * (1.0 - 16.0 * UNIT_ROUNDOFF) > far * far
+def _rounded_size(a, reach_a, b, reach_b):
+    """The same where the translations were rounded before they are subtracted."""
+    t = magnitude(a[9]) + magnitude(a[10]) + magnitude(a[11]) + magnitude(b[9]) + magnitude(b[10]) + magnitude(b[11])
+    return t + reach_a + reach_b
 
 
 @inline
-def _shape(hot, rows, at, column, r, turned):
+def _clear(x, y, z, radii, size, margin, unit):
+    """Mask: bounding spheres surely farther apart than the margin."""
+    far = radii + POSITION_ERROR * unit * size + margin
+    return (x * x + y * y + z * z) * (1.0 - 16.0 * unit) > far * far
+
+
+@inline
+def _shape(c, r, turned):
     """World shape matrices, and the two entries of the table behind them."""
-    c = columns(hot, HOT, rows, at, column)
     q = c[0], c[1], c[2], c[3], c[4], c[5]
     if turned:
         q = rotated(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], q[0], q[1], q[2], q[3], q[4], q[5])
@@ -135,11 +147,11 @@ def _dot(ax, ay, az, bx, by, bz):
 
 
 @inline
-def _guess(p, q, x, y, z):
+def _guess(p, q, x, y, z, tiny):
     """s of two spheres as wide as the ellipsoids are along r."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], x, y, z)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], x, y, z)
-    return share(larger(_dot(px, py, pz, x, y, z), 1e-300), larger(_dot(qx, qy, qz, x, y, z), 1e-300))
+    return share(larger(_dot(px, py, pz, x, y, z), tiny), larger(_dot(qx, qy, qz, x, y, z), tiny))
 
 
 @inline
@@ -159,16 +171,6 @@ def _normal(p, q, s, x, y, z):
 
 
 @njit()
-def _better(p, q, x, y, z, nx, ny, nz, attempt):
-    """Another s and its normal: first that of spheres as wide as the ellipsoids are along n, then Newton's."""
-    if attempt == 0:
-        s = _guess(p, q, nx, ny, nz)
-        nx, ny, nz = _normal(p, q, s, x, y, z)
-        return s, nx, ny, nz
-    return _best(p, q, x, y, z)
-
-
-@njit()
 def _best(p, q, x, y, z):
     """s and n = K(s)⁻¹ r at the maximum of F."""
     _, s, nx, ny, nz = maximize(
@@ -178,8 +180,8 @@ def _best(p, q, x, y, z):
 
 
 @inline
-def _apart(p, q, x, y, z, nx, ny, nz, s, size):
-    """Masks: surely separated by n; surely not separable at all.
+def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit):
+    """Mask: surely separated by n. And what F cannot exceed anywhere.
 
     F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere.
     """
@@ -190,19 +192,20 @@ def _apart(p, q, x, y, z, nx, ny, nz, s, size):
     squared = _dot(nx, ny, nz, nx, ny, nz)
     along = _dot(nx, ny, nz, x, y, z)
     # n·r > √b + √c, with n·r rounded down and the squared widths b and c rounded up.
-    a = along - POSITION_ROUNDINGS * size * (magnitude(nx) + magnitude(ny) + magnitude(nz))
-    b = pn + SHAPE_ROUNDINGS * (p[0] + p[3] + p[5]) * squared
-    c = qn + SHAPE_ROUNDINGS * (q[0] + q[3] + q[5]) * squared
-    t = a * a * (1.0 - 8.0 * UNIT_ROUNDOFF) - (b + c)
-    separated = (a > 0.0) & (t > 0.0) & (t * t * (1.0 - 16.0 * UNIT_ROUNDOFF) > 4.0 * (b * c))
+    a = along - POSITION_ERROR * unit * size * (magnitude(nx) + magnitude(ny) + magnitude(nz))
+    b = pn + SHAPE_ERROR * unit * (p[0] + p[3] + p[5]) * squared
+    c = qn + SHAPE_ERROR * unit * (q[0] + q[3] + q[5]) * squared
+    t = a * a * (1.0 - 8.0 * unit) - (b + c)
+    # Apart means F > 1 and n·r > 4 at the best s; asking for a half, and t clear of zero, keeps squares from
+    # underflowing.
+    separated = (a > 0.5) & (t > unit * (a * a)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (b * c))
     u = 1.0 - s
-    most = s * u * along + magnitude(u * u * pn - s * s * qn) * larger(s, u)
-    return separated, most < 1.0
+    return separated, s * u * along + magnitude(u * u * pn - s * s * qn) * larger(s, u)
 
 
 @inline
-def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size):
-    """Masks: surely a common point at (1-s) P n from a's center; surely no common point anywhere. And that point."""
+def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
+    """Mask: surely a common point at (1-s) P n from a's center; F, above 1 only if there is none; the point."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
     pn = _dot(px, py, pz, nx, ny, nz)
@@ -213,15 +216,15 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size):
     # The point seen from a, and how far the same point seen from b misses it: zero in exact arithmetic.
     ax, ay, az = u * px, u * py, u * pz
     slack = magnitude(x - ax - s * qx) + magnitude(y - ay - s * qy) + magnitude(z - az - s * qz)
-    slack = slack + POSITION_ROUNDINGS * size
+    slack = slack + POSITION_ERROR * unit * size
     # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
-    error_p = SHAPE_ROUNDINGS * (p[0] + p[3] + p[5])
-    error_q = SHAPE_ROUNDINGS * (q[0] + q[3] + q[5])
-    free_a = 1.0 - 32.0 * UNIT_ROUNDOFF - u * error_p * length * grip_a
-    free_b = 1.0 - 32.0 * UNIT_ROUNDOFF - (s * error_q * length + slack) * grip_b
+    error_p = SHAPE_ERROR * unit * (p[0] + p[3] + p[5])
+    error_q = SHAPE_ERROR * unit * (q[0] + q[3] + q[5])
+    free_a = 1.0 - 32.0 * unit - u * error_p * length * grip_a
+    free_b = 1.0 - 32.0 * unit - (s * error_q * length + slack) * grip_b
     inside_a = (free_a > 0.0) & (u * u * (pn + error_p * squared) <= free_a * free_a)
     inside_b = (free_b > 0.0) & (s * s * (qn + error_q * squared) <= free_b * free_b)
-    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z) > 1.0, ax, ay, az
+    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z), ax, ay, az
 
 
 @inline
@@ -239,131 +242,195 @@ def _put_tiers(tier, at, far, free, overlap):
     mark(tier, at, far, BY_SPHERE)
 
 
-@njit()
-def spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
-    """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
+def _poses(fetch, everything, rigid_poses, one):
+    """The function below, for vectors like those that `fetch` returns."""
 
-    Returns False if a pose is no rigid motion, as `certify` does.
-    """
-    none = spread(0.0) > 0.0
-    for at in range(0, count, LANES):
-        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
-        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
-        if not (a[12] and b[12]):
-            return False
-        p = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
-        q = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
-        x, y, z = _offset(a, moved_a, p[0], p[1], p[2], b, moved_b, q[0], q[1], q[2])
-        size = _size(a, p[REACH], b, q[REACH])
-        _put_tiers(tier, at, _clear(x, y, z, p[OUTER_RADIUS] + q[OUTER_RADIUS], size, margin), none, none)
-    return True
+    @inline
+    def pose(T, rows, at, moved):
+        """Rotation (row by row), translation, and whether all are rigid.
+
+        A pose array that is the identity alone is not even read.
+        """
+        if moved:
+            p = fetch(T, 16, rows, at, 0)
+            q = fetch(T, 16, rows, at, 8)
+            good = bits(rigid_poses(p, q)) == everything
+            return p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2], p[3], p[7], q[3], good
+        on = spread(one)
+        off = on - on
+        return on, off, off, off, on, off, off, off, on, off, off, off, True
+
+    return pose
 
 
-@njit()
-def certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
-    """Certify the listed piece pairs, margin 0.
+def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
+    """The two compiled functions below, in one of the two precisions.
 
     Parameters
     ----------
-    count : int
-        Piece pairs; the lists are filled with repeats up to a multiple of `LANES`.
-    hot_a, hot_b : ndarray, shape (P, HOT)
-    Ta, Tb : ndarray, shape (N, 4, 4)
-    moved_a, moved_b : bool
-        False if the operand's only pose is the identity.
-    L : ndarray of int64, shape (LISTS * BLOCK,)
-        Pieces and poses of each pair.
-    tier : ndarray of int8
-        Receives BY_SPHERE, BY_OUTER, BY_INNER or OPEN.
-    V : ndarray, shape (ROWS * BLOCK,)
-        Receives contact normals and the common point that was tried, relative to a's inner center.
-
-    Returns
-    -------
-    bool
-        False if a pose is no rigid motion; the rest is then not done.
+    fetch : callable
+        Reads eight columns of as many rows as a vector has lanes.
+    lanes : int
+    pose, size_of : callable
+    unit, tiny : float
+        Unit roundoff, and a number that no product of four lengths falls below.
+    sure : float
+        How far F must be from 1 to say that no s whatever settles a pair.
     """
-    none = spread(0.0) > 0.0
-    for at in range(0, count, LANES):
-        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
-        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
-        if not (a[12] and b[12]):
-            return False
-        turned_a = moved_a and _turns(a)
-        turned_b = moved_b and _turns(b)
-        near_a = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
-        near_b = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
-        size = _size(a, near_a[REACH], b, near_b[REACH])
+    everything = 2**lanes - 1
 
-        x, y, z = _offset(a, turned_a, near_a[0], near_a[1], near_a[2], b, turned_b, near_b[0], near_b[1], near_b[2])
-        far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, 0.0)
-        free = far
-        overlap = none
-        if bits(free) != ALL:
-            p = _shape(hot_a, L, PIECE_A * BLOCK + at, OUTER_SHAPE, a, turned_a)
-            q = _shape(hot_b, L, PIECE_B * BLOCK + at, OUTER_SHAPE, b, turned_b)
-            s = _guess(p, q, x, y, z)
-            nx, ny, nz = _normal(p, q, s, x, y, z)
-            separated, inseparable = _apart(p, q, x, y, z, nx, ny, nz, s, size)
-            free = free | separated
-            for attempt in range(ATTEMPTS):
-                if bits(free | inseparable) == ALL:
-                    break
-                s, mx, my, mz = _better(p, q, x, y, z, nx, ny, nz, attempt)
-                separated, enough = _apart(p, q, x, y, z, mx, my, mz, s, size)
-                nx = choose(inseparable, nx, mx)
-                ny = choose(inseparable, ny, my)
-                nz = choose(inseparable, nz, mz)
-                free = free | separated
-                inseparable = inseparable | enough
-            _put_three(V, OUT_NORMAL, at, nx, ny, nz)
-        if bits(free) != ALL:
-            p = _shape(hot_a, L, PIECE_A * BLOCK + at, INNER_SHAPE, a, turned_a)
-            q = _shape(hot_b, L, PIECE_B * BLOCK + at, INNER_SHAPE, b, turned_b)
-            c = INNER_CENTER
+    @njit()
+    def spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+        """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
+
+        Returns False where `certify` does.
+        """
+        for at in range(0, count, lanes):
+            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+            if not (a[12] and b[12]):
+                return False
+            p = fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER)
+            q = fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER)
+            x, y, z = _offset(a, moved_a, p[0], p[1], p[2], b, moved_b, q[0], q[1], q[2])
+            size = size_of(a, p[REACH], b, q[REACH])
+            far = _clear(x, y, z, p[OUTER_RADIUS] + q[OUTER_RADIUS], size, margin, unit)
+            mark(tier, at, far, BY_SPHERE)
+            mark(tier, at, ~far, OPEN)
+        return True
+
+    @njit()
+    def better(p, q, x, y, z, nx, ny, nz):
+        """Another s and its normal: that of spheres as wide as the ellipsoids are along n."""
+        s = _guess(p, q, nx, ny, nz, tiny)
+        nx, ny, nz = _normal(p, q, s, x, y, z)
+        return s, nx, ny, nz
+
+    @njit()
+    def certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+        """Certify the listed piece pairs, margin 0.
+
+        Parameters
+        ----------
+        count : int
+            Piece pairs; the lists are filled with repeats up to whole vectors.
+        hot_a, hot_b : ndarray, shape (P, HOT)
+        Ta, Tb : ndarray, shape (N, 4, 4)
+        moved_a, moved_b : bool
+            False if the operand's only pose is the identity.
+        L : ndarray of int64, shape (LISTS * BLOCK,)
+            Pieces and poses of each pair.
+        tier : ndarray of int8
+            Receives BY_SPHERE, BY_OUTER, BY_INNER, OPEN (no s settles the pair) or UNSURE.
+        V : ndarray, shape (ROWS * BLOCK,)
+            Receives contact normals and the common point that was tried, relative to a's inner center.
+
+        Returns
+        -------
+        bool
+            False if a pose is no rigid motion (in single precision: may be none); the rest is then not done.
+        """
+        for at in range(0, count, lanes):
+            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+            if not (a[12] and b[12]):
+                return False
+            turned_a = moved_a and bits(_turns(a)) != 0
+            turned_b = moved_b and bits(_turns(b)) != 0
+            near_a = fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER)
+            near_b = fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER)
+            size = size_of(a, near_a[REACH], b, near_b[REACH])
+
             x, y, z = _offset(
-                a, turned_a, near_a[c], near_a[c + 1], near_a[c + 2], b, turned_b, near_b[c], near_b[c + 1],
-                near_b[c + 2],
-            )  # fmt: skip
-            grip_a, grip_b = p[INNER_GRIP - INNER_SHAPE], q[INNER_GRIP - INNER_SHAPE]
-            s = _guess(p, q, x, y, z)
-            nx, ny, nz = _normal(p, q, s, x, y, z)
-            overlap, apart, px, py, pz = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size)
-            settled = overlap | apart
-            for attempt in range(ATTEMPTS):
-                if bits(free | settled) == ALL:
-                    break
-                s, mx, my, mz = _better(p, q, x, y, z, nx, ny, nz, attempt)
-                found, apart, ax, ay, az = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size)
-                nx = choose(settled, nx, mx)
-                ny = choose(settled, ny, my)
-                nz = choose(settled, nz, mz)
-                px = choose(settled, px, ax)
-                py = choose(settled, py, ay)
-                pz = choose(settled, pz, az)
-                overlap = overlap | found
-                settled = settled | found | apart
-            _put_three(V, IN_NORMAL, at, nx, ny, nz)
-            _put_three(V, IN_POINT, at, px, py, pz)
-        _put_tiers(tier, at, far, free, overlap)
-    return True
+                a, turned_a, near_a[0], near_a[1], near_a[2], b, turned_b, near_b[0], near_b[1], near_b[2]
+            )
+            far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, 0.0, unit)
+            free = far
+            inseparable = ~(far | ~far)
+            if bits(free) != everything:
+                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a, turned_a)
+                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b, turned_b)
+                s = _guess(p, q, x, y, z, tiny)
+                nx, ny, nz = _normal(p, q, s, x, y, z)
+                separated, most = _apart(p, q, x, y, z, nx, ny, nz, s, size, unit)
+                free = free | separated
+                inseparable = most < 1.0 - sure
+                if bits(free | inseparable) != everything:
+                    s, mx, my, mz = better(p, q, x, y, z, nx, ny, nz)
+                    separated, most = _apart(p, q, x, y, z, mx, my, mz, s, size, unit)
+                    nx = choose(inseparable, nx, mx)
+                    ny = choose(inseparable, ny, my)
+                    nz = choose(inseparable, nz, mz)
+                    free = free | separated
+                    inseparable = inseparable | (most < 1.0 - sure)
+                _put_three(V, OUT_NORMAL, at, nx, ny, nz)
+
+            overlap = free
+            distinct = free
+            if bits(free) != everything:
+                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a, turned_a)
+                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b, turned_b)
+                c = INNER_CENTER
+                x, y, z = _offset(
+                    a, turned_a, near_a[c], near_a[c + 1], near_a[c + 2], b, turned_b, near_b[c], near_b[c + 1],
+                    near_b[c + 2],
+                )  # fmt: skip
+                grip_a, grip_b = p[INNER_GRIP - INNER_SHAPE], q[INNER_GRIP - INNER_SHAPE]
+                s = _guess(p, q, x, y, z, tiny)
+                nx, ny, nz = _normal(p, q, s, x, y, z)
+                overlap, F, px, py, pz = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit)
+                distinct = 1.0 + sure < F
+                settled = overlap | distinct
+                if bits(free | settled) != everything:
+                    s, mx, my, mz = better(p, q, x, y, z, nx, ny, nz)
+                    found, F, ax, ay, az = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit)
+                    nx = choose(settled, nx, mx)
+                    ny = choose(settled, ny, my)
+                    nz = choose(settled, nz, mz)
+                    px = choose(settled, px, ax)
+                    py = choose(settled, py, ay)
+                    pz = choose(settled, pz, az)
+                    overlap = overlap | found
+                    distinct = distinct | (1.0 + sure < F)
+                _put_three(V, IN_NORMAL, at, nx, ny, nz)
+                _put_three(V, IN_POINT, at, px, py, pz)
+            mark(tier, at, far | ~far, UNSURE)
+            mark(tier, at, inseparable & distinct, OPEN)
+            mark(tier, at, overlap, BY_INNER)
+            mark(tier, at, free, BY_OUTER)
+            mark(tier, at, far, BY_SPHERE)
+        return True
+
+    return spheres, certify
+
+
+_pose = _poses(columns, ALL, is_rigid, 1.0)
+_single_pose = _poses(single_columns, SINGLE_ALL, is_rigid_single, np.float32(1.0))
+
+spheres, certify = _stages(columns, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, 0.0)
+single_spheres, single_certify = _stages(
+    single_columns, SINGLE_LANES, _single_pose, _rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
+)
 
 
 @njit()
-def certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
-    """Certify the listed piece pairs, margin > 0; parameters and result as for `certify`."""
+def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    """Certify the listed piece pairs at the best s, in double precision, with any margin.
+
+    Parameters and result as for `certify`, but that every pair left is OPEN.
+    """
     for at in range(0, count, LANES):
         a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
         b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
         if not (a[12] and b[12]):
             return False
-        near_a = _near_columns(hot_a, L, PIECE_A * BLOCK + at)
-        near_b = _near_columns(hot_b, L, PIECE_B * BLOCK + at)
+        near_a = columns(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER)
+        near_b = columns(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER)
         size = _size(a, near_a[REACH], b, near_b[REACH])
         x, y, z = _offset(a, moved_a, near_a[0], near_a[1], near_a[2], b, moved_b, near_b[0], near_b[1], near_b[2])
-        far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, margin)
-        p = _shape(hot_a, L, PIECE_A * BLOCK + at, OUTER_SHAPE, a, moved_a)
-        q = _shape(hot_b, L, PIECE_B * BLOCK + at, OUTER_SHAPE, b, moved_b)
+        far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, margin, UNIT_ROUNDOFF)
+        p = _shape(columns(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a, moved_a)
+        q = _shape(columns(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b, moved_b)
         s, nx, ny, nz = _best(p, q, x, y, z)
         _put_three(V, OUT_NORMAL, at, nx, ny, nz)
         gap = separation(
@@ -371,8 +438,8 @@ def certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tie
         )
         free = far | (gap > margin)
 
-        p = _shape(hot_a, L, PIECE_A * BLOCK + at, INNER_SHAPE, a, moved_a)
-        q = _shape(hot_b, L, PIECE_B * BLOCK + at, INNER_SHAPE, b, moved_b)
+        p = _shape(columns(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a, moved_a)
+        q = _shape(columns(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b, moved_b)
         c = INNER_CENTER
         x, y, z = _offset(
             a, moved_a, near_a[c], near_a[c + 1], near_a[c + 2], b, moved_b, near_b[c], near_b[c + 1], near_b[c + 2]
@@ -382,8 +449,10 @@ def certify_margin(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tie
             p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, s,
             1.0 / p[INNER_GRIP - INNER_SHAPE], 1.0 / q[INNER_GRIP - INNER_SHAPE], size,
         )  # fmt: skip
-        overlap = (level <= 1.0) | (distance <= margin)
         _put_three(V, IN_NORMAL, at, nx, ny, nz)
         _put_three(V, IN_POINT, at, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
-        _put_tiers(tier, at, far, free, overlap)
+        mark(tier, at, far | ~far, OPEN)
+        mark(tier, at, (level <= 1.0) | ((distance <= margin) & (spread(margin) > 0.0)), BY_INNER)
+        mark(tier, at, free, BY_OUTER)
+        mark(tier, at, far, BY_SPHERE)
     return True

@@ -12,8 +12,6 @@ ROTATION_TOLERANCE = 1e-6
 # What eight poses are checked with at once: a hair more, so that whatever fails has a fault one by one too.
 QUICK_TOLERANCE = ROTATION_TOLERANCE * (1 + 1e-9)
 
-LARGEST = np.finfo(np.float64).max
-
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
 
@@ -48,24 +46,31 @@ def fault(T):
     return RIGID, worst
 
 
-@inline
-def is_rigid(p, q):
-    """Whether eight poses, their entries in row order in p and q, are free of faults: a mask."""
-    a = magnitude(p[0] * p[0] + p[4] * p[4] + q[0] * q[0] - 1.0)
-    b = magnitude(p[1] * p[1] + p[5] * p[5] + q[1] * q[1] - 1.0)
-    c = magnitude(p[2] * p[2] + p[6] * p[6] + q[2] * q[2] - 1.0)
-    d = magnitude(p[0] * p[1] + p[4] * p[5] + q[0] * q[1])
-    e = magnitude(p[0] * p[2] + p[4] * p[6] + q[0] * q[2])
-    f = magnitude(p[1] * p[2] + p[5] * p[6] + q[1] * q[2])
-    orthonormal = (
-        (a <= QUICK_TOLERANCE) & (b <= QUICK_TOLERANCE) & (c <= QUICK_TOLERANCE)
-        & (d <= QUICK_TOLERANCE) & (e <= QUICK_TOLERANCE) & (f <= QUICK_TOLERANCE)
-    )  # fmt: skip
-    # The determinant's sign, from R orthonormal: +1 or -1.
-    turn = p[0] * (p[5] * q[2] - p[6] * q[1]) - p[1] * (p[4] * q[2] - p[6] * q[0]) + p[2] * (p[4] * q[1] - p[5] * q[0])
-    last_row = magnitude(q[4]) + magnitude(q[5]) + magnitude(q[6]) + magnitude(q[7] - 1.0)
-    finite = magnitude(p[3]) + magnitude(p[7]) + magnitude(q[3]) < LARGEST
-    return orthonormal & (turn > 0.0) & (last_row <= 0.0) & finite
+def _rigid(tolerance, largest):
+    @inline
+    def is_rigid(p, q):
+        """Whether poses, their entries in row order in p and q, are free of faults: a mask."""
+        a = magnitude(p[0] * p[0] + p[4] * p[4] + q[0] * q[0] - 1.0)
+        b = magnitude(p[1] * p[1] + p[5] * p[5] + q[1] * q[1] - 1.0)
+        c = magnitude(p[2] * p[2] + p[6] * p[6] + q[2] * q[2] - 1.0)
+        d = magnitude(p[0] * p[1] + p[4] * p[5] + q[0] * q[1])
+        e = magnitude(p[0] * p[2] + p[4] * p[6] + q[0] * q[2])
+        f = magnitude(p[1] * p[2] + p[5] * p[6] + q[1] * q[2])
+        worst = (a <= tolerance) & (b <= tolerance) & (c <= tolerance)
+        worst = worst & (d <= tolerance) & (e <= tolerance) & (f <= tolerance)
+        # The determinant is +1 or -1 where R is orthonormal.
+        x, y, z = p[5] * q[2] - p[6] * q[1], p[6] * q[0] - p[4] * q[2], p[4] * q[1] - p[5] * q[0]
+        last_row = magnitude(q[4]) + magnitude(q[5]) + magnitude(q[6]) + magnitude(q[7] - 1.0)
+        finite = magnitude(p[3]) + magnitude(p[7]) + magnitude(q[3]) <= largest
+        return worst & (p[0] * x + p[1] * y + p[2] * z > 0.0) & (last_row <= 0.0) & finite
+
+    return is_rigid
+
+
+is_rigid = _rigid(QUICK_TOLERANCE, np.finfo(np.float64).max)
+
+# Rounding the entries to single precision and multiplying them costs 3e-7 at most: what passes here is rigid.
+is_rigid_single = _rigid(0.6 * ROTATION_TOLERANCE, 1e30)
 
 
 @njit()

@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of six arrays:
+A packed set of pieces is a tuple of seven arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -13,6 +13,9 @@ A packed set of pieces is a tuple of six arrays:
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``hot`` (P, HOT) float64
     The first columns of ``table`` once more, packed for streaming through millions of pieces.
+``single`` (P, HOT) float32
+    The same in single precision, bounds rounded to their side; or no rows, if a piece is too large or too small for
+    sixth powers of lengths in single precision.
 
 Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
 C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,

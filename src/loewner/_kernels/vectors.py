@@ -1,8 +1,8 @@
-"""Eight doubles side by side: a Numba type whose arithmetic is vector instructions by construction.
+"""Eight doubles or sixteen floats side by side: Numba types whose arithmetic is vector instructions by construction.
 
-A formula written once on scalars runs unchanged on eight piece pairs: +, -, *, / and the functions
-below take floats and vectors alike, a float standing for eight copies. LLVM maps ``<8 x double>`` to
-one AVX-512 register, two of AVX2 or four of SSE2 and NEON; nothing hangs on whether it finds a loop
+A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions
+below take floats and vectors alike, a float standing for as many copies as needed. LLVM maps ``<8 x double>`` and
+``<16 x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON; nothing hangs on whether it finds a loop
 worth vectorising. Comparisons give masks; there are no branches on vectors.
 
 As everywhere in this package the only freedom given to the compiler is contraction.
@@ -15,63 +15,77 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-LANES = 8
-ALL = 2**LANES - 1  # the bits of a mask that holds everywhere
+LANES, SINGLE_LANES = 8, 16
+ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that holds everywhere
 
-_DOUBLE = ir.DoubleType()
-_VECTOR = ir.VectorType(_DOUBLE, LANES)
-_MASK = ir.VectorType(ir.IntType(1), LANES)
 _CONTRACT = ("contract",)
 
 
 class _Lanes(types.Type):
-    """Numba type of eight values in a register."""
+    """Numba type of several values in a register."""
+
+    def __init__(self, name, entry, count):
+        super().__init__(name)
+        self.llvm = ir.VectorType(entry, count)
 
 
-vector = _Lanes("Vector8")
-mask = _Lanes("Mask8")
+vector = _Lanes("Vector8", ir.DoubleType(), LANES)
+single = _Lanes("Single16", ir.FloatType(), SINGLE_LANES)
+mask = _Lanes("Mask8", ir.IntType(1), LANES)
+single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
+
+_VECTORS = (vector, single)
+_MASK_OF = {vector: mask, single: single_mask}
 
 
 @register_model(_Lanes)
 class _Model(models.PrimitiveModel):
     def __init__(self, manager, fe_type):
-        super().__init__(manager, fe_type, _VECTOR if fe_type == vector else _MASK)
+        super().__init__(manager, fe_type, fe_type.llvm)
 
 
-def _spread(builder, value, kind):
-    """A float as eight copies; a vector as it is."""
-    if kind in (vector, mask):
+def _repeat(builder, value, count):
+    """Copies of a scalar side by side."""
+    kind = ir.VectorType(value.type, count)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), _indices([0] * count))
+
+
+def _indices(numbers):
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+
+
+def _spread(builder, value, kind, wanted):
+    """A float as copies; a vector as it is."""
+    if kind == wanted:
         return value
-    lane = ir.Constant(ir.IntType(32), 0)
-    one = builder.insert_element(ir.Constant(value_type := ir.VectorType(value.type, LANES), ir.Undefined), value, lane)
-    return builder.shuffle_vector(one, ir.Constant(value_type, ir.Undefined), ir.Constant(_indices().type, [0] * LANES))
+    if wanted == single and value.type == ir.DoubleType():
+        value = builder.fptrunc(value, ir.FloatType())
+    return _repeat(builder, value, wanted.llvm.count)
 
 
-def _indices():
-    return ir.Constant(ir.VectorType(ir.IntType(32), LANES), list(range(LANES)))
+def _joint(args):
+    """The one vector type among these, if the others are floats or the same; None otherwise."""
+    kinds = {a for a in args if not isinstance(a, types.Float)}
+    return kinds.pop() if len(kinds) == 1 and kinds <= set(_VECTORS) else None
 
 
-def _numbers(args):
-    """Whether these are floats and vectors, at least one of them a vector."""
-    return vector in args and all(a == vector or isinstance(a, types.Float) for a in args)
-
-
-def _operation(symbol, emit, result=vector):
+def _operation(symbol, emit, compares=False):
     """Teach Numba one binary operator on vectors."""
 
     @infer_global(symbol)
     class _Typed(AbstractTemplate):
         def generic(self, args, kws):
-            if len(args) == 2 and _numbers(args):
-                return signature(result, *args)
-            return None
+            kind = _joint(args) if len(args) == 2 else None
+            return kind and signature(_MASK_OF[kind] if compares else kind, *args)
 
-    for a, b in ((vector, vector), (vector, types.Float), (types.Float, vector)):
+    for kind in _VECTORS:
+        for a, b in ((kind, kind), (kind, types.Float), (types.Float, kind)):
 
-        @lower_builtin(symbol, a, b)
-        def _lowered(context, builder, sig, args):
-            x, y = (_spread(builder, v, t) for v, t in zip(args, sig.args, strict=True))
-            return emit(builder, x, y)
+            @lower_builtin(symbol, a, b)
+            def _lowered(context, builder, sig, args, kind=kind):
+                x, y = (_spread(builder, v, t, kind) for v, t in zip(args, sig.args, strict=True))
+                return emit(builder, x, y)
 
 
 _operation(operator.add, lambda b, x, y: b.fadd(x, y, flags=_CONTRACT))
@@ -79,52 +93,45 @@ _operation(operator.sub, lambda b, x, y: b.fsub(x, y, flags=_CONTRACT))
 _operation(operator.mul, lambda b, x, y: b.fmul(x, y, flags=_CONTRACT))
 _operation(operator.truediv, lambda b, x, y: b.fdiv(x, y))
 for _symbol, _text in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
-    _operation(_symbol, lambda b, x, y, text=_text: b.fcmp_ordered(text, x, y), mask)
+    _operation(_symbol, lambda b, x, y, text=_text: b.fcmp_ordered(text, x, y), True)
 
 
 @infer_global(operator.and_)
 @infer_global(operator.or_)
 class _MaskPair(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(mask, mask, mask) if tuple(args) == (mask, mask) else None
+        return signature(args[0], *args) if tuple(args) in ((mask, mask), (single_mask, single_mask)) else None
 
 
 @infer_global(operator.invert)
 class _MaskNot(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(mask, mask) if tuple(args) == (mask,) else None
+        return signature(args[0], *args) if tuple(args) in ((mask,), (single_mask,)) else None
 
 
 @infer_global(operator.neg)
 class _Negated(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(vector, vector) if tuple(args) == (vector,) else None
+        return signature(args[0], *args) if tuple(args) in ((vector,), (single,)) else None
 
 
-@lower_builtin(operator.and_, mask, mask)
-def _and(context, builder, sig, args):
-    return builder.and_(*args)
-
-
-@lower_builtin(operator.or_, mask, mask)
-def _or(context, builder, sig, args):
-    return builder.or_(*args)
-
-
-@lower_builtin(operator.invert, mask)
-def _invert(context, builder, sig, args):
-    return builder.not_(args[0])
-
-
-@lower_builtin(operator.neg, vector)
-def _neg(context, builder, sig, args):
-    return builder.fneg(args[0])
+for _kind in (mask, single_mask):
+    lower_builtin(operator.and_, _kind, _kind)(lambda context, builder, sig, args: builder.and_(*args))
+    lower_builtin(operator.or_, _kind, _kind)(lambda context, builder, sig, args: builder.or_(*args))
+    lower_builtin(operator.invert, _kind)(lambda context, builder, sig, args: builder.not_(args[0]))
+for _kind in _VECTORS:
+    lower_builtin(operator.neg, _kind)(lambda context, builder, sig, args: builder.fneg(args[0]))
 
 
 def _call(builder, name, *args):
     """Call an LLVM intrinsic that is overloaded on the type of its arguments."""
     kind = args[0].type
-    suffix = "v8f64" if kind == _VECTOR else "f64"
+    entry = kind.element if isinstance(kind, ir.VectorType) else kind
+    suffix = (
+        ("f64" if entry == ir.DoubleType() else "f32")
+        if entry is kind
+        else (f"v{kind.count}" + ("f64" if entry == ir.DoubleType() else "f32"))
+    )
     function = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(kind, [kind] * len(args)), f"llvm.{name}.{suffix}"
     )
@@ -132,7 +139,7 @@ def _call(builder, name, *args):
 
 
 def _result(args):
-    return vector if vector in args else types.float64
+    return _joint(args) or types.float64
 
 
 @intrinsic
@@ -160,8 +167,8 @@ def _choice(builder, comparison, x, y):
 
 
 def _both(builder, sig, args):
-    if sig.return_type == vector:
-        return [_spread(builder, v, t) for v, t in zip(args, sig.args, strict=True)]
+    if sig.return_type in _VECTORS:
+        return [_spread(builder, v, t, sig.return_type) for v, t in zip(args, sig.args, strict=True)]
     return args
 
 
@@ -193,75 +200,64 @@ def choose(typingctx, condition, x, y):
         a, b = _both(builder, signature(sig.return_type, *sig.args[1:]), args[1:])
         return builder.select(args[0], a, b)
 
-    result = vector if condition == mask else _result((x, y))
-    return signature(result, condition, x, y), generate
+    return signature(_result((x, y)), condition, x, y), generate
 
 
 @intrinsic
 def spread(typingctx, x):
-    """Eight copies of a float."""
+    """Eight copies of a float64, or sixteen of a float32."""
+    kind = single if x == types.float32 else vector
 
     def generate(context, builder, sig, args):
-        return _spread(builder, args[0], x)
+        return _spread(builder, args[0], x, kind)
 
-    return signature(vector, x), generate
+    return signature(kind, x), generate
 
 
 @intrinsic
 def share(typingctx, x, y):
-    """√x / (√x + √y) of two vectors >= 0, to single precision and not at all for the last digits: a guess.
+    """√x / (√x + √y) of two vectors > 0, in single precision: a guess.
 
     Single precision has eight square roots in the time that double precision has two.
     """
 
     def generate(context, builder, sig, args):
-        small = ir.VectorType(ir.FloatType(), LANES)
+        small = ir.VectorType(ir.FloatType(), x.llvm.count)
         total = builder.fadd(*args)
         roots = []
         for part in args:
-            ratio = builder.fptrunc(builder.fdiv(part, total), small)
-            function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(small, [small]), "llvm.sqrt.v8f32"
-            )
-            roots.append(builder.call(function, [ratio]))
-        return builder.fpext(builder.fdiv(roots[0], builder.fadd(*roots)), _VECTOR)
+            ratio = builder.fdiv(part, total)
+            roots.append(_call(builder, "sqrt", ratio if x == single else builder.fptrunc(ratio, small)))
+        found = builder.fdiv(roots[0], builder.fadd(*roots))
+        return found if x == single else builder.fpext(found, x.llvm)
 
-    return signature(vector, vector, vector), generate
+    return signature(x, x, y), generate
 
 
 @intrinsic
 def bits(typingctx, m):
-    """Lanes of a mask as the low eight bits of an integer."""
+    """Lanes of a mask as the low bits of an integer."""
 
     def generate(context, builder, sig, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), ir.IntType(64))
+        return builder.zext(builder.bitcast(args[0], ir.IntType(m.llvm.count)), ir.IntType(64))
 
-    return signature(types.int64, mask), generate
+    return signature(types.int64, m), generate
 
 
 @intrinsic
 def mark(typingctx, array, at, m, code):
-    """Write a code to those of eight consecutive bytes that the mask names."""
+    """Write a code to those of consecutive bytes that the mask names."""
 
     def generate(context, builder, sig, args):
-        array, at, m, code = args
-        eight = ir.VectorType(ir.IntType(8), LANES)
-        place = builder.bitcast(_address(context, builder, sig.args[0], array, at), eight.as_pointer())
-        codes = _spread(builder, builder.trunc(code, ir.IntType(8)), None)
-        builder.store(builder.select(m, codes, builder.load(place, align=1)), place, align=1)
+        array, at, where, code = args
+        count = m.llvm.count
+        several = ir.VectorType(ir.IntType(8), count)
+        place = builder.bitcast(_address(context, builder, sig.args[0], array, at), several.as_pointer())
+        codes = _repeat(builder, builder.trunc(code, ir.IntType(8)), count)
+        builder.store(builder.select(where, codes, builder.load(place, align=1)), place, align=1)
         return context.get_dummy_value()
 
-    return signature(types.void, array, types.int64, mask, types.int64), generate
-
-
-@intrinsic
-def count_bits(typingctx, x):
-    """How many bits of an integer are set."""
-
-    def generate(context, builder, sig, args):
-        return builder.ctpop(args[0])
-
-    return signature(types.int64, types.int64), generate
+    return signature(types.void, array, types.int64, m, types.int64), generate
 
 
 def _address(context, builder, array_type, array, offset):
@@ -271,49 +267,57 @@ def _address(context, builder, array_type, array, offset):
 
 @intrinsic
 def store(typingctx, array, offset, x):
-    """Write eight doubles to a flat array from `offset` on."""
+    """Write a vector to a flat array of float64 from `offset` on."""
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
-        builder.store(args[2], builder.bitcast(address, _VECTOR.as_pointer()), align=8)
+        value = args[2]
+        if x == single:
+            value = builder.fpext(value, ir.VectorType(ir.DoubleType(), SINGLE_LANES))
+        builder.store(value, builder.bitcast(address, value.type.as_pointer()), align=8)
         return context.get_dummy_value()
 
-    return signature(types.void, array, types.int64, vector), generate
-
-
-@intrinsic
-def load(typingctx, array, offset):
-    """Read eight doubles from a flat array from `offset` on."""
-
-    def generate(context, builder, sig, args):
-        address = _address(context, builder, sig.args[0], args[0], args[1])
-        return builder.load(builder.bitcast(address, _VECTOR.as_pointer()), align=8)
-
-    return signature(vector, array, types.int64), generate
+    return signature(types.void, array, types.int64, x), generate
 
 
 def _columns_of(builder, rows):
-    """Transpose eight rows of eight by three rounds of pairwise exchanges."""
+    """Transpose rows of eight, or of two times eight side by side, by three rounds of pairwise exchanges."""
+    width = rows[0].type.count
     for step in (1, 2, 4):
-        low = [i // step % 2 * LANES + i - i // step % 2 * step for i in range(LANES)]
+        low = [i // step % 2 * width + i - i // step % 2 * step for i in range(width)]
         high = [x + step for x in low]
         after = list(rows)
-        for r in range(LANES):
+        for r in range(8):
             if r & step == 0:
                 pair = rows[r], rows[r + step]
-                after[r] = builder.shuffle_vector(*pair, ir.Constant(_indices().type, low))
-                after[r + step] = builder.shuffle_vector(*pair, ir.Constant(_indices().type, high))
+                after[r] = builder.shuffle_vector(*pair, _indices(low))
+                after[r + step] = builder.shuffle_vector(*pair, _indices(high))
         rows = after
     return rows
 
 
+def _load_rows(context, builder, sig, args, count):
+    """Eight entries of each of `count` rows."""
+    array, wide, numbers, at, column = args
+    entry = ir.FloatType() if sig.args[0].dtype == types.float32 else ir.DoubleType()
+    eight = ir.VectorType(entry, 8)
+    loaded = []
+    for lane in range(count):
+        place = builder.add(at, ir.Constant(at.type, lane))
+        row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+        first = builder.add(builder.mul(row, wide), column)
+        address = builder.bitcast(_address(context, builder, sig.args[0], array, first), eight.as_pointer())
+        loaded.append(builder.load(address, align=4 if entry == ir.FloatType() else 8))
+    return loaded
+
+
 @intrinsic
 def columns(typingctx, table, width, rows, at, column):
-    """Eight consecutive columns of eight rows of a flat row-major table, as eight vectors.
+    """Eight consecutive columns of eight rows of a row-major table of float64, as eight vectors.
 
     Parameters
     ----------
-    table : ndarray, flat
+    table : ndarray
     width : int
         Entries a row.
     rows : ndarray of int64
@@ -322,18 +326,26 @@ def columns(typingctx, table, width, rows, at, column):
     """
 
     def generate(context, builder, sig, args):
-        array, wide, numbers, at, column = args
-        loaded = []
-        for lane in range(LANES):
-            place = builder.add(at, ir.Constant(at.type, lane))
-            row = builder.load(_address(context, builder, sig.args[2], numbers, place))
-            first = builder.add(builder.mul(row, wide), column)
-            address = builder.bitcast(_address(context, builder, sig.args[0], array, first), _VECTOR.as_pointer())
-            loaded.append(builder.load(address, align=8))
-        return context.make_tuple(builder, sig.return_type, _columns_of(builder, loaded))
+        rows = _load_rows(context, builder, sig, args, LANES)
+        return context.make_tuple(builder, sig.return_type, _columns_of(builder, rows))
 
     integer = types.int64
-    return signature(types.UniTuple(vector, LANES), table, integer, rows, integer, integer), generate
+    return signature(types.UniTuple(vector, 8), table, integer, rows, integer, integer), generate
+
+
+@intrinsic
+def single_columns(typingctx, table, width, rows, at, column):
+    """The same of sixteen rows, in single precision; the table may be of either."""
+
+    def generate(context, builder, sig, args):
+        rows = _load_rows(context, builder, sig, args, SINGLE_LANES)
+        if rows[0].type.element == ir.DoubleType():
+            rows = [builder.fptrunc(row, ir.VectorType(ir.FloatType(), 8)) for row in rows]
+        both = [builder.shuffle_vector(rows[r], rows[r + 8], _indices(list(range(16)))) for r in range(8)]
+        return context.make_tuple(builder, sig.return_type, _columns_of(builder, both))
+
+    integer = types.int64
+    return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
 
 
 @intrinsic
