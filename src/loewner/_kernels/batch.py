@@ -7,7 +7,7 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 import numpy as np
 
 from loewner._kernels import lanes
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.contact import maximize, nearness, rotated, separation
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.lanes import (
@@ -36,6 +36,7 @@ from loewner._kernels.lanes import (
     SIGMA_B,
     SIZE,
 )
+from loewner._kernels.pair_search import scratch
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -168,14 +169,15 @@ def _center_offset(ta, i, Ta, ka, tb, j, Tb, kb, column):
 
 
 @njit()
-def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally):
+def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, W, out, tally):
     """Settle the queued lanes and merge them into the verdicts of their pairs.
 
     `pair`, `pi`, `pj`, `pa`, `pb` say for each lane which pair, pieces and poses it stands for; they are compacted
     along with the lanes.
     """
-    ta, la, xa, fa, hot_a = a[0], a[1], a[2], a[3], a[5]
-    tb, lb, xb, fb, hot_b = b[0], b[1], b[2], b[3], b[5]
+    ta, la, xa, hot_a = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(a[4])
+    tb, lb, xb, hot_b = borrowed(b[0]), borrowed(b[1]), borrowed(b[2]), borrowed(b[4])
+    Ta, Tb, S, W = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(W)
     for lane in range(count):
         i, j, ka, kb = pi[lane], pj[lane], pa[lane], pb[lane]
         _copy(S, CENTER_A, lane, hot_a, i, OUTER_CENTER, 3)
@@ -291,11 +293,8 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
             tally[BY_INNER] += 1
         elif mode == EXACT:
             verdict, tier = exact_piece_pair(
-                ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin,
-                S[OUT_NORMAL * LANES + lane], S[(OUT_NORMAL + 1) * LANES + lane], S[(OUT_NORMAL + 2) * LANES + lane],
-                S[IN_NORMAL * LANES + lane], S[(IN_NORMAL + 1) * LANES + lane], S[(IN_NORMAL + 2) * LANES + lane],
-                S[IN_POINT * LANES + lane], S[(IN_POINT + 1) * LANES + lane], S[(IN_POINT + 2) * LANES + lane],
-                G, weights, v, d,
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, S[SIZE * LANES + lane],
+                S[OUT_NORMAL * LANES + lane], S[(OUT_NORMAL + 1) * LANES + lane], S[(OUT_NORMAL + 2) * LANES + lane], W,
             )  # fmt: skip
             tally[tier] += 1
             if verdict != FREE:
@@ -327,16 +326,13 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     """
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
-    G = np.empty((4, 9))
-    weights = np.empty(4)
-    v = np.empty(3)
-    d = np.empty(3)
+    W = scratch()
     pair = np.empty(LANES, np.int64)
     pi = np.empty(LANES, np.int64)
     pj = np.empty(LANES, np.int64)
     pa = np.empty(LANES, np.int64)
     pb = np.empty(LANES, np.int64)
-    start_a, start_b = a[4], b[4]
+    start_a, start_b = a[3], b[3]
     posed = not (_unturned(Ta) and _unturned(Tb))
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
     # Walk the last axis by adding strides; only its end costs divisions.
@@ -368,11 +364,10 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 pb[count] = kb
                 count += 1
                 if count == LANES:
-                    _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
-                           tally)  # fmt: skip
+                    _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, W, out, tally)
                     count = np.int64(0)
     if count > 0:
-        _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
+        _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, W, out, tally)
 
 
 @njit()
