@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import handles, rigid, shapes
+from loewner._kernels import blocks, directions, handles, rigid, shapes
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
 
@@ -49,8 +49,12 @@ class Packed:
 
     Attributes
     ----------
-    layout, points, planes, piece_start
-        As in `loewner._kernels.shapes`.
+    layout : ndarray of int64, shape (P, 5)
+        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
+    points, planes : ndarray, shapes (V, 3) and (F, 4)
+        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+    piece_start : ndarray of int64, shape (n + 1,)
+        Body i owns the pieces piece_start[i] .. piece_start[i+1].
     frames : ndarray, shape (P, 13)
         Rounding radius, center and factor of the unit shape's image (zero for polytopes).
     triangles, triangle_start
@@ -59,6 +63,8 @@ class Packed:
         The ellipsoids, shapes (P, 3) and (P, 3, 3).
     gaps : ndarray, shape (P, 2)
         Certified log-volume gaps of the inner and the outer fit.
+    maps
+        What `directions.direction_map` makes of the large polytopes, by number of the piece; None: still to be made.
     """
 
     layout: Ints
@@ -73,22 +79,17 @@ class Packed:
     outer_center: Floats
     outer_factor: Floats
     gaps: Floats
+    maps: dict[int, tuple[Ints, Floats]] | None = None
 
     def __post_init__(self) -> None:
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
+        if self.maps is None:
+            object.__setattr__(self, "maps", _direction_maps(self))
         table = _table(self)
-        point_start, point_of = _padded(self.layout[:, shapes.POINTS_FROM], self.layout[:, shapes.POINTS_TO])
-        plane_start, plane_of = _padded(self.layout[:, shapes.PLANES_FROM], self.layout[:, shapes.PLANES_TO])
-        kernel = (
-            table,
-            np.column_stack([self.layout[:, :1], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]),
-            np.ascontiguousarray(self.points[point_of].T),
-            np.ascontiguousarray(self.planes[plane_of].T),
-            self.piece_start,
-            np.ascontiguousarray(table[:, : shapes.HOT]),
-            _single(table[:, : shapes.HOT]),
-        )
+        layout, points = _kernel_points(self)
+        hot = np.ascontiguousarray(table[:, : shapes.HOT])
+        kernel = (table, layout, points, self.piece_start.copy(), hot, _single(hot))
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
         object.__setattr__(self, "handle_table", handles.table_of(kernel))
@@ -96,7 +97,7 @@ class Packed:
 
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
-        return type(self), tuple(getattr(self, name) for name in ARRAYS)
+        return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
 
     @property
     def factors(self) -> tuple[Floats, Floats]:
@@ -109,7 +110,41 @@ class Packed:
     handle: int = field(init=False)
 
 
-ARRAYS = tuple(f.name for f in fields(Packed) if f.init)
+ARRAYS = tuple(f.name for f in fields(Packed) if f.init and f.name != "maps")
+
+
+def _direction_maps(p: Packed) -> dict[int, tuple[Ints, Floats]]:
+    first, last = p.layout[:, shapes.POINTS_FROM], p.layout[:, shapes.POINTS_TO]
+    return {
+        int(i): directions.direction_map(np.ascontiguousarray(p.points[first[i] : last[i]]))
+        for i in np.flatnonzero(last - first > shapes.LARGE)
+    }
+
+
+def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
+    """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
+    maps = p.maps or {}
+    first = p.layout[:, shapes.POINTS_FROM]
+    lengths = p.layout[:, shapes.POINTS_TO] - first
+    columns = -(-lengths // blocks.BLOCK) * blocks.BLOCK
+    room = columns.copy()
+    for i, (chosen, nodes) in maps.items():
+        columns[i] = len(chosen)
+        room[i] = len(chosen) + -(-nodes.size // (3 * blocks.BLOCK)) * blocks.BLOCK
+    begin = _starts(room)
+    # A block is filled up with repeats of the last point: they change no maximum.
+    vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
+    for i, (chosen, _) in maps.items():
+        vertex[begin[i] : begin[i] + len(chosen)] = chosen
+    points = blocks.aligned(3 * len(vertex))
+    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, blocks.BLOCK, 3)
+    points.reshape(-1, 3, blocks.BLOCK)[:] = by_block.transpose(0, 2, 1)
+    for i, (chosen, nodes) in maps.items():
+        at = 3 * (begin[i] + len(chosen))
+        points[at : at + nodes.size] = nodes.ravel()
+    kind = p.layout[:, shapes.KIND].copy()
+    kind[list(maps)] = shapes.MAPPED
+    return np.column_stack([kind, begin[:-1], begin[:-1] + columns]), points
 
 
 def _table(p: Packed) -> Floats:
@@ -212,7 +247,9 @@ class _Bodies:
     @property
     def nbytes(self) -> int:
         """Memory held by all arrays, in bytes."""
-        return sum(int(array.nbytes) for array in (*_arrays(self._packed).values(), *self._packed.kernel))
+        p = self._packed
+        maps = [array for made in (p.maps or {}).values() for array in made]
+        return sum(int(array.nbytes) for array in (*_arrays(p).values(), *maps, *p.kernel))
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -373,7 +410,7 @@ class Body(_Bodies):
             raise GeometryError("bodies: expected at least one body, found none")
         packed = _concatenate([_expect_body(b, "bodies")._packed for b in listed])
         start = np.array([0, len(packed.layout)])
-        return cls(Packed(**{**_arrays(packed), "piece_start": start}))
+        return cls(Packed(**{**_arrays(packed), "piece_start": start}, maps=packed.maps))
 
     def transformed(self, T: ArrayLike) -> Body:
         """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
@@ -587,7 +624,8 @@ def _concatenate(parts: list[Packed]) -> Packed:
     for name, column in (("piece_start", 2), ("triangle_start", 3)):
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
         joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
-    return Packed(**joined)
+    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in (p.maps or {}).items()}
+    return Packed(**joined, maps=maps)
 
 
 def _ranges(starts: Ints, stops: Ints) -> Ints:
@@ -597,16 +635,6 @@ def _ranges(starts: Ints, stops: Ints) -> Ints:
         return np.zeros(0, dtype=np.int64)
     offsets = np.repeat(starts - np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
     return np.asarray(np.arange(lengths.sum()) + offsets)
-
-
-def _padded(starts: Ints, stops: Ints) -> tuple[Ints, Ints]:
-    """Starts of the index ranges once each is a multiple of `shapes.PAD` long, and the padded indices."""
-    lengths = stops - starts
-    longer = -(-lengths // shapes.PAD) * shapes.PAD
-    begin = _starts(longer)
-    place = np.arange(begin[-1]) - np.repeat(begin[:-1], longer)
-    # The pad repeats the last entry: it changes no maximum and no minimum.
-    return begin, np.repeat(starts, longer) + np.minimum(place, np.repeat(lengths, longer) - 1)
 
 
 def _starts(lengths: Ints) -> Ints:
@@ -639,6 +667,7 @@ def _take(p: Packed, bodies: Ints) -> Packed:
         outer_center=p.outer_center[pieces],
         outer_factor=p.outer_factor[pieces],
         gaps=p.gaps[pieces],
+        maps={new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {},
     )
 
 
@@ -753,7 +782,7 @@ def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]
     missing = [name for name in ARRAYS if name not in content]
     if missing:
         raise FileError(f"{path}: expected the arrays of a body, found none called {', '.join(missing)}")
-    arrays = {name: content[name] for name in ARRAYS}
+    arrays: dict[str, Any] = {name: content[name] for name in ARRAYS}
     checked = arrays | ({"covering": content["covering"]} if "covering" in content else {})
     if str(content.get("digest")) != _digest(checked):
         raise FileError(f"{path}: the content does not match its checksum; the file is damaged or was altered")

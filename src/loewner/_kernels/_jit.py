@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba import types
 from numba.core import event
+from numba.extending import intrinsic
 
 _config: Any = numba.config  # its settings are made at run time; no type knows them
 
@@ -107,3 +109,22 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a small pure function that LLVM is to inline into its callers; it is not cached by itself."""
     return numba.njit(error_model="numpy", fastmath=FASTMATH, forceinline=True)(function)
+
+
+@intrinsic
+def borrowed(typingctx: Any, array: Any) -> Any:
+    """borrowed(array): the same array without its reference count.
+
+    Numba counts references atomically wherever an array passes through a function, inlined or not; in the kernels
+    that is most of the time of a short search. A borrowed array costs nothing to hand on. Borrow only what the caller
+    keeps alive: arguments, and entries of argument tuples, never what the function makes itself.
+    """
+    if not isinstance(array, types.Array):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        view = context.make_array(signature.args[0])(context, builder, args[0])
+        view.meminfo = view.meminfo.type(None)
+        return view._getvalue()
+
+    return array(array), codegen

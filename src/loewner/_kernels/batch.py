@@ -7,13 +7,11 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 import numpy as np
 
 from loewner._kernels import lanes
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of
 from loewner._kernels.lanes import (
     BLOCK,
-    IN_NORMAL,
-    IN_POINT,
     LISTS,
     OPEN_LANE,
     OUT_NORMAL,
@@ -24,8 +22,9 @@ from loewner._kernels.lanes import (
     POSE_B,
     ROWS,
 )
-from loewner._kernels.shapes import POINTS_FROM, POINTS_TO
-from loewner._kernels.vectors import SINGLE_LANES, prefetch
+from loewner._kernels.pair_search import scratch
+from loewner._kernels.shapes import prefetch_points
+from loewner._kernels.vectors import SINGLE_LANES
 from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, TIERS
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
@@ -71,8 +70,8 @@ def _fill(count, L):
 @njit()
 def _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier):
     """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
-    done = single and lanes.single_spheres(count, margin, a[6], Ta, moved_a, b[6], Tb, moved_b, L, tier)
-    if not (done or lanes.spheres(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)):
+    done = single and lanes.single_spheres(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)
+    if not (done or lanes.spheres(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier)):
         return -1
     left = 0
     for lane in range(count):
@@ -100,7 +99,7 @@ def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
     _fill(unsure, again)
     tiers = np.empty(BLOCK, np.int8)
     W = np.empty(ROWS * BLOCK)
-    if not lanes.certify_best(unsure, 0.0, a[5], Ta, moved_a, b[5], Tb, moved_b, again, tiers, W):
+    if not lanes.certify_best(unsure, 0.0, a[4], Ta, moved_a, b[4], Tb, moved_b, again, tiers, W):
         return -1
     for n in range(unsure):
         lane = again[PAIR * BLOCK + n]
@@ -110,31 +109,20 @@ def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
     return unsure
 
 
-@inline
-def _fetch(layout, points, piece):
-    """Have the vertices of a piece on their way while other pairs are worked on."""
-    width = points.shape[1]
-    for at in range(layout[piece, POINTS_FROM], layout[piece, POINTS_TO], 8):
-        prefetch(points, at)
-        prefetch(points, width + at)
-        prefetch(points, 2 * width + at)
-
-
 @njit()
-def _flush(
-    mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G, weights, v, d, out, tally
-):
+def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
     """Settle the listed piece pairs and merge them into the verdicts of their pairs.
 
     `distinct` says that the list is of consecutive pairs of bodies, one piece pair each.
 
     Takes and returns FAR | CLOSE as a hint how to start with the next block, or returns FAULTY.
     """
-    ta, la, xa, fa = a[0], a[1], a[2], a[3]
-    tb, lb, xb, fb = b[0], b[1], b[2], b[3]
+    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
+    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
+    Ta, Tb, L, tier, V, W = borrowed(Ta), borrowed(Tb), borrowed(L), borrowed(tier), borrowed(V), borrowed(W)
     listed = count
     _fill(count, L)
-    single = len(a[6]) > 0 and len(b[6]) > 0 and hint & CLOSE == 0
+    single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
         count = _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
         if count < 0:
@@ -145,11 +133,11 @@ def _flush(
         _fill(count, L)
     unsure = 0
     if margin > 0.0:
-        if not lanes.certify_best(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V):
+        if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
             return FAULTY
     else:
-        done = single and lanes.single_certify(count, a[6], Ta, moved_a, b[6], Tb, moved_b, L, tier, V)
-        if not (done or lanes.certify(count, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)):
+        done = single and lanes.single_certify(count, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
+        if not (done or lanes.certify(count, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
             return FAULTY
         unsure = _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V)
         if unsure < 0:
@@ -184,8 +172,8 @@ def _flush(
             left += tier[lane] == OPEN
         for n in range(left):
             lane = L[OPEN_LANE * BLOCK + n]
-            _fetch(la, xa, L[PIECE_A * BLOCK + lane])
-            _fetch(lb, xb, L[PIECE_B * BLOCK + lane])
+            prefetch_points(la, xa, L[PIECE_A * BLOCK + lane])
+            prefetch_points(lb, xb, L[PIECE_B * BLOCK + lane])
         for n in range(left):
             lane = L[OPEN_LANE * BLOCK + n]
             k = L[PAIR * BLOCK + lane]
@@ -193,13 +181,29 @@ def _flush(
                 continue
             i, j = L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane]
             ka, kb = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
+            size = (
+                abs(Tb[kb, 0, 3] - Ta[ka, 0, 3]) + abs(Tb[kb, 1, 3] - Ta[ka, 1, 3]) + abs(Tb[kb, 2, 3] - Ta[ka, 2, 3])
+            )
             verdict, t = exact_piece_pair(
-                ta, la, xa, fa, i, Ta, ka, tb, lb, xb, fb, j, Tb, kb, margin,
-                V[OUT_NORMAL * BLOCK + lane], V[(OUT_NORMAL + 1) * BLOCK + lane], V[(OUT_NORMAL + 2) * BLOCK + lane],
-                V[IN_NORMAL * BLOCK + lane], V[(IN_NORMAL + 1) * BLOCK + lane], V[(IN_NORMAL + 2) * BLOCK + lane],
-                V[IN_POINT * BLOCK + lane], V[(IN_POINT + 1) * BLOCK + lane], V[(IN_POINT + 2) * BLOCK + lane],
-                G, weights, v, d,
-            )  # fmt: skip
+                ta,
+                la,
+                xa,
+                i,
+                Ta,
+                ka,
+                tb,
+                lb,
+                xb,
+                j,
+                Tb,
+                kb,
+                margin,
+                size,
+                V[OUT_NORMAL * BLOCK + lane],
+                V[(OUT_NORMAL + 1) * BLOCK + lane],
+                V[(OUT_NORMAL + 2) * BLOCK + lane],
+                W,
+            )
             tally[t] += 1
             if verdict != FREE:
                 out[k] = verdict
@@ -235,11 +239,8 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     V = np.empty(ROWS * BLOCK)
     L = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
-    G = np.empty((4, 9))
-    weights = np.empty(4)
-    v = np.empty(3)
-    d = np.empty(3)
-    la, lb, start_a, start_b = a[1], b[1], a[4], b[4]
+    W = scratch()
+    la, lb, start_a, start_b = a[1], b[1], a[3], b[3]
     moved_a, moved_b = not is_identity(Ta), not is_identity(Tb)
     hint = 0
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
@@ -254,8 +255,7 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 L[POSE_A * BLOCK + lane] = (first + lane) * pose_a[0]
                 L[POSE_B * BLOCK + lane] = (first + lane) * pose_b[0]
                 out[first + lane] = FREE
-            hint = _flush(mode, margin, True, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
-                           weights, v, d, out, tally)  # fmt: skip
+            hint = _flush(mode, margin, True, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally)
             if hint == FAULTY:
                 return False
         return True
@@ -288,14 +288,14 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
                 L[POSE_B * BLOCK + count] = kb
                 count += 1
                 if count == BLOCK:
-                    hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
-                                   weights, v, d, out, tally)  # fmt: skip
+                    hint = _flush(
+                        mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
+                    )
                     if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, G,
-                       weights, v, d, out, tally)  # fmt: skip
+        hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally)
     return hint != FAULTY
 
 
@@ -307,8 +307,17 @@ def settle_one(mode, margin, a, Ta, b, Tb):
     out = np.empty(1, np.int8)
     tally = np.zeros(TIERS, np.int64)
     if settle_range(
-        mode, margin, np.int64(0), np.int64(1), plan, arrays_of(a), Ta.reshape((1, 4, 4)), arrays_of(b),
-        Tb.reshape((1, 4, 4)), out, tally,
-    ):  # fmt: skip
+        mode,
+        margin,
+        np.int64(0),
+        np.int64(1),
+        plan,
+        arrays_of(a),
+        Ta.reshape((1, 4, 4)),
+        arrays_of(b),
+        Tb.reshape((1, 4, 4)),
+        out,
+        tally,
+    ):
         return np.int64(out[0])
     return np.int64(-1)

@@ -64,18 +64,21 @@ def mixed_adjugate(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5):
 
 
 @inline
-def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
-    """Maximize F by a fixed number of guarded Newton steps.
+def polynomials(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z):
+    """Coefficients of F, and where to start to look for its maximum.
 
     Returns
     -------
-    F, s : the value and where it is taken
-    nx, ny, nz : K(s)⁻¹ r
+    d0, e1, e2, e3 : float
+        d(s) = det K(s) in powers of s.
+    c0, k1, k2 : float
+        q(s) = rᵀ adj K(s) r.
+    s : float
     """
     a0, a1, a2, a3, a4, a5 = adjugate(p0, p1, p2, p3, p4, p5)
     b0, b1, b2, b3, b4, b5 = adjugate(q0, q1, q2, q3, q4, q5)
     m0, m1, m2, m3, m4, m5 = mixed_adjugate(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5)
-    # det K(s) and rᵀ adj K(s) r in the Bernstein basis (1-s)^i s^j ...
+    # First in the Bernstein basis (1-s)^i s^j ...
     d0 = p0 * a0 + p1 * a1 + p2 * a2
     d1 = a0 * q0 + a3 * q3 + a5 * q5 + 2.0 * (a1 * q1 + a2 * q2 + a4 * q4)
     d2 = b0 * p0 + b3 * p3 + b5 * p5 + 2.0 * (b1 * p1 + b2 * p2 + b4 * p4)
@@ -86,12 +89,6 @@ def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
     c0 = ux * x + uy * y + uz * z
     c1 = vx * x + vy * y + vz * z
     c2 = wx * x + wy * y + wz * z
-    # ... and in powers of s, for Horner's rule.
-    e1 = d1 - 3.0 * d0
-    e2 = 3.0 * d0 - 2.0 * d1 + d2
-    e3 = d3 - d0 + d1 - d2
-    k1 = c1 - 2.0 * c0
-    k2 = c0 - c1 + c2
     # Two spheres attain the maximum at s = radius of a / sum of radii; use the radii along r.
     tx, ty, tz = times(p0, p1, p2, p3, p4, p5, x, y, z)
     hp = root(larger(tx * x + ty * y + tz * z, 0.0))
@@ -99,30 +96,63 @@ def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
     hq = root(larger(tx * x + ty * y + tz * z, 0.0))
     # Concentric ellipsoids (r = 0) would divide zero by zero: F is 0 everywhere, any s will do.
     s = (hp + 1e-300) / (hp + hq + 2e-300)
-    for _ in range(steps):
-        d = d0 + s * (e1 + s * (e2 + s * e3))
-        dd = e1 + s * (2.0 * e2 + 3.0 * s * e3)
-        ddd = 2.0 * e2 + 6.0 * s * e3
-        q = c0 + s * (k1 + s * k2)
-        qq = k1 + 2.0 * s * k2
-        w = s - s * s
-        # F = f/d; Newton for F' = g/d² = 0
-        f = w * q
-        ff = (1.0 - 2.0 * s) * q + w * qq
-        fff = 2.0 * ((1.0 - 2.0 * s) * qq - q + w * k2)
-        g = ff * d - f * dd
-        gg = fff * d - f * ddd
-        t = s - g * d / (gg * d - 2.0 * g * dd)
-        # F is concave, so a step past the end only means "far that way"; NaN (r = 0) falls to the lower guard.
-        low = 0.125 * s
-        high = 0.875 + 0.125 * s
-        s = smaller(larger(t, low), high)
+    # ... then in powers of s, for Horner's rule.
+    return d0, d1 - 3.0 * d0, 3.0 * d0 - 2.0 * d1 + d2, d3 - d0 + d1 - d2, c0, c1 - 2.0 * c0, c0 - c1 + c2, s
+
+
+@inline
+def newton_step(d0, e1, e2, e3, c0, k1, k2, s):
+    """One guarded step towards the maximum of F."""
+    d = d0 + s * (e1 + s * (e2 + s * e3))
+    dd = e1 + s * (2.0 * e2 + 3.0 * s * e3)
+    ddd = 2.0 * e2 + 6.0 * s * e3
+    q = c0 + s * (k1 + s * k2)
+    qq = k1 + 2.0 * s * k2
+    w = s - s * s
+    # F = f/d; Newton for F' = g/d² = 0
+    f = w * q
+    ff = (1.0 - 2.0 * s) * q + w * qq
+    fff = 2.0 * ((1.0 - 2.0 * s) * qq - q + w * k2)
+    g = ff * d - f * dd
+    gg = fff * d - f * ddd
+    t = s - g * d / (gg * d - 2.0 * g * dd)
+    # F is concave, so a step past the end only means "far that way"; NaN (r = 0) falls to the lower guard.
+    low = 0.125 * s
+    high = 0.875 + 0.125 * s
+    return smaller(larger(t, low), high)
+
+
+@inline
+def normal_at(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, s):
+    """F(s) and K(s)⁻¹ r."""
     u = 1.0 - s
-    d = u * u * u * d0 + u * u * s * d1 + u * s * s * d2 + s * s * s * d3
-    nx = (u * u * ux + u * s * vx + s * s * wx) / d
-    ny = (u * u * uy + u * s * vy + s * s * wy) / d
-    nz = (u * u * uz + u * s * vz + s * s * wz) / d
-    return s * u * (nx * x + ny * y + nz * z), s, nx, ny, nz
+    k0 = u * p0 + s * q0
+    k1 = u * p1 + s * q1
+    k2 = u * p2 + s * q2
+    k3 = u * p3 + s * q3
+    k4 = u * p4 + s * q4
+    k5 = u * p5 + s * q5
+    a0, a1, a2, a3, a4, a5 = adjugate(k0, k1, k2, k3, k4, k5)
+    inverse = 1.0 / (k0 * a0 + k1 * a1 + k2 * a2)
+    nx, ny, nz = times(a0, a1, a2, a3, a4, a5, x, y, z)
+    nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
+    return s * u * (nx * x + ny * y + nz * z), nx, ny, nz
+
+
+@inline
+def maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, steps):
+    """Maximize F by a fixed number of guarded Newton steps.
+
+    Returns
+    -------
+    F, s : the value and where it is taken
+    nx, ny, nz : K(s)⁻¹ r
+    """
+    d0, e1, e2, e3, c0, k1, k2, s = polynomials(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z)
+    for _ in range(steps):
+        s = newton_step(d0, e1, e2, e3, c0, k1, k2, s)
+    F, nx, ny, nz = normal_at(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, s)
+    return F, s, nx, ny, nz
 
 
 @inline
@@ -144,8 +174,13 @@ def separation(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, 
     squared = nx * nx + ny * ny + nz * nz
     hp, _, _, _ = outward_width(p0, p1, p2, p3, p4, p5, nx, ny, nz, squared)
     hq, _, _, _ = outward_width(q0, q1, q2, q3, q4, q5, nx, ny, nz, squared)
-    length = root(squared)
-    bound = (nx * x + ny * y + nz * z - hp - hq) / length - POSITION_ROUNDINGS * size
+    return gap_bound(nx * x + ny * y + nz * z, hp, hq, root(squared), size)
+
+
+@inline
+def gap_bound(offset, hp, hq, length, size):
+    """The bound of `separation` from n·r, the two outward widths and |n|."""
+    bound = (offset - hp - hq) / length - POSITION_ROUNDINGS * size
     # The quotient itself rounds; step away from it in the safe direction.
     return bound - 8.0 * UNIT_ROUNDOFF * magnitude(bound)
 

@@ -6,20 +6,24 @@ piece pairs.
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.batch import row_of
 from loewner._kernels.contact import (
+    POSITION_ROUNDINGS,
     SHAPE_ROUNDINGS,
     UNIT_ROUNDOFF,
-    maximize,
+    gap_bound,
     nearness,
+    newton_step,
+    normal_at,
     outward_width,
+    polynomials,
     rotated,
-    separation,
 )
 from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
-from loewner._kernels.gjk import UNSETTLED, rounding_error, run
+from loewner._kernels.gjk import TOUCHING, UNSETTLED, run
 from loewner._kernels.near_points import estimate_f
+from loewner._kernels.pair_search import INSIDE, NEAREST, near, put_pair, scratch
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -29,13 +33,27 @@ from loewner._kernels.shapes import (
     OUTER_SHAPE,
     POLYTOPE,
     REACH,
-    ROUNDING,
+    prefetch_points,
+    radius,
 )
+from loewner._kernels.verdicts import AMBIGUOUS, COLLIDING, FREE
 
 CONTACT_PRODUCT = -1  # the other rules are those of `near_points`
 
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair
 POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
+
+# Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `lanes`. An
+# ellipsoid's nine rows are its center and its shape matrix.
+LANES = 32
+ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B = 0, 9, 18, 27, 36, 45
+SHIFT, SIZE, SIGMA_A, SIGMA_B = 54, 57, 58, 59
+BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
+P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
+CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
+ROWS = 102
+
+AHEAD = 2  # lanes between asking for a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
@@ -49,15 +67,6 @@ SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
 
 @njit()
-def _world_shape(table, piece, column, T):
-    row = table[piece]
-    return rotated(
-        T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2],
-        row[column], row[column + 1], row[column + 2], row[column + 3], row[column + 4], row[column + 5],
-    )  # fmt: skip
-
-
-@njit()
 def world_center(table, piece, column, T):
     """Ellipsoid center in the world's axes, relative to the body's translation."""
     x, y, z = table[piece, column], table[piece, column + 1], table[piece, column + 2]
@@ -68,72 +77,252 @@ def world_center(table, piece, column, T):
     )
 
 
-@njit()
-def _offset(ta, i, Ta, tb, j, Tb, column):
-    ax, ay, az = world_center(ta, i, column, Ta)
-    bx, by, bz = world_center(tb, j, column, Tb)
-    return (Tb[0, 3] - Ta[0, 3]) + (bx - ax), (Tb[1, 3] - Ta[1, 3]) + (by - ay), (Tb[2, 3] - Ta[2, 3]) + (bz - az)
+@inline
+def _put(S, row, lane, source, at, column, count):
+    for c in range(count):
+        S[(row + c) * LANES + lane] = source[at, column + c]
+
+
+@inline
+def _three(S, row, lane):
+    k = row * LANES + lane
+    return S[k], S[k + LANES], S[k + 2 * LANES]
+
+
+@inline
+def _six(S, row, lane):
+    return _three(S, row, lane) + _three(S, row + 3, lane)
+
+
+@inline
+def _put_three(S, row, lane, x, y, z):
+    k = row * LANES + lane
+    S[k] = x
+    S[k + LANES] = y
+    S[k + 2 * LANES] = z
+
+
+@inline
+def _put_six(S, row, lane, x, y, z, u, v, w):
+    _put_three(S, row, lane, x, y, z)
+    _put_three(S, row + 3, lane, u, v, w)
+
+
+@inline
+def _world_lane(S, lane, rotation, ellipsoid, shape, center):
+    """Shape matrix and center of an ellipsoid in the world's axes, the center relative to its body's translation."""
+    r00, r01, r02 = _three(S, rotation, lane)
+    r10, r11, r12 = _three(S, rotation + 3, lane)
+    r20, r21, r22 = _three(S, rotation + 6, lane)
+    x, y, z = _three(S, ellipsoid, lane)
+    q = _six(S, ellipsoid + 3, lane)
+    _put_six(S, shape, lane, *rotated(r00, r01, r02, r10, r11, r12, r20, r21, r22, *q))
+    _put_three(S, center, lane, r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z)
+
+
+# One loop each: the compiler vectorises loops with few stores.
 
 
 @njit()
-def outer_bound(ta, i, Ta, tb, j, Tb, size):
-    """Certified lower bound on the signed distance, with its normal, F, and the centers' offset along it."""
-    p0, p1, p2, p3, p4, p5 = _world_shape(ta, i, OUTER_SHAPE, Ta)
-    q0, q1, q2, q3, q4, q5 = _world_shape(tb, j, OUTER_SHAPE, Tb)
-    x, y, z = _offset(ta, i, Ta, tb, j, Tb, OUTER_CENTER)
-    F, _, nx, ny, nz = maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, BOUND_STEPS)
-    squared = nx * nx + ny * ny + nz * nz
-    if not squared > 0.0:  # concentric: any direction gives a valid bound
-        nx, ny, nz, squared = 1.0, 0.0, 0.0, 1.0
-    width = (nx * x + ny * y + nz * z) / np.sqrt(squared)
-    best = separation(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz, size)
-    bx, by, bz = nx, ny, nz
-    for _ in range(POLISH_ROUNDS):
-        if not best > 0.0:
-            break
+def _outer_a(S, count):
+    for lane in range(count):
+        _world_lane(S, lane, ROT_A, OUTER_A, P, CENTER_A)
+
+
+@njit()
+def _outer_b(S, count):
+    for lane in range(count):
+        _world_lane(S, lane, ROT_B, OUTER_B, Q, CENTER_B)
+
+
+@njit()
+def _inner_a(S, count):
+    for lane in range(count):
+        _world_lane(S, lane, ROT_A, INNER_A, P, CENTER_A)
+
+
+@njit()
+def _inner_b(S, count):
+    for lane in range(count):
+        _world_lane(S, lane, ROT_B, INNER_B, Q, CENTER_B)
+
+
+@njit()
+def _between(S, count):
+    """Vector between the centers."""
+    for lane in range(count):
+        ax, ay, az = _three(S, CENTER_A, lane)
+        bx, by, bz = _three(S, CENTER_B, lane)
+        x, y, z = _three(S, SHIFT, lane)
+        _put_three(S, R, lane, x + (bx - ax), y + (by - ay), z + (bz - az))
+
+
+@njit()
+def _polynomials(S, count):
+    for lane in range(count):
+        p, q, r = _six(S, P, lane), _six(S, Q, lane), _three(S, R, lane)
+        d0, e1, e2, e3, c0, k1, k2, s = polynomials(*p, *q, *r)
+        _put_six(S, POLYNOMIALS, lane, d0, e1, e2, e3, c0, k1)
+        S[(POLYNOMIALS + 6) * LANES + lane] = k2
+        S[(POLYNOMIALS + 7) * LANES + lane] = s
+
+
+@njit()
+def _newton(S, count):
+    """All steps to the maximum of F. One loop over the lanes per step: unrolled steps would not be vectorised."""
+    for _ in range(BOUND_STEPS):
+        for lane in range(count):
+            k = POLYNOMIALS * LANES + lane
+            S[k + 7 * LANES] = newton_step(*_six(S, POLYNOMIALS, lane), S[k + 6 * LANES], S[k + 7 * LANES])
+
+
+@inline
+def _widths(S, lane, p, q, nx, ny, nz, squared):
+    """Outward widths along n; with P n and Q n they are kept for the next round."""
+    hp, px, py, pz = outward_width(*p, nx, ny, nz, squared)
+    hq, qx, qy, qz = outward_width(*q, nx, ny, nz, squared)
+    _put_three(S, PN, lane, px, py, pz)
+    _put_three(S, QN, lane, qx, qy, qz)
+    S[WIDTH_P * LANES + lane] = hp
+    S[WIDTH_Q * LANES + lane] = hq
+    return hp, hq
+
+
+@njit()
+def _first_lower_bounds(S, count):
+    """The bound by the contact normal, F, and the centers' offset along the normal."""
+    for lane in range(count):
+        p, q, r = _six(S, P, lane), _six(S, Q, lane), _three(S, R, lane)
+        F, nx, ny, nz = normal_at(*p, *q, *r, S[(POLYNOMIALS + 7) * LANES + lane])
+        some = nx * nx + ny * ny + nz * nz > 0.0  # concentric: any direction gives a valid bound
+        nx = nx if some else 1.0
+        ny = ny if some else 0.0
+        nz = nz if some else 0.0
         squared = nx * nx + ny * ny + nz * nz
-        hp, px, py, pz = outward_width(p0, p1, p2, p3, p4, p5, nx, ny, nz, squared)
-        hq, qx, qy, qz = outward_width(q0, q1, q2, q3, q4, q5, nx, ny, nz, squared)
-        nx = x - qx / hq - px / hp
-        ny = y - qy / hq - py / hp
-        nz = z - qz / hq - pz / hp
-        bound = separation(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz, size)
-        if bound > best:
-            best = bound
-            bx, by, bz = nx, ny, nz
-    return best, bx, by, bz, F, width
+        hp, hq = _widths(S, lane, p, q, nx, ny, nz, squared)
+        length = np.sqrt(squared)
+        offset = nx * r[0] + ny * r[1] + nz * r[2]
+        S[BELOW * LANES + lane] = gap_bound(offset, hp, hq, length, S[SIZE * LANES + lane])
+        S[F_OUTER * LANES + lane] = F
+        S[WIDTH * LANES + lane] = offset / length
+        _put_three(S, NORMAL, lane, nx, ny, nz)
 
 
 @njit()
-def inner_bound(ta, i, Ta, tb, j, Tb, size):
-    """Certified upper bound on the signed distance, and F."""
-    p0, p1, p2, p3, p4, p5 = _world_shape(ta, i, INNER_SHAPE, Ta)
-    q0, q1, q2, q3, q4, q5 = _world_shape(tb, j, INNER_SHAPE, Tb)
-    x, y, z = _offset(ta, i, Ta, tb, j, Tb, INNER_CENTER)
-    F, s, nx, ny, nz = maximize(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, BOUND_STEPS)
-    sigma_a, sigma_b = ta[i, INNER_SIGMA], tb[j, INNER_SIGMA]
-    level, best, depth, _, _, _, _, _, _ = nearness(
-        p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz, s, sigma_a, sigma_b, size
-    )
-    if level <= 1.0:
-        return -max(depth, 0.0), F
-    if not best < np.inf:  # NaN: the centers are points of the ellipsoids too
-        best = np.sqrt(x * x + y * y + z * z) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
-    for _ in range(POLISH_ROUNDS):
+def _polish_lower_bounds(S, count):
+    """One round n <- (near point of b) - (near point of a), kept where it tightens the bound."""
+    for lane in range(count):
+        x, y, z = _three(S, R, lane)
+        px, py, pz = _three(S, PN, lane)
+        qx, qy, qz = _three(S, QN, lane)
+        a = 1.0 / S[WIDTH_P * LANES + lane]
+        b = 1.0 / S[WIDTH_Q * LANES + lane]
+        nx, ny, nz = x - b * qx - a * px, y - b * qy - a * py, z - b * qz - a * pz
+        squared = nx * nx + ny * ny + nz * nz
+        hp, hq = _widths(S, lane, _six(S, P, lane), _six(S, Q, lane), nx, ny, nz, squared)
+        bound = gap_bound(nx * x + ny * y + nz * z, hp, hq, np.sqrt(squared), S[SIZE * LANES + lane])
+        best = S[BELOW * LANES + lane]
+        better = bound > best and best > 0.0  # near points of ellipsoids that overlap say nothing
+        bx, by, bz = _three(S, NORMAL, lane)
+        S[BELOW * LANES + lane] = bound if better else best
+        _put_three(S, NORMAL, lane, nx if better else bx, ny if better else by, nz if better else bz)
+
+
+@njit()
+def _first_upper_bounds(S, count):
+    """The bound by the common point or the two near points, and F."""
+    for lane in range(count):
+        p, q, r = _six(S, P, lane), _six(S, Q, lane), _three(S, R, lane)
+        s = S[(POLYNOMIALS + 7) * LANES + lane]
+        size = S[SIZE * LANES + lane]
+        sigma_a = S[SIGMA_A * LANES + lane]
+        sigma_b = S[SIGMA_B * LANES + lane]
+        F, nx, ny, nz = normal_at(*p, *q, *r, s)
+        level, best, depth, _, _, _, _, _, _ = nearness(*p, *q, *r, nx, ny, nz, s, sigma_a, sigma_b, size)
+        # NaN: the centers are points of the ellipsoids too.
+        centers = np.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) * (1.0 + 8.0 * UNIT_ROUNDOFF)
+        best = best if best < np.inf else centers + SHAPE_ROUNDINGS * size
+        deep = -(depth if depth > 0.0 else 0.0)
+        S[ABOVE * LANES + lane] = deep if level <= 1.0 else best
+        S[F_INNER * LANES + lane] = F
+        # What rounding of P n and Q n adds to their levels, per length of n.
+        S[WIDTH_P * LANES + lane] = SHAPE_ROUNDINGS * (p[0] + p[3] + p[5]) / sigma_a
+        S[WIDTH_Q * LANES + lane] = SHAPE_ROUNDINGS * (q[0] + q[3] + q[5]) / sigma_b
+        _put_three(S, TRIED, lane, nx, ny, nz)
+
+
+@njit()
+def _polish_upper_bounds(S, count):
+    """One round of the same for the upper bound; a bound that is a depth already is not touched."""
+    for lane in range(count):
+        p, q = _six(S, P, lane), _six(S, Q, lane)
+        x, y, z = _three(S, R, lane)
+        nx, ny, nz = _three(S, TRIED, lane)
+        size = S[SIZE * LANES + lane]
         squared = nx * nx + ny * ny + nz * nz
         length = np.sqrt(squared)
-        hp, px, py, pz = outward_width(p0, p1, p2, p3, p4, p5, nx, ny, nz, squared)
-        hq, qx, qy, qz = outward_width(q0, q1, q2, q3, q4, q5, nx, ny, nz, squared)
-        # Divide by a little more than the width, so that rounding cannot push the points outside.
-        la = hp + SHAPE_ROUNDINGS * (p0 + p3 + p5) * length / sigma_a
-        lb = hq + SHAPE_ROUNDINGS * (q0 + q3 + q5) * length / sigma_b
-        nx = x - qx / lb - px / la
-        ny = y - qy / lb - py / la
-        nz = z - qz / lb - pz / la
+        hp, px, py, pz = outward_width(*p, nx, ny, nz, squared)
+        hq, qx, qy, qz = outward_width(*q, nx, ny, nz, squared)
+        # Divide by a little more than the width, so that rounding cannot push the points outside: the slack, at least
+        # 128 roundings, covers those of the quotient too.
+        a = 1.0 / (hp + S[WIDTH_P * LANES + lane] * length)
+        b = 1.0 / (hq + S[WIDTH_Q * LANES + lane] * length)
+        nx, ny, nz = x - b * qx - a * px, y - b * qy - a * py, z - b * qz - a * pz
         distance = np.sqrt(nx * nx + ny * ny + nz * nz) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
-        if distance < best:
-            best = distance
-    return best, F
+        best = S[ABOVE * LANES + lane]
+        S[ABOVE * LANES + lane] = distance if distance < best else best
+        _put_three(S, TRIED, lane, nx, ny, nz)
+
+
+@njit()
+def _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S):
+    """Both bounds for the queued piece pairs."""
+    pi, pj, pa, pb, S = borrowed(pi), borrowed(pj), borrowed(pa), borrowed(pb), borrowed(S)
+    ta, Ta, tb, Tb = borrowed(ta), borrowed(Ta), borrowed(tb), borrowed(Tb)
+    padded = (count + 7) // 8 * 8
+    for lane in range(padded):
+        # Whole vectors: what is left over is filled up with the last pair.
+        k = min(lane, count - 1)
+        i, j, ka, kb = pi[k], pj[k], pa[k], pb[k]
+        for r in range(3):
+            for c in range(3):
+                S[(ROT_A + 3 * r + c) * LANES + lane] = Ta[ka, r, c]
+                S[(ROT_B + 3 * r + c) * LANES + lane] = Tb[kb, r, c]
+        apart = 0.0
+        for c in range(3):
+            shift = Tb[kb, c, 3] - Ta[ka, c, 3]
+            S[(SHIFT + c) * LANES + lane] = shift
+            apart += abs(shift)
+        S[SIZE * LANES + lane] = apart + ta[i, REACH] + tb[j, REACH]
+        _put(S, OUTER_A, lane, ta, i, OUTER_CENTER, 3)
+        _put(S, OUTER_B, lane, tb, j, OUTER_CENTER, 3)
+        _put(S, INNER_A, lane, ta, i, INNER_CENTER, 3)
+        _put(S, INNER_B, lane, tb, j, INNER_CENTER, 3)
+        _put(S, OUTER_A + 3, lane, ta, i, OUTER_SHAPE, 6)
+        _put(S, OUTER_B + 3, lane, tb, j, OUTER_SHAPE, 6)
+        _put(S, INNER_A + 3, lane, ta, i, INNER_SHAPE, 6)
+        _put(S, INNER_B + 3, lane, tb, j, INNER_SHAPE, 6)
+        S[SIGMA_A * LANES + lane] = ta[i, INNER_SIGMA]
+        S[SIGMA_B * LANES + lane] = tb[j, INNER_SIGMA]
+    _outer_a(S, padded)
+    _outer_b(S, padded)
+    _between(S, padded)
+    _polynomials(S, padded)
+    _newton(S, padded)
+    _first_lower_bounds(S, padded)
+    for _ in range(POLISH_ROUNDS):
+        _polish_lower_bounds(S, padded)
+    _inner_a(S, padded)
+    _inner_b(S, padded)
+    _between(S, padded)
+    _polynomials(S, padded)
+    _newton(S, padded)
+    _first_upper_bounds(S, padded)
+    for _ in range(POLISH_ROUNDS):
+        _polish_upper_bounds(S, padded)
+    for lane in range(count):
+        if not S[BELOW * LANES + lane] > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
+            S[BELOW * LANES + lane] = -2.0 * S[SIZE * LANES + lane]
 
 
 @inline
@@ -148,8 +337,8 @@ def estimated_distance(F_outer, F_inner, width):
     return width * (1.0 - 1.0 / g) if g > 0.0 else -np.inf
 
 
-@njit()
-def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result):
+@inline
+def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, error, W, work, result):
     """Signed distance of two pieces.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
@@ -162,46 +351,21 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
     dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
     dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
     dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
-    status, lower, upper, k = run(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
-    )
-    ra = ta[i, ROUNDING]
-    rb = tb[j, ROUNDING]
-    if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
-        gap = upper - lower
-        for c in range(3):
-            result[c] = -d[c]
-        for c in range(6):
-            result[3 + c] = 0.0
-            for row in range(k):
-                result[3 + c] += weights[row] * G[row, 3 + c]
+    ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
+    status, lower, upper = near(
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error, -np.inf, np.inf,
+        result,
+    )  # fmt: skip
+    ra, rb = radius(ta, la, i), radius(tb, lb, j)
+    if status == NEAREST:
+        upper -= ra + rb
+        gap = upper - (lower - ra - rb)
     else:
-        S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
-        # The depth sought is the upper bound: the support plane of the normal that comes with it.
-        accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
-        shallow, deep = penetration(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy,
-            S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
-        )  # fmt: skip
-        if deep == FLAT:
-            for c in range(6):
-                result[3 + c] = 0.0
-                for row in range(k):
-                    result[3 + c] += weights[row] * G[row, 3 + c]
-        if deep == FLAT and upper + ra + rb > 4.0 * error:
-            # Cores that are apart after all: what GJK has, with the gap it has.
-            for c in range(3):
-                result[c] = -d[c]
-            gap = upper - lower
-        else:
-            if deep == FLAT:
-                shallow = 0.0
-                deep = 0.0
-            upper = -deep - ra - rb
-            gap = deep - shallow
+        upper, gap = _distance_with_care(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, status == INSIDE, work, result
+        )
     for c in range(3):
         result[3 + c] += ra * result[c]
         result[6 + c] -= rb * result[c]
@@ -209,69 +373,156 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
 
 
 @njit()
+def _distance_with_care(
+    ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, inside, work, result
+):
+    """Signed distance and gap where the fast search did not find them; the witnesses are those of the cores."""
+    G = np.empty((4, 9))
+    weights = np.empty(4)
+    d = np.empty(3)
+    k = 4
+    lower, upper = -np.inf, -np.inf
+    status = TOUCHING
+    if not inside:
+        status, lower, upper, k = run(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, np.empty(3), d
+        )
+    ra, rb = radius(ta, la, i), radius(tb, lb, j)
+    if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
+        _write(G, k, weights, d, result)
+        return upper, upper - lower
+    S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
+    # The depth sought is the upper bound: the support plane of the normal that comes with it.
+    accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
+    shallow, deep = penetration(
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy,
+        S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
+    )  # fmt: skip
+    if deep != FLAT:
+        return -deep - ra - rb, deep - shallow
+    if upper + ra + rb > 4.0 * error:
+        # Cores that are apart after all: what GJK has, with the gap it has.
+        _write(G, k, weights, d, result)
+        return upper, upper - lower
+    if k == 4:
+        # Impossible but for rounding: a flat simplex that passed for one with the origin inside.
+        return -np.inf, np.inf
+    nx, ny, nz = result[0], result[1], result[2]
+    _write(G, k, weights, d, result)
+    result[0], result[1], result[2] = nx, ny, nz
+    return -ra - rb, 0.0
+
+
+@njit()
+def _write(G, k, weights, d, result):
+    """Normal and witnesses of the simplex that `run` ended with."""
+    for c in range(3):
+        result[c] = -d[c]
+    for c in range(6):
+        result[3 + c] = 0.0
+        for row in range(k):
+            result[3 + c] += weights[row] * G[row, 3 + c]
+
+
+@njit()
+def _rule_estimate(rule, ta, fa, i, A, tb, fb, j, B, ellipsoids):
+    """Estimate of the distance of two pieces by one of the paper's rules; `ellipsoids` is work space."""
+    ai, ao, bi, bo, Fai, Fao, Fbi, Fbo = ellipsoids
+    _world_ellipsoid(ta, fa[0], i, A, B, INNER_CENTER, ai, Fai, False)
+    _world_ellipsoid(ta, fa[1], i, A, B, OUTER_CENTER, ao, Fao, False)
+    _world_ellipsoid(tb, fb[0], j, B, A, INNER_CENTER, bi, Fbi, True)
+    _world_ellipsoid(tb, fb[1], j, B, A, OUTER_CENTER, bo, Fbo, True)
+    return estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
+
+
+@njit()
+def _ellipsoids():
+    return (
+        np.empty(3), np.empty(3), np.empty(3), np.empty(3),
+        np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)),
+    )  # fmt: skip
+
+
+@njit()
 def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop, operands as in `batch`; the last five arrays are written only if `exact`."""
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    ta = a[0]
-    tb = b[0]
-    G = np.empty((4, 9))
-    weights = np.empty(4)
-    v = np.empty(3)
-    d = np.empty(3)
-    result = np.empty(9)
-    work = workspace(exact)
-    ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    S = np.empty(ROWS * LANES)
+    queue = np.empty((5, LANES), np.int64)
+    spaces = (scratch(), np.empty(9), workspace(exact), _ellipsoids())
+    out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
+    count = np.int64(0)
     for k in range(start, stop):
         ia = row_of(k, shape, body_a)
         ib = row_of(k, shape, body_b)
         ka = row_of(k, shape, pose_a)
         kb = row_of(k, shape, pose_b)
-        A = Ta[ka]
-        B = Tb[kb]
         lower[k] = np.inf
         upper[k] = np.inf
         estimate[k] = np.inf
         if exact:
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
-        apart = abs(B[0, 3] - A[0, 3]) + abs(B[1, 3] - A[1, 3]) + abs(B[2, 3] - A[2, 3])
-        for i in range(a[4][ia], a[4][ia + 1]):
-            for j in range(b[4][ib], b[4][ib + 1]):
-                size = apart + ta[i, REACH] + tb[j, REACH]
-                below, nx, ny, nz, F_outer, width = outer_bound(ta, i, A, tb, j, B, size)
-                above, F_inner = inner_bound(ta, i, A, tb, j, B, size)
-                if not below > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
-                    below = -2.0 * size
-                lower[k] = min(lower[k], below)
-                upper[k] = min(upper[k], above)
-                if rule == CONTACT_PRODUCT:
-                    guess = estimated_distance(F_outer, F_inner, width)
-                else:
-                    _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
-                    _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)
-                    _world_ellipsoid(tb, factors[2], j, B, A, INNER_CENTER, bi, Fbi, True)
-                    _world_ellipsoid(tb, factors[3], j, B, A, OUTER_CENTER, bo, Fbo, True)
-                    guess = estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
-                estimate[k] = min(estimate[k], max(below, min(above, guess)))
-                if exact and below < distance[k]:
-                    value, gap = exact_piece_distance(
-                        ta, a[1], a[2], i, Ta, ka, tb, b[1], b[2], j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result
-                    )
-                    gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
-                    curved = a[1][i, KIND] != POLYTOPE or b[1][j, KIND] != POLYTOPE
-                    if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
-                        status[k] = NOT_SETTLED
-                    if value < distance[k]:
-                        distance[k] = value
-                        for c in range(3):
-                            normal[k, c] = result[c]
-                            witness_a[k, c] = result[3 + c] + A[c, 3]
-                            witness_b[k, c] = result[6 + c] + A[c, 3]
-        if exact:
+        for i in range(a[3][ia], a[3][ia + 1]):
+            for j in range(b[3][ib], b[3][ib + 1]):
+                queue[0, count], queue[1, count], queue[2, count] = k, i, j
+                queue[3, count], queue[4, count] = ka, kb
+                count += 1
+                if count == LANES:
+                    _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+                    count = np.int64(0)
+    if count > 0:
+        _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+    if exact:
+        for k in range(start, stop):
             # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
             distance[k] = max(lower[k], min(upper[k], distance[k]))
+
+
+@njit()
+def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
+    """Measure the queued piece pairs and merge them into the results of their pairs."""
+    pair, pi, pj, pa, pb = queue[0], queue[1], queue[2], queue[3], queue[4]
+    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
+    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
+    Ta, Tb, S = borrowed(Ta), borrowed(Tb), borrowed(S)
+    W, result, work, ellipsoids = borrowed(spaces[0]), borrowed(spaces[1]), spaces[2], spaces[3]
+    lower, upper, estimate, distance, witness_a, witness_b, normal, status = out
+    _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S)
+    for lane in range(count):
+        k, i, j, ka, kb = pair[lane], pi[lane], pj[lane], pa[lane], pb[lane]
+        below = S[BELOW * LANES + lane]
+        above = S[ABOVE * LANES + lane]
+        lower[k] = min(lower[k], below)
+        upper[k] = min(upper[k], above)
+        if rule == CONTACT_PRODUCT:
+            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
+        else:
+            guess = _rule_estimate(rule, ta, factors[:2], i, Ta[ka], tb, factors[2:], j, Tb[kb], ellipsoids)
+        estimate[k] = min(estimate[k], max(below, min(above, guess)))
+        if not exact:
+            continue
+        if lane + AHEAD < count:
+            prefetch_points(la, xa, pi[lane + AHEAD])
+            prefetch_points(lb, xb, pj[lane + AHEAD])
+        if below < distance[k]:
+            size = S[SIZE * LANES + lane]
+            value, gap = exact_piece_distance(
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, S[NORMAL * LANES + lane],
+                S[(NORMAL + 1) * LANES + lane], S[(NORMAL + 2) * LANES + lane], POSITION_ROUNDINGS * size,
+                W, work, result,
+            )  # fmt: skip
+            gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
+            curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
+            if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
+                status[k] = NOT_SETTLED
+            if value < distance[k]:
+                distance[k] = value
+                for c in range(3):
+                    normal[k, c] = result[c]
+                    witness_a[k, c] = result[3 + c] + Ta[ka, c, 3]
+                    witness_b[k, c] = result[6 + c] + Ta[ka, c, 3]
 
 
 @njit()
@@ -292,35 +543,46 @@ def _world_ellipsoid(table, factors, piece, T, other, column, center, factor, se
 @njit()
 def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
     """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
-    ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    ta = a[0]
-    tb = b[0]
+    S = np.empty(ROWS * LANES)
+    queue = np.empty((5, LANES), np.int64)
+    ellipsoids = _ellipsoids()
+    count = np.int64(0)
     for k in range(start, stop):
-        if out[k] != 2:
+        if out[k] != AMBIGUOUS:
             continue
-        out[k] = 0
+        out[k] = FREE
         ia = row_of(k, shape, body_a)
         ib = row_of(k, shape, body_b)
-        A = Ta[row_of(k, shape, pose_a)]
-        B = Tb[row_of(k, shape, pose_b)]
-        apart = abs(B[0, 3] - A[0, 3]) + abs(B[1, 3] - A[1, 3]) + abs(B[2, 3] - A[2, 3])
-        for i in range(a[4][ia], a[4][ia + 1]):
-            for j in range(b[4][ib], b[4][ib + 1]):
-                size = apart + ta[i, REACH] + tb[j, REACH]
-                below, _, _, _, F_outer, width = outer_bound(ta, i, A, tb, j, B, size)
-                if below > margin:
-                    continue
-                if rule == CONTACT_PRODUCT:
-                    _, F_inner = inner_bound(ta, i, A, tb, j, B, size)
-                    if not estimated_distance(F_outer, F_inner, width) > margin:
-                        out[k] = 1
-                    continue
-                _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
-                _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)
-                _world_ellipsoid(tb, factors[2], j, B, A, INNER_CENTER, bi, Fbi, True)
-                _world_ellipsoid(tb, factors[3], j, B, A, OUTER_CENTER, bo, Fbo, True)
-                # NaN counts as colliding, as it should never arise and must not free anybody.
-                if not estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo) > margin:
-                    out[k] = 1
+        ka = row_of(k, shape, pose_a)
+        kb = row_of(k, shape, pose_b)
+        for i in range(a[3][ia], a[3][ia + 1]):
+            for j in range(b[3][ib], b[3][ib + 1]):
+                queue[0, count], queue[1, count], queue[2, count] = k, i, j
+                queue[3, count], queue[4, count] = ka, kb
+                count += 1
+                if count == LANES:
+                    _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+                    count = np.int64(0)
+    if count > 0:
+        _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+
+
+@njit()
+def _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out):
+    """Decide the queued piece pairs by a rule."""
+    pair, pi, pj, pa, pb = queue[0], queue[1], queue[2], queue[3], queue[4]
+    ta, tb = a[0], b[0]
+    _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S)
+    for lane in range(count):
+        if S[BELOW * LANES + lane] > margin or out[pair[lane]] == COLLIDING:
+            continue
+        if rule == CONTACT_PRODUCT:
+            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
+        else:
+            guess = _rule_estimate(
+                rule, ta, factors[:2], pi[lane], Ta[pa[lane]], tb, factors[2:], pj[lane], Tb[pb[lane]], ellipsoids
+            )
+        # NaN counts as colliding, as it should never arise and must not free anybody.
+        if not guess > margin:
+            out[pair[lane]] = COLLIDING

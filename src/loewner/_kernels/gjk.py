@@ -1,4 +1,6 @@
-"""GJK on two placed pieces: a proof of separation, a common point, or the distance.
+"""The careful GJK on two placed pieces: a proof of separation, a common point, or the distance.
+
+`pair_search` answers nearly all pairs faster; what it leaves comes here.
 
 Works in the world's axes with the origin at the first body's translation, so that a pair far from
 the world's origin loses nothing: only the difference of the translations enters.
@@ -26,8 +28,6 @@ MAX_ROUNDS = 512
 # evaluation of the bounds rounds (an eighth of the proven error bound, which is generous).
 DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
-
-QUICK_ROUNDS = 24
 
 # What cannot be told from touching within 128 rounding errors, about 1e-12 of the lengths involved,
 # is touching.
@@ -78,127 +78,6 @@ def swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb):
     if ta[i, ROUNDING] == 0.0 and tb[j, ROUNDING] == 0.0:
         return 0.0
     return ta[i, ROUNDING] * stretch(Ta, ka) + tb[j, ROUNDING] * stretch(Tb, kb)
-
-
-@inline
-def _cross(ax, ay, az, bx, by, bz):
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@inline
-def _edge(ax, ay, az, bx, by, bz):
-    """Line case: how many points stay, and the direction from the feature away from the origin."""
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    if ux * ax + uy * ay + uz * az < 0.0:
-        px, py, pz = _cross(ux, uy, uz, ax, ay, az)
-        nx, ny, nz = _cross(px, py, pz, ux, uy, uz)
-        return 2, nx, ny, nz
-    return 1, ax, ay, az
-
-
-@njit()
-def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error):
-    """Decide most pairs of plain cores (no radii, no margin) in a few rounds, all in registers.
-
-    The simplex is walked by the signs of a few products only, with no closest point. What it finds is proven
-    the same way as in `run`: a support plane clear of the origin, or a tetrahedron that holds it clear
-    of rounding. Everything else is UNSETTLED and goes to `run`.
-
-    Returns
-    -------
-    status : int
-    x, y, z : float
-        The direction reached, from A to B.
-    """
-    px, py, pz = -nx, -ny, -nz
-    k = 0
-    # Newest point first. Rows b, c, d hold what is left of the older ones.
-    bx = by = bz = cx = cy = cz = ex = ey = ez = 0.0
-    largest = 0.0
-    for _ in range(QUICK_ROUNDS):
-        ux, uy, uz = placed_support(ta, la, xa, i, Ta, ka, -px, -py, -pz)
-        vx, vy, vz = placed_support(tb, lb, xb, j, Tb, kb, px, py, pz)
-        ax = ux - (vx + dx)
-        ay = uy - (vy + dy)
-        az = uz - (vz + dz)
-        plane = px * ax + py * ay + pz * az
-        length = np.sqrt(px * px + py * py + pz * pz)
-        if plane > error * length:
-            return APART, -px, -py, -pz
-        largest = max(largest, abs(ax) + abs(ay) + abs(az))
-        if k == 0:
-            k = 1
-            bx, by, bz = ax, ay, az
-            px, py, pz = ax, ay, az
-            continue
-        if k == 3:
-            # Which of the three faces at the new point does the origin lie beyond? b, c, e run
-            # counter-clockwise seen from the new point.
-            doubt = 64.0 * UNIT_ROUNDOFF * largest * largest * largest
-            b1x, b1y, b1z = bx - ax, by - ay, bz - az
-            c1x, c1y, c1z = cx - ax, cy - ay, cz - az
-            e1x, e1y, e1z = ex - ax, ey - ay, ez - az
-            fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-            gx, gy, gz = _cross(c1x, c1y, c1z, e1x, e1y, e1z)
-            hx, hy, hz = _cross(e1x, e1y, e1z, b1x, b1y, b1z)
-            f = -(fx * ax + fy * ay + fz * az)
-            g = -(gx * ax + gy * ay + gz * az)
-            h = -(hx * ax + hy * ay + hz * az)
-            if f <= 0.0 and g <= 0.0 and h <= 0.0:
-                volume = abs(fx * e1x + fy * e1y + fz * e1z)
-                # The origin is inside if the three and the base, f + g + h + base = -volume, are all clear.
-                if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
-                    return TOUCHING, -px, -py, -pz
-                return UNSETTLED, -px, -py, -pz
-            if f >= g and f >= h:
-                pass
-            elif g >= h:
-                bx, by, bz = cx, cy, cz
-                cx, cy, cz = ex, ey, ez
-            else:
-                cx, cy, cz = bx, by, bz
-                bx, by, bz = ex, ey, ez
-            k = 2
-        if k == 1:
-            k, px, py, pz = _edge(ax, ay, az, bx, by, bz)
-            if k == 2:
-                cx, cy, cz = bx, by, bz
-            bx, by, bz = ax, ay, az
-        else:
-            b1x, b1y, b1z = bx - ax, by - ay, bz - az
-            c1x, c1y, c1z = cx - ax, cy - ay, cz - az
-            fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-            qx, qy, qz = _cross(fx, fy, fz, c1x, c1y, c1z)
-            rx, ry, rz = _cross(b1x, b1y, b1z, fx, fy, fz)
-            if qx * ax + qy * ay + qz * az < 0.0:
-                if c1x * ax + c1y * ay + c1z * az < 0.0:
-                    bx, by, bz = cx, cy, cz
-                    k, px, py, pz = _edge(ax, ay, az, bx, by, bz)
-                else:
-                    k, px, py, pz = _edge(ax, ay, az, bx, by, bz)
-                if k == 2:
-                    cx, cy, cz = bx, by, bz
-                bx, by, bz = ax, ay, az
-            elif rx * ax + ry * ay + rz * az < 0.0:
-                k, px, py, pz = _edge(ax, ay, az, bx, by, bz)
-                if k == 2:
-                    cx, cy, cz = bx, by, bz
-                bx, by, bz = ax, ay, az
-            else:
-                # Inside the prism over the triangle: keep it, turned so that a, b, c runs counter-clockwise
-                # seen from the origin.
-                k = 3
-                if fx * ax + fy * ay + fz * az <= 0.0:
-                    px, py, pz = -fx, -fy, -fz
-                    ex, ey, ez = cx, cy, cz
-                    cx, cy, cz = bx, by, bz
-                else:
-                    px, py, pz = fx, fy, fz
-                    ex, ey, ez = bx, by, bz
-                bx, by, bz = ax, ay, az
-        if not px * px + py * py + pz * pz > 0.0:
-            return UNSETTLED, -nx, -ny, -nz
-    return UNSETTLED, -px, -py, -pz
 
 
 @njit()

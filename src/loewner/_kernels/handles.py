@@ -50,13 +50,12 @@ def _singles(typingctx, address):
 @inline
 def arrays_of(handle):
     """The arrays of a packed set from its handle."""
-    t = carray(_integers(handle), (7, ENTRIES))
+    t = carray(_integers(handle), (6, ENTRIES))
     return (
         carray(_floats(t[0, 0]), (t[0, 1], t[0, 2])),
         carray(_integers(t[1, 0]), (t[1, 1], t[1, 2])),
-        carray(_floats(t[2, 0]), (t[2, 1], t[2, 2])),
-        carray(_floats(t[3, 0]), (t[3, 1], t[3, 2])),
-        carray(_integers(t[4, 0]), (t[4, 1],)),
-        carray(_floats(t[5, 0]), (t[5, 1], t[5, 2])),
-        carray(_singles(t[6, 0]), (t[6, 1], t[6, 2])),
+        carray(_floats(t[2, 0]), (t[2, 1],)),
+        carray(_integers(t[3, 0]), (t[3, 1],)),
+        carray(_floats(t[4, 0]), (t[4, 1], t[4, 2])),
+        carray(_singles(t[5, 0]), (t[5, 1], t[5, 2])),
     )

@@ -28,9 +28,9 @@ from loewner._kernels.contact import (
     POSITION_ROUNDINGS,
     SHAPE_ROUNDINGS,
     UNIT_ROUNDOFF,
-    adjugate,
     maximize,
     nearness,
+    normal_at,
     rotated,
     separation,
     times,
@@ -81,8 +81,8 @@ PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, OPEN_LANE = 0, 1, 2, 3, 4, 5
 LISTS = 6
 
 # Rows of the array in which open pairs leave what the exact tests start from.
-OUT_NORMAL, IN_NORMAL, IN_POINT = 0, 3, 6
-ROWS = 9
+OUT_NORMAL = 0
+ROWS = 3
 
 
 @inline
@@ -157,17 +157,8 @@ def _guess(p, q, x, y, z, tiny):
 @inline
 def _normal(p, q, s, x, y, z):
     """n = K(s)⁻¹ r."""
-    u = 1.0 - s
-    k0 = u * p[0] + s * q[0]
-    k1 = u * p[1] + s * q[1]
-    k2 = u * p[2] + s * q[2]
-    k3 = u * p[3] + s * q[3]
-    k4 = u * p[4] + s * q[4]
-    k5 = u * p[5] + s * q[5]
-    a0, a1, a2, a3, a4, a5 = adjugate(k0, k1, k2, k3, k4, k5)
-    nx, ny, nz = times(a0, a1, a2, a3, a4, a5, x, y, z)
-    inverse = 1.0 / (k0 * a0 + k1 * a1 + k2 * a2)
-    return nx * inverse, ny * inverse, nz * inverse
+    _, nx, ny, nz = normal_at(p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, s)
+    return nx, ny, nz
 
 
 @njit()
@@ -205,7 +196,7 @@ def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit):
 
 @inline
 def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
-    """Mask: surely a common point at (1-s) P n from a's center; F, above 1 only if there is none; the point."""
+    """Mask: surely a common point at (1-s) P n from a's center; and F, which exceeds 1 only if there is none."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
     pn = _dot(px, py, pz, nx, ny, nz)
@@ -224,7 +215,7 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
     free_b = 1.0 - 32.0 * unit - (s * error_q * length + slack) * grip_b
     inside_a = (free_a > 0.0) & (u * u * (pn + error_p * squared) <= free_a * free_a)
     inside_b = (free_b > 0.0) & (s * s * (qn + error_q * squared) <= free_b * free_b)
-    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z), ax, ay, az
+    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z)
 
 
 @inline
@@ -323,7 +314,7 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
         tier : ndarray of int8
             Receives BY_SPHERE, BY_OUTER, BY_INNER, OPEN (no s settles the pair) or UNSURE.
         V : ndarray, shape (ROWS * BLOCK,)
-            Receives contact normals and the common point that was tried, relative to a's inner center.
+            Receives the contact normals of the outer ellipsoids.
 
         Returns
         -------
@@ -378,22 +369,14 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
                 grip_a, grip_b = p[INNER_GRIP - INNER_SHAPE], q[INNER_GRIP - INNER_SHAPE]
                 s = _guess(p, q, x, y, z, tiny)
                 nx, ny, nz = _normal(p, q, s, x, y, z)
-                overlap, F, px, py, pz = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit)
+                overlap, F = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit)
                 distinct = 1.0 + sure < F
                 settled = overlap | distinct
                 if bits(free | settled) != everything:
                     s, mx, my, mz = better(p, q, x, y, z, nx, ny, nz)
-                    found, F, ax, ay, az = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit)
-                    nx = choose(settled, nx, mx)
-                    ny = choose(settled, ny, my)
-                    nz = choose(settled, nz, mz)
-                    px = choose(settled, px, ax)
-                    py = choose(settled, py, ay)
-                    pz = choose(settled, pz, az)
+                    found, F = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit)
                     overlap = overlap | found
                     distinct = distinct | (1.0 + sure < F)
-                _put_three(V, IN_NORMAL, at, nx, ny, nz)
-                _put_three(V, IN_POINT, at, px, py, pz)
             mark(tier, at, far | ~far, UNSURE)
             mark(tier, at, inseparable & distinct, OPEN)
             mark(tier, at, overlap, BY_INNER)
@@ -445,12 +428,10 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier,
             a, moved_a, near_a[c], near_a[c + 1], near_a[c + 2], b, moved_b, near_b[c], near_b[c + 1], near_b[c + 2]
         )
         s, nx, ny, nz = _best(p, q, x, y, z)
-        level, distance, _, ax, ay, az, bx, by, bz = nearness(
+        level, distance, _, _, _, _, _, _, _ = nearness(
             p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, s,
             1.0 / p[INNER_GRIP - INNER_SHAPE], 1.0 / q[INNER_GRIP - INNER_SHAPE], size,
         )  # fmt: skip
-        _put_three(V, IN_NORMAL, at, nx, ny, nz)
-        _put_three(V, IN_POINT, at, 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz))
         mark(tier, at, far | ~far, OPEN)
         mark(tier, at, (level <= 1.0) | ((distance <= margin) & (spread(margin) > 0.0)), BY_INNER)
         mark(tier, at, free, BY_OUTER)

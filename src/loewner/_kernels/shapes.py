@@ -1,14 +1,14 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of seven arrays:
+A packed set of pieces is a tuple of six arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
-``layout`` (P, 5) int64
-    Kind, first and last+1 column of its points, first and last+1 column of its planes.
-``points`` (3, V), ``planes`` (4, F) float64
-    Vertices, and faces as (unit outward normal, offset): n·x <= offset. Each piece's share is padded
-    with repeats to a multiple of `PAD` columns, which the searches below take at a time.
+``layout`` (P, 3) int64
+    Kind, first and last+1 column of its points.
+``points`` (3 V,) float64
+    Vertices in blocks, see `blocks`; each piece's are filled up to whole blocks with repeats of the last, so a
+    piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
 ``hot`` (P, HOT) float64
@@ -25,8 +25,11 @@ whose cores are a segment and a point).
 import numpy as np
 
 from loewner._kernels._jit import inline
+from loewner._kernels.blocks import BLOCK, CACHE_LINE, entry, farthest, prefetch
+from loewner._kernels.directions import candidates
 
-POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
+# The polytopes come first: a kind above POLYTOPE is curved.
+MAPPED, POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = -1, 0, 1, 2, 3, 4, 5
 
 # The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
 OUTER_CENTER = 0
@@ -43,64 +46,34 @@ ROUNDING = 24  # radius of the ball added to the core
 FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
 COLUMNS = 37
 
-PAD = 4
+KIND, POINTS_FROM, POINTS_TO = 0, 1, 2
+PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
 
-KIND, POINTS_FROM, POINTS_TO, PLANES_FROM, PLANES_TO = 0, 1, 2, 3, 4
-
-
-@inline
-def farthest(points, start, stop, x, y, z):
-    """Column of the point with the largest dot product.
-
-    Four independent searches side by side: one alone would wait for each comparison in turn.
-    """
-    i0 = start
-    i1 = start
-    i2 = start
-    i3 = start
-    m0 = -np.inf
-    m1 = -np.inf
-    m2 = -np.inf
-    m3 = -np.inf
-    for i in range(start, stop, 4):
-        value = points[0, i] * x + points[1, i] * y + points[2, i] * z
-        if value > m0:
-            m0 = value
-            i0 = i
-        value = points[0, i + 1] * x + points[1, i + 1] * y + points[2, i + 1] * z
-        if value > m1:
-            m1 = value
-            i1 = i + 1
-        value = points[0, i + 2] * x + points[1, i + 2] * y + points[2, i + 2] * z
-        if value > m2:
-            m2 = value
-            i2 = i + 2
-        value = points[0, i + 3] * x + points[1, i + 3] * y + points[2, i + 3] * z
-        if value > m3:
-            m3 = value
-            i3 = i + 3
-    if m1 > m0:
-        m0 = m1
-        i0 = i1
-    if m3 > m2:
-        m2 = m3
-        i2 = i3
-    return i2 if m2 > m0 else i0
+# A polytope of more vertices is MAPPED. Up to here a search through all of them is as fast.
+LARGE = 128
 
 
 @inline
-def least_slack(planes, start, stop, x, y, z):
-    """Smallest offset - n·x over the planes start .. stop; the same four searches."""
-    m0 = np.inf
-    m1 = np.inf
-    m2 = np.inf
-    m3 = np.inf
-    for i in range(start, stop, 4):
-        m0 = min(m0, planes[3, i] - (planes[0, i] * x + planes[1, i] * y + planes[2, i] * z))
-        m1 = min(m1, planes[3, i + 1] - (planes[0, i + 1] * x + planes[1, i + 1] * y + planes[2, i + 1] * z))
-        m2 = min(m2, planes[3, i + 2] - (planes[0, i + 2] * x + planes[1, i + 2] * y + planes[2, i + 2] * z))
-        m3 = min(m3, planes[3, i + 3] - (planes[0, i + 3] * x + planes[1, i + 3] * y + planes[2, i + 3] * z))
-    return min(min(m0, m1), min(m2, m3))
+def farthest_vertex(layout, points, piece, x, y, z):
+    """Entry of `points` where the farthest vertex of a polytope along a direction is."""
+    start, stop = layout[piece, POINTS_FROM], layout[piece, POINTS_TO]
+    if layout[piece, KIND] == MAPPED:
+        start, stop = candidates(points, start, 3 * stop, x, y, z)
+    return entry(farthest(points, start, stop, x, y, z))
+
+
+@inline
+def radius(table, layout, piece):
+    """Rounding radius of a piece; the kind tells whether the table need be looked at."""
+    return table[piece, ROUNDING] if layout[piece, KIND] >= SEGMENT else 0.0
+
+
+@inline
+def prefetch_points(layout, points, piece):
+    """Ask for the vertices of a piece ahead of their use; of a large one's only the start."""
+    start, stop = layout[piece, POINTS_FROM], min(layout[piece, POINTS_TO], layout[piece, POINTS_FROM] + LARGE)
+    for at in range(3 * start, 3 * stop, CACHE_LINE):
+        prefetch(points, at)
 
 
 @inline
@@ -130,38 +103,23 @@ def unit_support(kind, x, y, z):
 def core_support(table, layout, points, piece, x, y, z):
     """Farthest point of a piece's core along a direction, both in the body frame."""
     kind = layout[piece, KIND]
-    if kind == POLYTOPE:
-        i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], x, y, z)
-        return points[0, i], points[1, i], points[2, i]
-    row = table[piece]
+    if kind <= POLYTOPE:
+        i = farthest_vertex(layout, points, piece, x, y, z)
+        return points[i], points[i + BLOCK], points[i + 2 * BLOCK]
+    p, c, f = piece, FRAME_CENTER, FRAME_FACTOR
     if kind == POINT:
-        return row[FRAME_CENTER], row[FRAME_CENTER + 1], row[FRAME_CENTER + 2]
-    f = FRAME_FACTOR
+        return table[p, c], table[p, c + 1], table[p, c + 2]
     ux, uy, uz = unit_support(
         kind,
-        row[f] * x + row[f + 3] * y + row[f + 6] * z,
-        row[f + 1] * x + row[f + 4] * y + row[f + 7] * z,
-        row[f + 2] * x + row[f + 5] * y + row[f + 8] * z,
+        table[p, f] * x + table[p, f + 3] * y + table[p, f + 6] * z,
+        table[p, f + 1] * x + table[p, f + 4] * y + table[p, f + 7] * z,
+        table[p, f + 2] * x + table[p, f + 5] * y + table[p, f + 8] * z,
     )
-    c = FRAME_CENTER
     return (
-        row[c] + row[f] * ux + row[f + 1] * uy + row[f + 2] * uz,
-        row[c + 1] + row[f + 3] * ux + row[f + 4] * uy + row[f + 5] * uz,
-        row[c + 2] + row[f + 6] * ux + row[f + 7] * uy + row[f + 8] * uz,
+        table[p, c] + table[p, f] * ux + table[p, f + 1] * uy + table[p, f + 2] * uz,
+        table[p, c + 1] + table[p, f + 3] * ux + table[p, f + 4] * uy + table[p, f + 5] * uz,
+        table[p, c + 2] + table[p, f + 6] * ux + table[p, f + 7] * uy + table[p, f + 8] * uz,
     )
-
-
-@inline
-def core_height(table, layout, points, piece, T, t, x, y, z):
-    """Support value of a rotated (not translated) core along a direction in the world's axes."""
-    u = T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z
-    v = T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z
-    w = T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z
-    if layout[piece, KIND] == POLYTOPE:
-        i = farthest(points, layout[piece, POINTS_FROM], layout[piece, POINTS_TO], u, v, w)
-        return points[0, i] * u + points[1, i] * v + points[2, i] * w
-    a, b, c = core_support(table, layout, points, piece, u, v, w)
-    return a * u + b * v + c * w
 
 
 @inline
@@ -181,44 +139,3 @@ def placed_support(table, layout, points, piece, T, t, x, y, z):
         T[t, 1, 0] * a + T[t, 1, 1] * b + T[t, 1, 2] * c,
         T[t, 2, 0] * a + T[t, 2, 1] * b + T[t, 2, 2] * c,
     )
-
-
-@inline
-def inside_by(table, layout, planes, piece, x, y, z):
-    """How far inside a piece a point of the body frame lies: a lower bound, negative outside.
-
-    For a polytope the distance to the nearest face plane; for the others a bound that is positive
-    exactly inside.
-    """
-    kind = layout[piece, KIND]
-    row = table[piece]
-    if kind == POLYTOPE:
-        return least_slack(planes, layout[piece, PLANES_FROM], layout[piece, PLANES_TO], x, y, z)
-    # Coordinates in the unit shape's frame; the columns of F are orthogonal for every primitive
-    # but scaled, so the inverse is Fᵀ over squared column lengths.
-    f = FRAME_FACTOR
-    px = x - row[FRAME_CENTER]
-    py = y - row[FRAME_CENTER + 1]
-    pz = z - row[FRAME_CENTER + 2]
-    if kind == POINT:
-        return row[ROUNDING] - np.sqrt(px * px + py * py + pz * pz)
-    s0 = row[f] * row[f] + row[f + 3] * row[f + 3] + row[f + 6] * row[f + 6]
-    s1 = row[f + 1] * row[f + 1] + row[f + 4] * row[f + 4] + row[f + 7] * row[f + 7]
-    s2 = row[f + 2] * row[f + 2] + row[f + 5] * row[f + 5] + row[f + 8] * row[f + 8]
-    w = (row[f + 2] * px + row[f + 5] * py + row[f + 8] * pz) / s2
-    if kind == SEGMENT:
-        w = min(1.0, max(-1.0, w))
-        dx = px - w * row[f + 2]
-        dy = py - w * row[f + 5]
-        dz = pz - w * row[f + 8]
-        return row[ROUNDING] - np.sqrt(dx * dx + dy * dy + dz * dz)
-    u = (row[f] * px + row[f + 3] * py + row[f + 6] * pz) / s0
-    v = (row[f + 1] * px + row[f + 4] * py + row[f + 7] * pz) / s1
-    if kind == ELLIPSOID:
-        return (1.0 - np.sqrt(u * u + v * v + w * w)) * np.sqrt(min(s0, min(s1, s2)))
-    radial = np.sqrt(u * u + v * v)
-    if kind == CYLINDER:
-        return min((1.0 - radial) * np.sqrt(min(s0, s1)), (1.0 - abs(w)) * np.sqrt(s2))
-    # Cone: the slanted side |xy| <= (1 - z)/2 and the base z >= -1.
-    side = (0.5 * (1.0 - w) - radial) * np.sqrt(min(s0, min(s1, s2))) * 0.7
-    return min(side, (1.0 + w) * np.sqrt(s2))
