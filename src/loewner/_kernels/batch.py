@@ -305,6 +305,27 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
             out[k] = AMBIGUOUS
 
 
+@inline
+def _queue(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
+           tally):  # fmt: skip
+    """Queue the piece pairs of pair k, and settle the queue whenever it is full; returns how many wait in it."""
+    start_a, start_b = a[4], b[4]
+    for i in range(start_a[ia], start_a[ia + 1]):
+        for j in range(start_b[ib], start_b[ib + 1]):
+            if out[k] == COLLIDING:
+                break
+            pair[count] = k
+            pi[count] = i
+            pj[count] = j
+            pa[count] = ka
+            pb[count] = kb
+            count += 1
+            if count == LANES:
+                _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
+                count = np.int64(0)
+    return count
+
+
 @njit()
 def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     """Settle pairs start .. stop.
@@ -336,7 +357,6 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     pj = np.empty(LANES, np.int64)
     pa = np.empty(LANES, np.int64)
     pb = np.empty(LANES, np.int64)
-    start_a, start_b = a[4], b[4]
     posed = not (_unturned(Ta) and _unturned(Tb))
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
     # Walk the last axis by adding strides; only its end costs divisions.
@@ -357,22 +377,45 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
             ka += pose_a[last]
             kb += pose_b[last]
         here += 1
-        for i in range(start_a[ia], start_a[ia + 1]):
-            for j in range(start_b[ib], start_b[ib + 1]):
-                if out[k] == COLLIDING:
-                    break
-                pair[count] = k
-                pi[count] = i
-                pj[count] = j
-                pa[count] = ka
-                pb[count] = kb
-                count += 1
-                if count == LANES:
-                    _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
-                           tally)  # fmt: skip
-                    count = np.int64(0)
+        count = _queue(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
+                       weights, v, d, out, tally)  # fmt: skip
     if count > 0:
         _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
+
+
+@njit()
+def settle_listed(mode, margin, rows_a, rows_b, body_step, pose_step, pack, T, out, tally):
+    """Settle pairs of one set of bodies, listed by number.
+
+    Parameters
+    ----------
+    rows_a, rows_b : ndarray of int64, shape (m,)
+        The two bodies of each pair.
+    body_step, pose_step : int
+        1 if each body has its own pieces, its own pose; 0 if all share one.
+    mode, margin, pack, T, out, tally
+        As for `settle_range`.
+    """
+    S = np.empty(ROWS * LANES)
+    G = np.empty((4, 9))
+    weights = np.empty(4)
+    v = np.empty(3)
+    d = np.empty(3)
+    pair = np.empty(LANES, np.int64)
+    pi = np.empty(LANES, np.int64)
+    pj = np.empty(LANES, np.int64)
+    pa = np.empty(LANES, np.int64)
+    pb = np.empty(LANES, np.int64)
+    posed = not _unturned(T)
+    count = np.int64(0)
+    for k in range(rows_a.shape[0]):
+        out[k] = FREE
+        ia, ka = rows_a[k] * body_step, rows_a[k] * pose_step
+        ib, kb = rows_b[k] * body_step, rows_b[k] * pose_step
+        count = _queue(mode, margin, posed, k, ia, ka, ib, kb, pack, T, pack, T, count, pair, pi, pj, pa, pb, S, G,
+                       weights, v, d, out, tally)  # fmt: skip
+    if count > 0:
+        _flush(mode, margin, posed, pack, T, pack, T, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
 
 
 @njit()
