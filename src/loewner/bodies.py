@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import shapes
+from loewner._kernels import shapes, trees
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
 
@@ -84,6 +84,7 @@ class Packed:
             np.ascontiguousarray(self.planes[plane_of].T),
             self.piece_start,
             np.ascontiguousarray(table[:, : shapes.HOT]),
+            *_trees(table, self.piece_start),
         )
         for array in kernel:
             array.setflags(write=False)
@@ -133,6 +134,19 @@ def _table(p: Packed) -> Floats:
             f"{outer[:, 0].min():g} .. {reach.max():g}"
         )
     return table
+
+
+def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
+    """Trees over the pieces of the bodies that have many."""
+    n = len(piece_start) - 1
+    if np.diff(piece_start).max(initial=0) < trees.FEW:
+        return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
+    center = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    # The widths along the axes are the roots of the diagonal; all of it rounds outward.
+    half = np.sqrt(table[:, [shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]])
+    half += 2.0**-53 * 64 * table[:, shapes.REACH, None]
+    grown: tuple[Floats, Ints, Ints] = trees.planted(piece_start, center - half, center + half)
+    return grown
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 
 import numpy as np
 
-from loewner._kernels import lanes
+from loewner._kernels import lanes, trees
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.contact import maximize, nearness, rotated, separation
 from loewner._kernels.exact import exact_piece_pair
@@ -306,19 +306,49 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
 
 
 @inline
+def _put(count, k, i, j, ka, kb, pair, pi, pj, pa, pb):
+    pair[count] = k
+    pi[count] = i
+    pj[count] = j
+    pa[count] = ka
+    pb[count] = kb
+
+
+@inline
 def _queue(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
            tally):  # fmt: skip
     """Queue the piece pairs of pair k, and settle the queue whenever it is full; returns how many wait in it."""
+    if a[8][ia] >= 0 or b[8][ib] >= 0:
+        return _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
+                           weights, v, d, out, tally)  # fmt: skip
     start_a, start_b = a[4], b[4]
     for i in range(start_a[ia], start_a[ia + 1]):
         for j in range(start_b[ib], start_b[ib + 1]):
             if out[k] == COLLIDING:
                 break
-            pair[count] = k
-            pi[count] = i
-            pj[count] = j
-            pa[count] = ka
-            pb[count] = kb
+            _put(count, k, i, j, ka, kb, pair, pi, pj, pa, pb)
+            count += 1
+            if count == LANES:
+                _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
+                count = np.int64(0)
+    return count
+
+
+@njit()
+def _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d,
+                out, tally):  # fmt: skip
+    """As `_queue`, where a body has many pieces: only the pairs that their trees leave."""
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    found_a = np.empty(LANES, np.int64)
+    found_b = np.empty(LANES, np.int64)
+    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+    while out[k] != COLLIDING:
+        found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+        if found == 0:
+            break
+        for c in range(found):
+            _put(count, k, found_a[c], found_b[c], ka, kb, pair, pi, pj, pa, pb)
             count += 1
             if count == LANES:
                 _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)

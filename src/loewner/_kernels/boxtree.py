@@ -33,38 +33,82 @@ SIZE_RATIO = 0.25  # bodies of one class differ by up to this ratio in size
 DIGIT = np.uint64(11)  # bits that one pass of the radix sort looks at
 PASSES = 6
 
-MOST = 1.7e308  # stands for infinity in a stored box, so that the boxes that fill up a group meet none
+# The largest bound of a box: the boxes that fill up a group start at infinity and so meet none.
+MOST = 1.7e308
 
 
 # -- vectors -----------------------------------------------------------------------------------
 
 
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDE)
+
+
+def _everywhere(builder, value):
+    """Eight copies of a number."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    lanes = ir.Constant(ir.VectorType(ir.IntType(32), WIDE), [0] * WIDE)
+    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), lanes)
+
+
+def _rows(context, builder, boxes_type, boxes, group):
+    """Lower x, y, z and upper x, y, z of the eight boxes of a group."""
+    data = context.make_array(boxes_type)(context, builder, boxes).data
+    first = builder.mul(group, ir.Constant(ir.IntType(64), ROWS))
+    rows = []
+    for row in range(6):
+        at = builder.gep(data, [builder.add(first, ir.Constant(ir.IntType(64), row * WIDE))])
+        rows.append(builder.load(builder.bitcast(at, _VECTOR.as_pointer()), align=8))
+    return rows
+
+
+def _bits(builder, mask):
+    return builder.zext(builder.bitcast(mask, ir.IntType(WIDE)), ir.IntType(64))
+
+
 @intrinsic
-def _meeting(typingctx, boxes, group, lx, ly, lz, ux, uy, uz):
+def meeting(typingctx, boxes, group, lx, ly, lz, ux, uy, uz):
     """Bit mask of the boxes of a group that meet the box (lx, ly, lz) .. (ux, uy, uz)."""
-    signature = types.int64(boxes, types.int64, *[types.float64] * 6)
 
     def generate(context, builder, signature, arguments):
-        vector = ir.VectorType(ir.DoubleType(), WIDE)
-        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), WIDE), [0] * WIDE)
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        first = builder.mul(arguments[1], ir.Constant(ir.IntType(64), ROWS))
-        lower, upper = arguments[2:5], arguments[5:8]
+        rows = _rows(context, builder, signature.args[0], *arguments[:2])
+        bounds = [_everywhere(builder, x) for x in arguments[2:]]
         mask = None
-        for row, bound in enumerate([*upper, *lower]):
-            at = builder.gep(data, [builder.add(first, ir.Constant(ir.IntType(64), row * WIDE))])
-            stored = builder.load(builder.bitcast(at, vector.as_pointer()), align=8)
-            bounds = builder.insert_element(ir.Constant(vector, ir.Undefined), bound, ir.Constant(ir.IntType(32), 0))
-            bounds = builder.shuffle_vector(bounds, ir.Constant(vector, ir.Undefined), everywhere)
-            meets = builder.fcmp_ordered("<=" if row < 3 else ">=", stored, bounds)
-            mask = meets if mask is None else builder.and_(mask, meets)
-        return builder.zext(builder.bitcast(mask, ir.IntType(WIDE)), ir.IntType(64))
+        for axis in range(3):
+            for meets in (
+                builder.fcmp_ordered("<=", rows[axis], bounds[3 + axis]),
+                builder.fcmp_ordered(">=", rows[3 + axis], bounds[axis]),
+            ):
+                mask = meets if mask is None else builder.and_(mask, meets)
+        return _bits(builder, mask)
 
-    return signature, generate
+    return types.int64(boxes, types.int64, *[types.float64] * 6), generate
 
 
 @intrinsic
-def _lowest(typingctx, mask):
+def within(typingctx, boxes, group, lx, ly, lz, ux, uy, uz, squared):
+    """Bit mask of the boxes of a group whose squared distance from a box is `squared` at most."""
+
+    def generate(context, builder, signature, arguments):
+        rows = _rows(context, builder, signature.args[0], *arguments[:2])
+        bounds = [_everywhere(builder, x) for x in arguments[2:8]]
+        zero = ir.Constant(_VECTOR, [0.0] * WIDE)
+        total = None
+        for axis in range(3):
+            gap = zero
+            for side in (
+                builder.fsub(rows[axis], bounds[3 + axis]),
+                builder.fsub(bounds[axis], rows[3 + axis]),
+            ):
+                gap = builder.select(builder.fcmp_ordered(">", side, gap), side, gap)
+            square = builder.fmul(gap, gap)
+            total = square if total is None else builder.fadd(total, square)
+        return _bits(builder, builder.fcmp_ordered("<=", total, _everywhere(builder, arguments[8])))
+
+    return types.int64(boxes, types.int64, *[types.float64] * 7), generate
+
+
+@intrinsic
+def lowest(typingctx, mask):
     """Position of the lowest bit that is set."""
 
     def generate(context, builder, signature, arguments):
@@ -77,13 +121,17 @@ def _lowest(typingctx, mask):
 
 
 @inline
-def _at_most(x):
-    return x if x < MOST else MOST
+def lowered(bound, by):
+    """Move a lower bound outward, the rounding of that included; one that is NaN excludes nothing."""
+    moved = (bound - by) - 4.0 * UNIT_ROUNDOFF * (abs(bound) + by)
+    return moved if moved > -MOST else -MOST
 
 
 @inline
-def _at_least(x):
-    return x if x > -MOST else -MOST
+def raised(bound, by):
+    """Move an upper bound outward, as `lowered`."""
+    moved = (bound + by) + 4.0 * UNIT_ROUNDOFF * (abs(bound) + by)
+    return moved if moved < MOST else MOST
 
 
 @njit()
@@ -120,8 +168,8 @@ def bounds(first, last, body_step, pose_step, pack, T, lower, upper):
                 width += POSITION_ROUNDINGS * (abs(t) + hot[i, REACH])
                 low = min(low, middle - width)
                 high = max(high, middle + width)
-            lower[body, axis] = _at_least(low)
-            upper[body, axis] = _at_most(high)
+            lower[body, axis] = low if low > -MOST else -MOST
+            upper[body, axis] = high if high < MOST else MOST
 
 
 # -- order -------------------------------------------------------------------------------------
@@ -269,21 +317,13 @@ def _query(boxes, group, lane, margin):
     """Box of a lane, `margin` wider on every side."""
     at = group * ROWS + lane
     return (
-        _widened(boxes[at], -margin),
-        _widened(boxes[at + WIDE], -margin),
-        _widened(boxes[at + 2 * WIDE], -margin),
-        _widened(boxes[at + 3 * WIDE], margin),
-        _widened(boxes[at + 4 * WIDE], margin),
-        _widened(boxes[at + 5 * WIDE], margin),
+        lowered(boxes[at], margin),
+        lowered(boxes[at + WIDE], margin),
+        lowered(boxes[at + 2 * WIDE], margin),
+        raised(boxes[at + 3 * WIDE], margin),
+        raised(boxes[at + 4 * WIDE], margin),
+        raised(boxes[at + 5 * WIDE], margin),
     )
-
-
-@inline
-def _widened(bound, by):
-    """Move a bound outward, the rounding of that included."""
-    moved = bound + by
-    moved += np.copysign(4.0 * UNIT_ROUNDOFF, by) * (abs(bound) + abs(by))
-    return max(-MOST, min(MOST, moved))
 
 
 @njit()
@@ -300,10 +340,10 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
     # What comes later is in later nodes of the same group, on every level up to the root.
     for level in range(1, level_start.shape[0]):
         group = node // WIDE
-        mask = _meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
+        mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
         above = 0
         while mask != 0:
-            stack[above] = group * WIDE + _lowest(mask)
+            stack[above] = group * WIDE + lowest(mask)
             depth[above] = level
             above += 1
             mask &= mask - 1
@@ -312,9 +352,9 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
             found = stack[above]
             below = depth[above] - 1
             if below > 0:
-                mask = _meeting(boxes, level_start[below] + found, lx, ly, lz, ux, uy, uz)
+                mask = meeting(boxes, level_start[below] + found, lx, ly, lz, ux, uy, uz)
                 while mask != 0:
-                    stack[above] = found * WIDE + _lowest(mask)
+                    stack[above] = found * WIDE + lowest(mask)
                     depth[above] = below
                     above += 1
                     mask &= mask - 1
@@ -338,7 +378,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
     """Write down a body's pairs with the bodies of a leaf group that a mask names."""
     while mask != 0:
-        other = order[leaf * WIDE + _lowest(mask)]
+        other = order[leaf * WIDE + lowest(mask)]
         rows_a[count] = min(body, other)
         rows_b[count] = max(body, other)
         count += 1
@@ -379,13 +419,13 @@ def candidates(first, last, margin, boxes, level_start, order, rows_a, rows_b):
         for lane in range(min(WIDE, n - leaf * WIDE)):
             lx, ly, lz, ux, uy, uz = _query(boxes, leaf, lane, margin)
             body = order[leaf * WIDE + lane]
-            mask = _meeting(boxes, leaf, lx, ly, lz, ux, uy, uz) & (-2 << lane)
+            mask = meeting(boxes, leaf, lx, ly, lz, ux, uy, uz) & (-2 << lane)
             count = _note(body, leaf, mask, order, rows_a, rows_b, count)
             for group in range((behind + WIDE - 1) // WIDE):
-                met = _meeting(near, group, lx, ly, lz, ux, uy, uz)
+                met = meeting(near, group, lx, ly, lz, ux, uy, uz)
                 while met != 0:
-                    other = numbers[group * WIDE + _lowest(met)]
+                    other = numbers[group * WIDE + lowest(met)]
                     met &= met - 1
-                    mask = _meeting(boxes, other, lx, ly, lz, ux, uy, uz)
+                    mask = meeting(boxes, other, lx, ly, lz, ux, uy, uz)
                     count = _note(body, other, mask, order, rows_a, rows_b, count)
     return last, count

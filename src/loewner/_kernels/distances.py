@@ -6,6 +6,7 @@ piece pairs.
 
 import numpy as np
 
+from loewner._kernels import trees
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.batch import row_of
 from loewner._kernels.contact import (
@@ -31,8 +32,12 @@ from loewner._kernels.shapes import (
     REACH,
     ROUNDING,
 )
+from loewner._kernels.verdicts import AMBIGUOUS, COLLIDING, FREE
 
 CONTACT_PRODUCT = -1  # the other rules are those of `near_points`
+
+WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
+SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair
 POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
@@ -221,6 +226,10 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
     d = np.empty(3)
     result = np.empty(9)
     work = workspace(exact)
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    found_a = np.empty(WALKED, np.int64)
+    found_b = np.empty(WALKED, np.int64)
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for k in range(start, stop):
@@ -237,8 +246,20 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
         apart = abs(B[0, 3] - A[0, 3]) + abs(B[1, 3] - A[1, 3]) + abs(B[2, 3] - A[2, 3])
-        for i in range(a[4][ia], a[4][ia + 1]):
-            for j in range(b[4][ib], b[4][ib + 1]):
+        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        cut = np.inf  # pieces farther apart than this are not the nearest
+        found = np.int64(0)
+        if a[8][ia] >= 0 or b[8][ib] >= 0:
+            # A first bound on the distance spares the walk most pairs.
+            found_a[0], found_b[0] = trees.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
+            found = np.int64(1)
+        while True:
+            if found == 0:
+                found = trees.more(a, b, ib, max(cut, 0.0), steps, numbers, found_a, found_b)
+                if found == 0:
+                    break
+            for c in range(found):
+                i, j = found_a[c], found_b[c]
                 size = apart + ta[i, REACH] + tb[j, REACH]
                 below, nx, ny, nz, F_outer, width = outer_bound(ta, i, A, tb, j, B, size)
                 above, F_inner = inner_bound(ta, i, A, tb, j, B, size)
@@ -246,6 +267,7 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                     below = -2.0 * size
                 lower[k] = min(lower[k], below)
                 upper[k] = min(upper[k], above)
+                cut = min(cut, above)
                 if rule == CONTACT_PRODUCT:
                     guess = estimated_distance(F_outer, F_inner, width)
                 else:
@@ -263,12 +285,14 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                     curved = a[1][i, KIND] != POLYTOPE or b[1][j, KIND] != POLYTOPE
                     if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
                         status[k] = NOT_SETTLED
+                    cut = min(cut, value + SETTLED * size)
                     if value < distance[k]:
                         distance[k] = value
                         for c in range(3):
                             normal[k, c] = result[c]
                             witness_a[k, c] = result[3 + c] + A[c, 3]
                             witness_b[k, c] = result[6 + c] + A[c, 3]
+            found = np.int64(0)
         if exact:
             # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
             distance[k] = max(lower[k], min(upper[k], distance[k]))
@@ -294,20 +318,31 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
     """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    found_a = np.empty(WALKED, np.int64)
+    found_b = np.empty(WALKED, np.int64)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     ta = a[0]
     tb = b[0]
     for k in range(start, stop):
-        if out[k] != 2:
+        if out[k] != AMBIGUOUS:
             continue
-        out[k] = 0
+        out[k] = FREE
         ia = row_of(k, shape, body_a)
         ib = row_of(k, shape, body_b)
-        A = Ta[row_of(k, shape, pose_a)]
-        B = Tb[row_of(k, shape, pose_b)]
+        ka = row_of(k, shape, pose_a)
+        kb = row_of(k, shape, pose_b)
+        A = Ta[ka]
+        B = Tb[kb]
         apart = abs(B[0, 3] - A[0, 3]) + abs(B[1, 3] - A[1, 3]) + abs(B[2, 3] - A[2, 3])
-        for i in range(a[4][ia], a[4][ia + 1]):
-            for j in range(b[4][ib], b[4][ib + 1]):
+        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        while out[k] == FREE:
+            found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+            if found == 0:
+                break
+            for c in range(found):
+                i, j = found_a[c], found_b[c]
                 size = apart + ta[i, REACH] + tb[j, REACH]
                 below, _, _, _, F_outer, width = outer_bound(ta, i, A, tb, j, B, size)
                 if below > margin:
@@ -315,7 +350,7 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
                 if rule == CONTACT_PRODUCT:
                     _, F_inner = inner_bound(ta, i, A, tb, j, B, size)
                     if not estimated_distance(F_outer, F_inner, width) > margin:
-                        out[k] = 1
+                        out[k] = COLLIDING
                     continue
                 _world_ellipsoid(ta, factors[0], i, A, B, INNER_CENTER, ai, Fai, False)
                 _world_ellipsoid(ta, factors[1], i, A, B, OUTER_CENTER, ao, Fao, False)
@@ -323,4 +358,4 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
                 _world_ellipsoid(tb, factors[3], j, B, A, OUTER_CENTER, bo, Fbo, True)
                 # NaN counts as colliding, as it should never arise and must not free anybody.
                 if not estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo) > margin:
-                    out[k] = 1
+                    out[k] = COLLIDING
