@@ -10,8 +10,11 @@
 //     GUESS      0 default, 1 cached (set to the offset of the bodies), 2 bounding volumes
 //     EARLY      1 lets GJK stop as soon as the pair is proven apart
 //     SELECTION  file of int64 pair numbers, or "-" for all;  ANSWERS  file to write, or "-"
-//   crowd - VARIANT CRITERION TYPE GUESS EARLY - ANSWERS
-//     all overlapping pairs among the ellipsoids of the pairs' first bodies, by the dynamic AABB tree and GJK
+//   crowd QUERY VARIANT CRITERION TYPE GUESS EARLY - ANSWERS
+//     all overlapping pairs among the ellipsoids of the pairs' first bodies, by the dynamic AABB tree and GJK; building
+//     the tree counts
+//   step QUERY VARIANT CRITERION TYPE GUESS EARLY - ANSWERS
+//     the same, with the tree there from an earlier time; giving it the new poses counts
 //
 // Each prints "wall_ns cpu_ns count". "...-solver" calls GJKSolver itself, without Coal's dispatch.
 //
@@ -267,8 +270,33 @@ struct Overlaps : coal::CollisionCallBackBase {
   }
 };
 
-// Every pair's first body, where the pair puts it, is one ellipsoid of the crowd. Building the tree counts.
-void crowd(const Data& data, const Settings& settings, const std::string& answers) {
+// Every pair's first body, where the pair puts it, is one ellipsoid of the crowd.
+struct Crowd {
+  std::vector<std::unique_ptr<coal::CollisionObject>> objects;
+  coal::DynamicAABBTreeCollisionManager manager;
+
+  Crowd(const Data& data, const std::vector<std::shared_ptr<coal::Ellipsoid>>& shapes) {
+    std::vector<coal::CollisionObject*> pointers;
+    for (std::size_t k = 0; k < shapes.size(); ++k) {
+      objects.push_back(std::make_unique<coal::CollisionObject>(shapes[k], data.ellipsoid_a[k], false));
+      objects.back()->setUserData(reinterpret_cast<void*>(static_cast<std::intptr_t>(k)));
+      objects.back()->computeAABB();
+      pointers.push_back(objects.back().get());
+    }
+    manager.registerObjects(pointers);
+    manager.setup();
+  }
+
+  void move(const Data& data) {
+    for (std::size_t k = 0; k < objects.size(); ++k) {
+      objects[k]->setTransform(data.ellipsoid_a[k]);
+      objects[k]->computeAABB();
+    }
+    manager.update();
+  }
+};
+
+void crowd(const Data& data, const Settings& settings, const std::string& answers, bool built) {
   std::vector<std::shared_ptr<coal::Ellipsoid>> shapes;
   for (std::size_t k = 0; k < data.a.size(); ++k)
     shapes.push_back(std::make_shared<coal::Ellipsoid>(*data.ellipsoids[data.a[k]]));
@@ -276,20 +304,15 @@ void crowd(const Data& data, const Settings& settings, const std::string& answer
   overlaps.request.enable_contact = false;
   overlaps.request.distance_upper_bound = 0;
   settings.apply(overlaps.request);
+  std::unique_ptr<Crowd> crowd;
+  if (built) crowd = std::make_unique<Crowd>(data, shapes);
 
   Stopwatch watch;
-  std::vector<std::unique_ptr<coal::CollisionObject>> objects;
-  std::vector<coal::CollisionObject*> pointers;
-  for (std::size_t k = 0; k < shapes.size(); ++k) {
-    objects.push_back(std::make_unique<coal::CollisionObject>(shapes[k], data.ellipsoid_a[k], false));
-    objects.back()->setUserData(reinterpret_cast<void*>(static_cast<std::intptr_t>(k)));
-    objects.back()->computeAABB();
-    pointers.push_back(objects.back().get());
-  }
-  coal::DynamicAABBTreeCollisionManager manager;
-  manager.registerObjects(pointers);
-  manager.setup();
-  manager.collide(&overlaps);
+  if (built)
+    crowd->move(data);
+  else
+    crowd = std::make_unique<Crowd>(data, shapes);
+  crowd->manager.collide(&overlaps);
   watch.stop();
   finish(watch, shapes.size(), answers, overlaps.found);
 }
@@ -301,7 +324,7 @@ void obey(const Data& data, const std::string& line) {
   words >> task >> query >> settings.variant >> settings.criterion >> settings.type >> settings.guess >>
       settings.early >> selection >> answers;
   if (!words) throw std::runtime_error("coal_loop: cannot read the line: " + line);
-  if (task == "crowd") return crowd(data, settings, answers);
+  if (task == "crowd" || task == "step") return crowd(data, settings, answers, task == "step");
 
   std::vector<std::int64_t> chosen;
   if (selection == "-") {

@@ -30,6 +30,7 @@ REQUIRED = {
     "distance vs Coal C++": 3.0,
     "penetration vs Coal C++": 3.0,
     "two threads": 1.8,
+    "crowd": 5.0,
 }
 
 PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree")

@@ -19,6 +19,7 @@ import figures
 import growth
 import memory
 import pairs
+import pieces
 import report
 import singles
 import threads
@@ -32,6 +33,7 @@ BENCHMARKS = {
     "threads": ("two threads", threads.run),
     "vertices": ("cost against the number of vertices, one thread", growth.vertices),
     "batches": ("cost against the size of the batch, one thread", growth.batches),
+    "pieces": ("two bodies of many pieces, one thread", pieces.run),
     "crowd": ("all overlapping pairs among many ellipsoids, one thread", crowd.run),
 }
 FIGURES = {"vertices": figures.vertices, "batches": figures.batches}

@@ -1,6 +1,7 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
 from loewner.bodies import Bodies, Body, Piece
+from loewner.crowds import overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import (
@@ -47,4 +48,5 @@ __all__ = [
     "mvie",
     "near_points",
     "overlap",
+    "overlapping_pairs",
 ]

@@ -80,12 +80,18 @@ def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
     return value
 
 
+def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
+    """Check shape, and that all numbers are finite and above zero."""
+    array = finite_array(x, name, shape)
+    if not (array > 0).all():
+        where = tuple(int(i) for i in np.argwhere(~(array > 0))[0])
+        raise InputError(f"{name}: expected numbers > 0, found {array[where]} at index {where}")
+    return array
+
+
 def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
     """Check a vector of finite numbers above zero."""
-    vector = finite_array(x, name, (length,))
-    if not (vector > 0).all():
-        raise InputError(f"{name}: expected numbers > 0, found {vector.tolist()}")
-    return vector
+    return positive_array(x, name, (length,))
 
 
 def one_pose(T: Any) -> Floats | None:

@@ -27,6 +27,11 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pools.clear)  # a child process inherits the pool, but not its threads
 
 
+def share(total: int, least: int) -> int:
+    """Items a thread takes at a time, `least` or more: a few shares each, so that the last one is not waited for."""
+    return max(least, -(-total // (4 * numba.get_num_threads())))
+
+
 def over_blocks(
     run: Callable[[int, int], T], total: int, block: int, progress: Callable[[int, int], None] | None = None
 ) -> Iterator[T]:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import blocks, directions, handles, rigid, shapes
+from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import FileError, GeometryError, InputError
 
@@ -89,7 +89,8 @@ class Packed:
         table = _table(self)
         layout, points = _kernel_points(self)
         hot = np.ascontiguousarray(table[:, : shapes.HOT])
-        kernel = (table, layout, points, self.piece_start.copy(), hot, _single(hot))
+        start = self.piece_start.copy()
+        kernel = (table, layout, points, start, hot, _single(hot), *_trees(table, start))
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
         object.__setattr__(self, "handle_table", handles.table_of(kernel))
@@ -191,6 +192,19 @@ def _single(hot: Floats) -> NDArray[np.float32]:
     rounded = hot.copy()
     rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= 1 + 2.0**-22
     return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
+
+
+def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
+    """Trees over the pieces of the bodies that have many."""
+    n = len(piece_start) - 1
+    if np.diff(piece_start).max(initial=0) < trees.FEW:
+        return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
+    center = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    # The widths along the axes are the roots of the diagonal; all of it rounds outward.
+    half = np.sqrt(table[:, [shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]])
+    half += 2.0**-53 * 64 * table[:, shapes.REACH, None]
+    grown: tuple[Floats, Ints, Ints] = trees.planted(piece_start, center - half, center + half)
+    return grown
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,6 +497,25 @@ class Bodies(_Bodies):
         sets = list(point_sets)
         return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress))
 
+    @classmethod
+    def spheres(cls, radii: ArrayLike) -> Bodies:
+        """One ball about the origin per radius, shape (n,), in metres; as `Body.sphere`."""
+        r = _check.positive_vector(radii, "radii", None)
+        axes = np.repeat(r[:, None], 3, axis=1)
+        return cls._wrap(_primitives(shapes.POINT, r, axes, axes, axes, 0.0))
+
+    @classmethod
+    def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
+        """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; as `Body.ellipsoid`.
+
+        Examples
+        --------
+        >>> Bodies.ellipsoids([[1, 2, 3], [1, 1, 1]])
+        Bodies(2 bodies, 2 pieces)
+        """
+        s = _check.positive_array(semi_axes, "semi_axes", (None, 3))
+        return cls._wrap(_primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
+
     def __len__(self) -> int:
         return len(self._packed.piece_start) - 1
 
@@ -584,25 +617,37 @@ def _empty() -> Packed:
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
     """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
+    image, smaller, larger = (np.array([axes], dtype=float) for axes in (frame, inner, outer))
+    return Body(_primitives(kind, np.array([rounding]), image, smaller, larger, lift))
+
+
+def _primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer: Floats, lift: float) -> Packed:
+    """Bodies of one curved piece each; `frame`, `inner` and `outer` are semi-axes, one row per body."""
+    n = len(frame)
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
     slack = 0.0 if kind in (shapes.ELLIPSOID, shapes.POINT) else CLOSED_FORM_ROUNDING
-    center = np.array([[0.0, 0.0, lift]])
-    return Body(
-        Packed(
-            layout=np.array([[kind, 0, 0, 0, 0]], dtype=np.int64),
-            points=np.zeros((0, 3)),
-            planes=np.zeros((0, 4)),
-            piece_start=np.array([0, 1], dtype=np.int64),
-            frames=np.concatenate([[rounding], np.zeros(3), np.diag(np.asarray(frame, dtype=float)).ravel()])[None],
-            triangles=np.zeros((0, 3), dtype=np.int64),
-            triangle_start=np.zeros(2, dtype=np.int64),
-            inner_center=center,
-            inner_factor=np.diag(np.asarray(inner, dtype=float) * (1 - slack))[None],
-            outer_center=center.copy(),
-            outer_factor=np.diag(np.asarray(outer, dtype=float) * (1 + slack))[None],
-            gaps=np.full((1, 2), 6 * slack),
-        )
+    layout = np.zeros((n, 5), dtype=np.int64)
+    layout[:, shapes.KIND] = kind
+    center = np.tile([0.0, 0.0, lift], (n, 1))
+    return Packed(
+        layout=layout,
+        points=np.zeros((0, 3)),
+        planes=np.zeros((0, 4)),
+        piece_start=np.arange(n + 1),
+        frames=np.column_stack([rounding, np.zeros((n, 3)), _diagonal(frame).reshape(n, 9)]),
+        triangles=np.zeros((0, 3), dtype=np.int64),
+        triangle_start=np.zeros(n + 1, dtype=np.int64),
+        inner_center=center,
+        inner_factor=_diagonal(inner) * (1 - slack),
+        outer_center=center.copy(),
+        outer_factor=_diagonal(outer) * (1 + slack),
+        gaps=np.full((n, 2), 6 * slack),
     )
+
+
+def _diagonal(axes: Floats) -> Floats:
+    """Diagonal matrices (n, 3, 3) of the rows of an (n, 3) array."""
+    return axes[:, :, None] * np.eye(3)
 
 
 # -- rearranging ------------------------------------------------------------------------------

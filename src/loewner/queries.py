@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import batch, distances, verdicts
-from loewner._threads import over_blocks
+from loewner._threads import over_blocks, share
 from loewner.bodies import Bodies, Body
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -163,12 +162,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
 
     if pairs.total <= CHUNK:
         return out, run(0, pairs.total)
-    return out, np.sum(list(over_blocks(run, pairs.total, _block(pairs.total))), axis=0)
-
-
-def _block(count: int) -> int:
-    """Pairs a thread takes at a time: a few shares each, so that the last one is not waited for."""
-    return max(CHUNK, -(-count // (4 * numba.get_num_threads())))
+    return out, np.sum(list(over_blocks(run, pairs.total, share(pairs.total, CHUNK))), axis=0)
 
 
 def classify(
@@ -299,7 +293,7 @@ def collide(
         def run(first: int, last: int) -> None:
             distances.rule_range(code, keep, first, last, *pairs.operands, factors, out)
 
-        for _ in over_blocks(run, pairs.total, _block(pairs.total)):
+        for _ in over_blocks(run, pairs.total, share(pairs.total, CHUNK)):
             pass
     colliding = out == Verdict.COLLIDING
     return bool(colliding[0]) if pairs.shape == () else colliding.reshape(pairs.shape)
@@ -359,7 +353,7 @@ def distance(
     def run(first: int, last: int) -> None:
         distances.distance_range(exact, code, first, last, *pairs.operands, factors, *numbers, *vectors, status)
 
-    for _ in over_blocks(run, n, _block(n)):
+    for _ in over_blocks(run, n, share(n, CHUNK)):
         pass
     _refuse_unsettled(status != 0, "distance")
 

@@ -6,7 +6,7 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 
 import numpy as np
 
-from loewner._kernels import lanes
+from loewner._kernels import lanes, trees
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of
@@ -23,7 +23,8 @@ from loewner._kernels.lanes import (
     ROWS,
 )
 from loewner._kernels.pair_search import scratch
-from loewner._kernels.shapes import prefetch_points
+from loewner._kernels.rigid import RIGID, fault
+from loewner._kernels.shapes import REACH, prefetch_points
 from loewner._kernels.vectors import SINGLE_LANES
 from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, TIERS
 
@@ -181,33 +182,73 @@ def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, 
                 continue
             i, j = L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane]
             ka, kb = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
-            size = (
-                abs(Tb[kb, 0, 3] - Ta[ka, 0, 3]) + abs(Tb[kb, 1, 3] - Ta[ka, 1, 3]) + abs(Tb[kb, 2, 3] - Ta[ka, 2, 3])
-            )
-            verdict, t = exact_piece_pair(
-                ta,
-                la,
-                xa,
-                i,
-                Ta,
-                ka,
-                tb,
-                lb,
-                xb,
-                j,
-                Tb,
-                kb,
-                margin,
-                size,
-                V[OUT_NORMAL * BLOCK + lane],
-                V[(OUT_NORMAL + 1) * BLOCK + lane],
-                V[(OUT_NORMAL + 2) * BLOCK + lane],
-                W,
-            )
+            size = ta[i, REACH] + tb[j, REACH]
+            for r in range(3):
+                size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
+            at = OUT_NORMAL * BLOCK + lane
+            nx, ny, nz = V[at], V[at + BLOCK], V[at + 2 * BLOCK]
+            verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W)
             tally[t] += 1
             if verdict != FREE:
                 out[k] = verdict
     return FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0))
+
+
+@inline
+def _put(L, count, k, i, j, ka, kb):
+    L[PAIR * BLOCK + count] = k
+    L[PIECE_A * BLOCK + count] = i
+    L[PIECE_B * BLOCK + count] = j
+    L[POSE_A * BLOCK + count] = ka
+    L[POSE_B * BLOCK + count] = kb
+
+
+@inline
+def _list(mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
+    """List the piece pairs of pair k, and settle the list whenever it is full; how many wait in it, and the hint."""
+    if a[8][ia] >= 0 or b[8][ib] >= 0:
+        return _list_many(
+            mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally
+        )
+    start_a, start_b = a[3], b[3]
+    for i in range(start_a[ia], start_a[ia + 1]):
+        for j in range(start_b[ib], start_b[ib + 1]):
+            if out[k] == COLLIDING:
+                break
+            _put(L, count, k, i, j, ka, kb)
+            count += 1
+            if count == BLOCK:
+                hint = _flush(
+                    mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
+                )
+                count = np.int64(0)
+    return count, hint
+
+
+@njit()
+def _list_many(mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
+    """As `_list`, where a body has many pieces: only the pairs that their trees leave."""
+    # The trees may leave none, and nobody else would then look at the poses.
+    if fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID:
+        return count, FAULTY
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    found_a = np.empty(BLOCK, np.int64)
+    found_b = np.empty(BLOCK, np.int64)
+    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+    while out[k] != COLLIDING:
+        found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+        if found == 0:
+            break
+        for c in range(found):
+            _put(L, count, k, found_a[c], found_b[c], ka, kb)
+            count += 1
+            if count == BLOCK:
+                hint = _flush(
+                    mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
+                )
+                count = np.int64(0)
+    return count, hint
 
 
 @njit()
@@ -277,26 +318,45 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
             ka += pose_a[last]
             kb += pose_b[last]
         here += 1
-        for i in range(start_a[ia], start_a[ia + 1]):
-            for j in range(start_b[ib], start_b[ib + 1]):
-                if out[k] == COLLIDING:
-                    break
-                L[PAIR * BLOCK + count] = k
-                L[PIECE_A * BLOCK + count] = i
-                L[PIECE_B * BLOCK + count] = j
-                L[POSE_A * BLOCK + count] = ka
-                L[POSE_B * BLOCK + count] = kb
-                count += 1
-                if count == BLOCK:
-                    hint = _flush(
-                        mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
-                    )
-                    if hint == FAULTY:
-                        return False
-                    count = np.int64(0)
+        count, hint = _list(
+            mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally
+        )
+        if hint == FAULTY:
+            return False
     if count > 0:
         hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally)
     return hint != FAULTY
+
+
+@njit()
+def settle_listed(mode, margin, rows_a, rows_b, body_step, pose_step, pack, T, out, tally):
+    """Settle pairs of one set of bodies, listed by number; the poses are known to be rigid.
+
+    Parameters
+    ----------
+    rows_a, rows_b : ndarray of int64, shape (m,)
+        The two bodies of each pair.
+    body_step, pose_step : int
+        1 if each body has its own pieces, its own pose; 0 if all share one.
+    mode, margin, pack, T, out, tally
+        As for `settle_range`.
+    """
+    V = np.empty(ROWS * BLOCK)
+    L = np.empty(LISTS * BLOCK, np.int64)
+    tier = np.empty(BLOCK, np.int8)
+    W = scratch()
+    moved = not is_identity(T)
+    hint = 0
+    count = np.int64(0)
+    for k in range(rows_a.shape[0]):
+        out[k] = FREE
+        ia, ka = rows_a[k] * body_step, rows_a[k] * pose_step
+        ib, kb = rows_b[k] * body_step, rows_b[k] * pose_step
+        count, hint = _list(
+            mode, margin, hint, moved, moved, k, ia, ka, ib, kb, pack, T, pack, T, count, L, tier, V, W, out, tally
+        )
+    if count > 0:
+        _flush(mode, margin, False, hint, moved, moved, pack, T, pack, T, count, L, tier, V, W, out, tally)
 
 
 @njit()

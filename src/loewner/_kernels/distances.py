@@ -6,6 +6,7 @@ piece pairs.
 
 import numpy as np
 
+from loewner._kernels import trees
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.batch import row_of
 from loewner._kernels.contact import (
@@ -39,6 +40,9 @@ from loewner._kernels.shapes import (
 from loewner._kernels.verdicts import AMBIGUOUS, COLLIDING, FREE
 
 CONTACT_PRODUCT = -1  # the other rules are those of `near_points`
+
+WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
+SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair
 POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
@@ -464,6 +468,12 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
         if exact:
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
+        if a[8][ia] >= 0 or b[8][ib] >= 0:
+            if count > 0:
+                _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+                count = np.int64(0)
+            _measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out)
+            continue
         for i in range(a[3][ia], a[3][ia + 1]):
             for j in range(b[3][ib], b[3][ib + 1]):
                 queue[0, count], queue[1, count], queue[2, count] = k, i, j
@@ -478,6 +488,35 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
         for k in range(start, stop):
             # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
             distance[k] = max(lower[k], min(upper[k], distance[k]))
+
+
+@njit()
+def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
+    """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
+    found = trees.more(a, b, ib, reach, steps, numbers, queue[1, :WALKED], queue[2, :WALKED])
+    queue[0, :found] = k
+    queue[3, :found] = ka
+    queue[4, :found] = kb
+    return found
+
+
+@njit()
+def _measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out):
+    """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
+    upper, distance = out[1], out[3]
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+    # A first bound on the distance spares the walk most pairs.
+    i, j = trees.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
+    queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
+    found = np.int64(1)
+    while found > 0:
+        _measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, out)
+        cut = upper[k]
+        if exact:
+            cut = min(cut, distance[k] + SETTLED * numbers[trees.SIZE])
+        found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, numbers, queue)
 
 
 @njit()
@@ -547,6 +586,8 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
     S = np.empty(ROWS * LANES)
     queue = np.empty((5, LANES), np.int64)
     ellipsoids = _ellipsoids()
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
     count = np.int64(0)
     for k in range(start, stop):
         if out[k] != AMBIGUOUS:
@@ -556,6 +597,17 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
         ib = row_of(k, shape, body_b)
         ka = row_of(k, shape, pose_a)
         kb = row_of(k, shape, pose_b)
+        if a[8][ia] >= 0 or b[8][ib] >= 0:
+            if count > 0:
+                _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+                count = np.int64(0)
+            trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+            while out[k] != COLLIDING:
+                found = _next_pieces(k, ka, kb, a, b, ib, margin, steps, numbers, queue)
+                if found == 0:
+                    break
+                _decide(rule, margin, found, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+            continue
         for i in range(a[3][ia], a[3][ia + 1]):
             for j in range(b[3][ib], b[3][ib + 1]):
                 queue[0, count], queue[1, count], queue[2, count] = k, i, j

@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of six arrays:
+A packed set of pieces is a tuple of nine arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -16,6 +16,8 @@ A packed set of pieces is a tuple of six arrays:
 ``single`` (P, HOT) float32
     The same in single precision, bounds rounded to their side; or no rows, if a piece is too large or too small for
     sixth powers of lengths in single precision.
+``groups`` (48 G,) float64, ``children`` (8 G,) int64, ``roots`` (n,) int64
+    Trees over the pieces of bodies that have many, see `trees`.
 
 Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
 C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,

@@ -1,0 +1,150 @@
+"""Which of many bodies meet: a broad phase over their boxes, then verdicts for the pairs it leaves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import batch, boxtree, verdicts
+from loewner._threads import over_blocks, share
+from loewner.bodies import Bodies, Body, Ints
+from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+
+# The smallest share of a crowd that is worth handing to a thread.
+CHUNK = 4096
+
+# Candidate pairs that are found before they are settled, beside the most that one group of boxes can have.
+CANDIDATES = 65536
+
+MODES = {"exact": verdicts.EXACT, "certified": verdicts.CERTIFY}
+
+
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = None, *, margin: float = 0.0, method: str = "exact"
+) -> Ints:
+    """Find all pairs of bodies that touch, overlap, or come within `margin` of each other.
+
+    Time and memory grow with the number of bodies and of pairs found, not with the number of all pairs.
+
+    Parameters
+    ----------
+    bodies : Bodies, or Body
+        n bodies, or one that stands at each of n poses.
+    T_world : array_like, shape (n, 4, 4), or None
+        Where each body is; translation in metres. None: all in their own frames.
+    margin : float
+        Metres; bodies this close count as colliding.
+    method : {"exact", "certified"}
+        "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
+        free: all that collide, and some that are ambiguous. `classify` tells them apart.
+
+    Returns
+    -------
+    ndarray of int64, shape (m, 2)
+        Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not there are proven free.
+
+    Raises
+    ------
+    PoseError
+        If there are not as many poses as bodies, or one is no rigid motion.
+    InputError
+        If `bodies` are no bodies, or the margin is negative or not finite.
+    UnknownNameError
+        If `method` is not one of the names above.
+    ConvergenceError
+        If the exact search could not settle a pair. It never answers "free" instead.
+
+    Examples
+    --------
+    >>> from loewner import Bodies, overlapping_pairs
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 1.0, 5.0]
+    >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
+    array([[0, 1]])
+    """
+    if method not in MODES:
+        raise UnknownNameError(f"method: expected one of {', '.join(MODES)}, found {method!r}")
+    keep = _check.positive_scalar(margin, "margin", zero=True)
+    n, steps, operands = _prepare(bodies, T_world)
+    if n < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    tree = _tree(n, steps, operands)
+
+    def settled(first: int, last: int) -> Ints:
+        return _settled(MODES[method], keep, first, last, tree, steps, operands)
+
+    leaves = -(-n // boxtree.WIDE)
+    keys = np.concatenate(list(over_blocks(settled, leaves, share(leaves, CHUNK // boxtree.WIDE))))
+    keys.sort()
+    return np.stack(np.divmod(keys, n), axis=1)
+
+
+def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Any, Floats]]:
+    """Number of bodies, whether each has its own pieces and its own pose (1) or not (0), pieces and poses."""
+    if not isinstance(bodies, (Body, Bodies)):
+        raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
+    T = _check.poses(T_world, "T_world")
+    if T_world is not None and T.ndim != 3:
+        raise PoseError(f"T_world: expected shape (n, 4, 4), found {_check.shape_text(T.shape)}")
+    if isinstance(bodies, Body):
+        n = 1 if T_world is None else len(T)
+    else:
+        n = len(bodies)
+        if T_world is not None and len(T) != n:
+            raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
+    steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
+    return n, steps, (bodies._packed.kernel, T.reshape(-1, 4, 4))
+
+
+def _tree(n: int, steps: tuple[int, int], operands: tuple[Any, Floats]) -> tuple[Floats, Ints, Ints]:
+    """Groups of boxes, where each level of them starts, and the order of the bodies in the lowest."""
+    lower, upper = np.empty((n, 3)), np.empty((n, 3))
+
+    def box(first: int, last: int) -> None:
+        boxtree.bounds(first, last, *steps, *operands, lower, upper)
+
+    for _ in over_blocks(box, n, share(n, CHUNK)):
+        pass
+    order = boxtree.ordered(lower, upper)
+    return (*boxtree.grown(lower, upper, order), order)
+
+
+def _settled(
+    mode: int,
+    margin: float,
+    first: int,
+    last: int,
+    tree: tuple[Floats, Ints, Ints],
+    steps: tuple[int, int],
+    operands: tuple[Any, Floats],
+) -> Ints:
+    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j."""
+    n = len(tree[2])
+    rows = np.empty((2, boxtree.WIDE * n + CANDIDATES), dtype=np.int64)
+    found = []
+    leaf = first
+    while leaf < last:
+        leaf, count = boxtree.candidates(leaf, last, margin, *tree, rows[0], rows[1])
+        a, b = rows[0, :count], rows[1, :count]
+        out = np.empty(count, dtype=np.int8)
+        batch.settle_listed(mode, margin, a, b, *steps, *operands, out, np.zeros(verdicts.TIERS, dtype=np.int64))
+        if mode == verdicts.EXACT:
+            _refuse_unsettled(out, a, b)
+        kept = out != verdicts.FREE
+        found.append(a[kept] * n + b[kept])
+    return np.concatenate(found)
+
+
+def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
+    """An answer that arithmetic could not settle is an exception, never a guess."""
+    unsettled = np.flatnonzero(out == verdicts.AMBIGUOUS)
+    if len(unsettled):
+        pair = int(a[unsettled[0]]), int(b[unsettled[0]])
+        raise ConvergenceError(
+            f"overlapping_pairs: {len(unsettled)} pairs could not be settled, the first of them {pair}; treat them as "
+            'colliding, or ask for method="certified"'
+        )

@@ -1,0 +1,291 @@
+"""Pairs that meet among many bodies: the same as asking about every pair."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loewner
+from families import FAMILIES, pieces, random_poses
+from loewner import Bodies, Body, Verdict, crowds, overlapping_pairs
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def all_pairs(bodies: Body | Bodies, T: np.ndarray):
+    """Numbers of all pairs, and the operands of a query about them."""
+    i, j = np.triu_indices(len(T), 1)
+    a, b = (bodies[i], bodies[j]) if isinstance(bodies, Bodies) else (bodies, bodies)
+    return np.stack([i, j], axis=1), (a, T[i], b, T[j])
+
+
+def brute(bodies: Body | Bodies, T: np.ndarray, margin: float = 0.0) -> np.ndarray:
+    """Pairs that `collide`, asked one by one."""
+    pairs, operands = all_pairs(bodies, T)
+    return pairs[loewner.collide(*operands, margin=margin)]
+
+
+def not_free(bodies: Body | Bodies, T: np.ndarray, margin: float) -> np.ndarray:
+    """Pairs that `classify` does not prove free."""
+    pairs, operands = all_pairs(bodies, T)
+    return pairs[loewner.classify(*operands, margin=margin) != Verdict.FREE]
+
+
+def axes(rng: np.random.Generator, n: int, decades: float) -> np.ndarray:
+    """Semi-axes of ellipsoids, sizes spread evenly over so many decades below 1."""
+    return rng.uniform(0.3, 1.0, size=(n, 3)) * 10 ** rng.uniform(-decades, 0.0, size=(n, 1))
+
+
+def snowman(rng: np.random.Generator) -> Body:
+    """Several pieces of different kinds, far from the body's own origin."""
+    parts = [
+        Body.sphere(0.4).transformed(random_poses(rng, 1)[0]),
+        Body.box(rng.uniform(0.1, 0.8, size=3)).transformed(random_poses(rng, 1)[0]),
+        Body.capsule(0.1, 0.6).transformed(random_poses(rng, 1)[0]),
+    ]
+    return Body.union(parts[: rng.integers(1, 4)])
+
+
+def crowd(kind: str, rng: np.random.Generator, n: int) -> Bodies:
+    if kind == "spheres":
+        return Bodies.spheres(rng.uniform(0.1, 0.6, size=n))
+    if kind == "ellipsoids":
+        return Bodies.ellipsoids(axes(rng, n, 0.0))
+    if kind == "mixed sizes":
+        return Bodies.ellipsoids(axes(rng, n, 3.0))
+    if kind == "several pieces":
+        return Bodies([snowman(rng) for _ in range(n)])
+    kinds = sorted(FAMILIES)
+    return Bodies.from_points([pieces(kinds[k % len(kinds)], 1, seed=k)[0] for k in range(n)])
+
+
+KINDS = ("spheres", "ellipsoids", "mixed sizes", "several pieces", "hulls")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("margin", [0.0, 0.2])
+def test_same_as_all_pairs(kind, margin):
+    """Exactly the pairs that a query of every pair gives, in order."""
+    rng = np.random.default_rng([5, KINDS.index(kind)])
+    bodies = crowd(kind, rng, 90)
+    T = random_poses(rng, 90, spread=0.8 if kind == "mixed sizes" else 2.5)
+    truth = brute(bodies, T, margin)
+    assert 10 < len(truth) < 90 * 89 // 2
+    found = overlapping_pairs(bodies, T, margin=margin)
+    assert found.dtype == np.int64
+    assert np.array_equal(found, truth)
+    # The boxes may prove free what `classify` alone leaves ambiguous, and never what collides.
+    unproven = overlapping_pairs(bodies, T, margin=margin, method="certified")
+    assert set(map(tuple, truth)) <= set(map(tuple, unproven))
+    assert set(map(tuple, unproven)) <= set(map(tuple, not_free(bodies, T, margin)))
+    assert len(unproven) >= 0.99 * len(not_free(bodies, T, margin))
+
+
+@given(SEEDS, st.integers(2, 40), st.floats(0.0, 6.0), st.floats(0.1, 30.0), st.floats(0.0, 3.0))
+def test_same_as_all_pairs_of_any_sizes(seed, n, decades, spread, margin):
+    """Sizes over any range, dense or sparse, near or far: no pair lost, none invented."""
+    rng = np.random.default_rng(seed)
+    bodies, T = Bodies.ellipsoids(axes(rng, n, decades)), random_poses(rng, n, spread)
+    assert np.array_equal(overlapping_pairs(bodies, T, margin=margin), brute(bodies, T, margin))
+
+
+def test_boxes_hold_their_bodies():
+    """Every vertex, placed in long doubles, is inside its body's box; the box is no wider than rounding asks for."""
+    rng = np.random.default_rng(2)
+    points = [pieces(family, 1)[0] for family in sorted(FAMILIES)]
+    bodies = Bodies.from_points(points)
+    n = len(points)
+    T = random_poses(rng, n)
+    T[::2, :3, 3] += 1e6
+    lower, upper = np.empty((n, 3)), np.empty((n, 3))
+    crowds.boxtree.bounds(0, n, 1, 1, bodies._packed.kernel, T, lower, upper)
+    exact = T.astype(np.longdouble)
+    for k in range(n):
+        x = bodies[k].pieces[0].vertices.astype(np.longdouble) @ exact[k, :3, :3].T + exact[k, :3, 3]
+        assert (x >= lower[k]).all()
+        assert (x <= upper[k]).all()
+    placed = bodies.outer.transformed(T)
+    half = np.sqrt(np.einsum("nii->ni", placed.shape_matrix))
+    np.testing.assert_allclose(upper - lower, 2 * half, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6, -1e12])
+def test_touching_row_of_cubes(far):
+    """Cubes in a row, faces in common: each meets its neighbours, wherever the row is."""
+    n = 40
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, 1, 3] = far + np.arange(n)
+    found = overlapping_pairs(Body.box([1, 1, 1]), T)
+    assert np.array_equal(found, np.stack([np.arange(n - 1), np.arange(1, n)], axis=1))
+
+
+def test_far_from_the_origin():
+    """A million metres out the answer is that of the rounded poses."""
+    rng = np.random.default_rng(6)
+    bodies, T = Bodies.ellipsoids(axes(rng, 60, 1.0)), random_poses(rng, 60, 2.0)
+    T[:, :3, 3] += [1e6, -2e6, 5e5]
+    assert np.array_equal(overlapping_pairs(bodies, T), brute(bodies, T))
+
+
+def test_one_far_away():
+    """A body far off spoils the order of the others, not the answer."""
+    rng = np.random.default_rng(7)
+    bodies, T = Bodies.ellipsoids(axes(rng, 60, 1.0)), random_poses(rng, 60, 1.0)
+    T[17, :3, 3] = [1e200, -1e300, 1.7e308]
+    truth = [pair for pair in brute(bodies, T).tolist() if 17 not in pair]
+    assert overlapping_pairs(bodies, T).tolist() == truth
+
+
+def test_all_in_one_place():
+    """Everybody meets everybody, more pairs than the buffer for candidates holds."""
+    n = 600
+    assert n * (n - 1) // 2 > crowds.CANDIDATES + crowds.boxtree.WIDE * n
+    found = overlapping_pairs(Body.sphere(1.0), np.tile(np.eye(4), (n, 1, 1)))
+    assert np.array_equal(found, np.stack(np.triu_indices(n, 1), axis=1))
+    assert np.array_equal(overlapping_pairs(Bodies.spheres(np.ones(n))), found)
+
+
+def test_few_bodies():
+    """None and one have no pairs; two may have one."""
+    for n in (0, 1):
+        for method in ("exact", "certified"):
+            assert overlapping_pairs(Bodies.spheres(np.ones(n)), method=method).shape == (0, 2)
+        assert overlapping_pairs(Body.sphere(1.0), np.tile(np.eye(4), (n, 1, 1))).shape == (0, 2)
+    assert overlapping_pairs(Body.sphere(1.0)).shape == (0, 2)
+    assert overlapping_pairs(Bodies.spheres([1.0, 2.0])).tolist() == [[0, 1]]
+
+
+def test_margin_is_monotone():
+    """A wider margin loses no pair, and a very wide one has them all."""
+    rng = np.random.default_rng(8)
+    bodies, T = Bodies.ellipsoids(axes(rng, 50, 2.0)), random_poses(rng, 50, 5.0)
+    before: set[tuple[int, ...]] = set()
+    for margin in (0.0, 0.1, 1.0, 3.0, 1e3):
+        found = {tuple(pair) for pair in overlapping_pairs(bodies, T, margin=margin).tolist()}
+        assert before <= found
+        before = found
+    assert len(before) == 50 * 49 // 2
+
+
+def test_certified_holds_all_exact_pairs():
+    """What the ellipsoids do not prove free includes every pair that meets."""
+    rng = np.random.default_rng(9)
+    bodies = crowd("hulls", rng, 80)
+    T = random_poses(rng, 80, 2.0)
+    exact = {tuple(pair) for pair in overlapping_pairs(bodies, T).tolist()}
+    certified = {tuple(pair) for pair in overlapping_pairs(bodies, T, method="certified").tolist()}
+    assert exact < certified
+
+
+def test_same_for_any_number_of_threads():
+    """The same array from one thread, from two, and again."""
+    rng = np.random.default_rng(10)
+    n = 3 * crowds.CHUNK
+    bodies, T = Bodies.ellipsoids(axes(rng, n, 1.0)), random_poses(rng, n, 15.0)
+    before = numba.get_num_threads()
+    found = []
+    try:
+        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS), 1):
+            numba.set_num_threads(threads)
+            found.append(overlapping_pairs(bodies, T))
+    finally:
+        numba.set_num_threads(before)
+    assert len(found[0]) > n // 10
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(found[0], found[2])
+
+
+def test_order_of_the_bodies_does_not_matter():
+    """Bodies in another order: the same pairs under their new numbers."""
+    rng = np.random.default_rng(12)
+    n = 2000
+    bodies, T = Bodies.ellipsoids(axes(rng, n, 2.0)), random_poses(rng, n, 4.0)
+    found = overlapping_pairs(bodies, T)
+    order = rng.permutation(n)
+    again = np.sort(order[overlapping_pairs(bodies[order], T[order])], axis=1)
+    assert np.array_equal(again[np.lexsort((again[:, 1], again[:, 0]))], found)
+
+
+def test_search_is_far_from_all_pairs():
+    """Small ones among large ones: boxes that meet are a small share of all pairs, and every one is reported once."""
+    rng = np.random.default_rng(13)
+    n = 4000
+    sizes = axes(rng, n, 3.0)
+    T = random_poses(rng, n, 1.5 * np.cbrt((4 * sizes.prod(axis=1)).sum()))
+    bodies = Bodies.ellipsoids(sizes)
+    _, steps, operands = crowds._prepare(bodies, T)
+    tree = crowds._tree(n, steps, operands)
+    rows = np.empty((2, 10 * n), dtype=np.int64)
+    leaf, count = crowds.boxtree.candidates(0, -(-n // crowds.boxtree.WIDE), 0.0, *tree, rows[0], rows[1])
+    assert leaf == n // crowds.boxtree.WIDE
+    lower, upper = np.empty((n, 3)), np.empty((n, 3))
+    crowds.boxtree.bounds(0, n, *steps, *operands, lower, upper)
+    meet = ((lower[:, None] <= upper[None]) & (upper[:, None] >= lower[None])).all(axis=2)
+    truth = np.argwhere(np.triu(meet, 1))
+    assert count == len(truth)
+    assert {tuple(p) for p in rows[:, :count].T.tolist()} == {tuple(p) for p in truth.tolist()}
+    assert len(truth) < 2 * n
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "error", "words"),
+    [
+        (
+            ([Body.sphere(1.0)], None),
+            {},
+            loewner.InputError,
+            "bodies: expected loewner.Bodies or loewner.Body, found list",
+        ),
+        ((Bodies.spheres([1.0, 1.0]), np.eye(4)), {}, loewner.PoseError, "(n, 4, 4), found (4, 4)"),
+        ((Bodies.spheres([1.0, 1.0]), np.tile(np.eye(4), (3, 1, 1))), {}, loewner.PoseError, "2 bodies, found 3"),
+        ((Bodies.spheres([1.0, 1.0]), np.zeros((2, 4, 4))), {}, loewner.PoseError, "last row"),
+        ((Bodies.spheres([1.0, 1.0]), None), {"margin": -1.0}, loewner.InputError, "margin: expected"),
+        ((Bodies.spheres([1.0, 1.0]), None), {"margin": np.inf}, loewner.InputError, "margin: expected"),
+        ((Bodies.spheres([1.0, 1.0]), None), {"method": "guess"}, loewner.UnknownNameError, "exact, certified, found"),
+    ],
+)
+def test_bad_input(arguments, options, error, words):
+    """What was expected and what was found."""
+    with pytest.raises(error) as caught:
+        overlapping_pairs(*arguments, **options)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "argument", "words"),
+    [
+        (Bodies.spheres, [1.0, 0.0], "radii: expected numbers > 0, found 0.0 at index (1,)"),
+        (Bodies.spheres, 1.0, "radii: expected shape (n,), found ()"),
+        (Bodies.ellipsoids, [[1.0, 2.0, np.nan]], "semi_axes: expected finite numbers"),
+        (Bodies.ellipsoids, [[1.0, 2.0]], "semi_axes: expected shape (n, 3), found (1, 2)"),
+    ],
+)
+def test_bad_sizes(make, argument, words):
+    """Sizes that are no sizes are named."""
+    with pytest.raises(loewner.InputError) as caught:
+        make(argument)
+    assert words in str(caught.value)
+
+
+def test_many_at_once_are_those_one_by_one():
+    """`spheres` and `ellipsoids` make the same bodies as their namesakes of `Body`."""
+    rng = np.random.default_rng(14)
+    sizes = axes(rng, 5, 2.0)
+    for many, single in (
+        (Bodies.ellipsoids(sizes), Bodies([Body.ellipsoid(s) for s in sizes])),
+        (Bodies.spheres(sizes[:, 0]), Bodies([Body.sphere(s) for s in sizes[:, 0]])),
+    ):
+        for left, right in zip(many._packed.kernel, single._packed.kernel, strict=True):
+            np.testing.assert_array_equal(left, right)
+
+
+def test_unsettled_pairs_are_an_error(monkeypatch):
+    """A pair that arithmetic cannot settle is named, not dropped."""
+
+    def gives_up(mode, margin, a, b, body_step, pose_step, pack, T, out, tally):
+        out[:] = Verdict.AMBIGUOUS
+
+    monkeypatch.setattr(crowds.batch, "settle_listed", gives_up)
+    with pytest.raises(loewner.ConvergenceError, match=r"first of them \(0, 1\)"):
+        overlapping_pairs(Bodies.spheres([1.0, 1.0]))
