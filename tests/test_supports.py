@@ -184,3 +184,21 @@ def test_large_hulls_measure_as_their_vertices_say(other: str):
         assert result.witness_b[k] - result.witness_a[k] == pytest.approx(d * n, abs=1e-9)
     back = loewner.distance(b, Tb, a, Ta, exact=True)
     assert back.distance == pytest.approx(result.distance, abs=1e-9)
+
+
+@pytest.mark.parametrize("wobble", [0.0, 1e-16, 1e-15, 1e-14])
+def test_facing_faces_are_apart(wobble: float):
+    """Faces of many nearly coplanar vertices, parallel and apart: flat simplices never pass for an overlap."""
+    rng = np.random.default_rng(6)
+    sides, gap, pairs = 12, 0.25, 300
+    shapes_a = [prism(sides, 1.0) + wobble * rng.normal(size=(2 * sides, 3)) for _ in range(pairs)]
+    shapes_b = [prism(sides, 1.0) + wobble * rng.normal(size=(2 * sides, 3)) for _ in range(pairs)]
+    a, b = Bodies.from_points(shapes_a), Bodies.from_points(shapes_b)
+    Tb = np.tile(np.eye(4), (pairs, 1, 1))
+    Tb[:, :2, 3] = rng.uniform(-1, 1, size=(pairs, 2))
+    Tb[:, 2, 3] = 1.0 + gap
+    result = loewner.distance(a, None, b, Tb, exact=True)
+    assert result.distance == pytest.approx(gap, abs=1e-12)
+    assert not loewner.collide(a, None, b, Tb).any()
+    assert not loewner.collide(a, None, b, Tb, margin=gap - 1e-9).any()
+    assert loewner.collide(a, None, b, Tb, margin=gap + 1e-9).all()

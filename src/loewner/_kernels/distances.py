@@ -57,6 +57,10 @@ P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
 ROWS = 102
 
+# Rows of the queue: which pair, pieces and poses each lane stands for; lanes that the fast search could not settle.
+PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, LATE = 0, 1, 2, 3, 4, 5
+QUEUE = 6
+
 AHEAD = 2  # lanes between asking for a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
@@ -279,15 +283,14 @@ def _polish_upper_bounds(S, count):
 
 
 @njit()
-def _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S):
+def _bounds(count, queue, ta, Ta, tb, Tb, S):
     """Both bounds for the queued piece pairs."""
-    pi, pj, pa, pb, S = borrowed(pi), borrowed(pj), borrowed(pa), borrowed(pb), borrowed(S)
-    ta, Ta, tb, Tb = borrowed(ta), borrowed(Ta), borrowed(tb), borrowed(Tb)
+    queue, S, ta, Ta, tb, Tb = borrowed(queue), borrowed(S), borrowed(ta), borrowed(Ta), borrowed(tb), borrowed(Tb)
     padded = (count + 7) // 8 * 8
     for lane in range(padded):
         # Whole vectors: what is left over is filled up with the last pair.
         k = min(lane, count - 1)
-        i, j, ka, kb = pi[k], pj[k], pa[k], pb[k]
+        i, j, ka, kb = queue[PIECE_A, k], queue[PIECE_B, k], queue[POSE_A, k], queue[POSE_B, k]
         for r in range(3):
             for c in range(3):
                 S[(ROT_A + 3 * r + c) * LANES + lane] = Ta[ka, r, c]
@@ -339,41 +342,6 @@ def estimated_distance(F_outer, F_inner, width):
     """
     g = np.sqrt(np.sqrt(max(F_outer * F_inner, 0.0)))
     return width * (1.0 - 1.0 / g) if g > 0.0 else -np.inf
-
-
-@inline
-def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, error, W, work, result):
-    """Signed distance of two pieces.
-
-    `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
-
-    Returns
-    -------
-    distance, gap : float
-        The signed distance of the witnesses, and how far the bounds on it are apart.
-    """
-    dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
-    dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
-    dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    if not nx * nx + ny * ny + nz * nz > 0.0:
-        nx, ny, nz = 1.0, 0.0, 0.0
-    ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
-    status, lower, upper = near(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error, -np.inf, np.inf,
-        result,
-    )  # fmt: skip
-    ra, rb = radius(ta, la, i), radius(tb, lb, j)
-    if status == NEAREST:
-        upper -= ra + rb
-        gap = upper - (lower - ra - rb)
-    else:
-        upper, gap = _distance_with_care(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, status == INSIDE, work, result
-        )
-    for c in range(3):
-        result[3 + c] += ra * result[c]
-        result[6 + c] -= rb * result[c]
-    return upper, gap
 
 
 @njit()
@@ -453,8 +421,8 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
     """Distances of pairs start .. stop, operands as in `batch`; the last five arrays are written only if `exact`."""
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
-    queue = np.empty((5, LANES), np.int64)
-    spaces = (scratch(), np.empty(9), workspace(exact), _ellipsoids())
+    queue = np.empty((QUEUE, LANES), np.int64)
+    spaces = (scratch(), np.empty(9), _ellipsoids())
     out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
     count = np.int64(0)
     for k in range(start, stop):
@@ -476,8 +444,8 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
             continue
         for i in range(a[3][ia], a[3][ia + 1]):
             for j in range(b[3][ib], b[3][ib + 1]):
-                queue[0, count], queue[1, count], queue[2, count] = k, i, j
-                queue[3, count], queue[4, count] = ka, kb
+                queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
+                queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
                 if count == LANES:
                     _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
@@ -522,15 +490,10 @@ def _measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, 
 @njit()
 def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
     """Measure the queued piece pairs and merge them into the results of their pairs."""
-    pair, pi, pj, pa, pb = queue[0], queue[1], queue[2], queue[3], queue[4]
-    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
-    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
-    Ta, Tb, S = borrowed(Ta), borrowed(Tb), borrowed(S)
-    W, result, work, ellipsoids = borrowed(spaces[0]), borrowed(spaces[1]), spaces[2], spaces[3]
-    lower, upper, estimate, distance, witness_a, witness_b, normal, status = out
-    _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S)
+    _bounds(count, queue, a[0], Ta, b[0], Tb, S)
+    lower, upper, estimate = out[0], out[1], out[2]
     for lane in range(count):
-        k, i, j, ka, kb = pair[lane], pi[lane], pj[lane], pa[lane], pb[lane]
+        k = queue[PAIR, lane]
         below = S[BELOW * LANES + lane]
         above = S[ABOVE * LANES + lane]
         lower[k] = min(lower[k], below)
@@ -538,30 +501,88 @@ def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
         if rule == CONTACT_PRODUCT:
             guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
         else:
-            guess = _rule_estimate(rule, ta, factors[:2], i, Ta[ka], tb, factors[2:], j, Tb[kb], ellipsoids)
-        estimate[k] = min(estimate[k], max(below, min(above, guess)))
-        if not exact:
-            continue
-        if lane + AHEAD < count:
-            prefetch_points(la, xa, pi[lane + AHEAD])
-            prefetch_points(lb, xb, pj[lane + AHEAD])
-        if below < distance[k]:
-            size = S[SIZE * LANES + lane]
-            value, gap = exact_piece_distance(
-                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, S[NORMAL * LANES + lane],
-                S[(NORMAL + 1) * LANES + lane], S[(NORMAL + 2) * LANES + lane], POSITION_ROUNDINGS * size,
-                W, work, result,
+            guess = _rule_estimate(
+                rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
+                b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
             )  # fmt: skip
-            gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
-            curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
-            if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
-                status[k] = NOT_SETTLED
-            if value < distance[k]:
-                distance[k] = value
-                for c in range(3):
-                    normal[k, c] = result[c]
-                    witness_a[k, c] = result[3 + c] + Ta[ka, c, 3]
-                    witness_b[k, c] = result[6 + c] + Ta[ka, c, 3]
+        estimate[k] = min(estimate[k], max(below, min(above, guess)))
+    if exact:
+        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[1], out)
+        if late > 0:
+            _measure_late(late, queue, a, Ta, b, Tb, S, spaces[1], out)
+
+
+@njit()
+def _measure_near(count, queue, a, Ta, b, Tb, S, W, result, out):
+    """Exact distances by the fast search; the lanes it leaves go to the front of the queue's last row."""
+    ta, la, xa, Ta = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(Ta)
+    tb, lb, xb, Tb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2]), borrowed(Tb)
+    queue, S, W, result, distance = borrowed(queue), borrowed(S), borrowed(W), borrowed(result), borrowed(out[3])
+    late = 0
+    for lane in range(count):
+        if lane + AHEAD < count:
+            prefetch_points(la, xa, queue[PIECE_A, lane + AHEAD])
+            prefetch_points(lb, xb, queue[PIECE_B, lane + AHEAD])
+        if not S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
+            continue
+        i, j, ka, kb = queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane], queue[POSE_B, lane]
+        dx, dy, dz = _three(S, SHIFT, lane)
+        nx, ny, nz = _three(S, NORMAL, lane)
+        error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
+        ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
+        status, below, above = near(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error,
+            -np.inf, np.inf, result,
+        )  # fmt: skip
+        if status == NEAREST:
+            radii = radius(ta, la, i) + radius(tb, lb, j)
+            _record(lane, queue, ta, la, tb, lb, Ta, S, above - radii, above - below, result, out)
+        else:
+            queue[LATE, late] = 2 * lane + (status == INSIDE)
+            late += 1
+    return late
+
+
+@njit()
+def _measure_late(late, queue, a, Ta, b, Tb, S, result, out):
+    """Exact distances of the lanes that the fast search left; only they need the large work space."""
+    ta, la, xa = a[0], a[1], a[2]
+    tb, lb, xb = b[0], b[1], b[2]
+    work = workspace(True)
+    for m in range(late):
+        lane = queue[LATE, m] // 2
+        inside = queue[LATE, m] % 2 == 1
+        if not S[BELOW * LANES + lane] < out[3][queue[PAIR, lane]]:
+            continue
+        i, j, ka, kb = queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane], queue[POSE_B, lane]
+        dx, dy, dz = _three(S, SHIFT, lane)
+        nx, ny, nz = _three(S, NORMAL, lane)
+        error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
+        value, gap = _distance_with_care(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, inside, work, result
+        )
+        _record(lane, queue, ta, la, tb, lb, Ta, S, value, gap, result, out)
+
+
+@inline
+def _record(lane, queue, ta, la, tb, lb, Ta, S, value, gap, result, out):
+    """Merge the exact distance of two pieces, and how far the bounds on it are apart, into the result of their pair.
+
+    `result` holds the normal and the witnesses of the cores, relative to a's translation.
+    """
+    _, _, _, distance, witness_a, witness_b, normal, status = out
+    k, i, j, ka = queue[PAIR, lane], queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane]
+    gap = min(gap, value - S[BELOW * LANES + lane])  # the ellipsoids' own bound may be the better one
+    curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
+    if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * S[SIZE * LANES + lane]:
+        status[k] = NOT_SETTLED
+    if value < distance[k]:
+        distance[k] = value
+        ra, rb = radius(ta, la, i), radius(tb, lb, j)
+        for c in range(3):
+            normal[k, c] = result[c]
+            witness_a[k, c] = result[3 + c] + ra * result[c] + Ta[ka, c, 3]
+            witness_b[k, c] = result[6 + c] - rb * result[c] + Ta[ka, c, 3]
 
 
 @njit()
@@ -584,7 +605,7 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
     """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
-    queue = np.empty((5, LANES), np.int64)
+    queue = np.empty((QUEUE, LANES), np.int64)
     ellipsoids = _ellipsoids()
     steps = np.empty(trees.STEPS, np.int64)
     numbers = np.empty(trees.NUMBERS)
@@ -610,8 +631,8 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
             continue
         for i in range(a[3][ia], a[3][ia + 1]):
             for j in range(b[3][ib], b[3][ib + 1]):
-                queue[0, count], queue[1, count], queue[2, count] = k, i, j
-                queue[3, count], queue[4, count] = ka, kb
+                queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
+                queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
                 if count == LANES:
                     _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
@@ -623,18 +644,19 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
 @njit()
 def _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out):
     """Decide the queued piece pairs by a rule."""
-    pair, pi, pj, pa, pb = queue[0], queue[1], queue[2], queue[3], queue[4]
     ta, tb = a[0], b[0]
-    _bounds(count, pi, pj, pa, pb, ta, Ta, tb, Tb, S)
+    _bounds(count, queue, ta, Ta, tb, Tb, S)
     for lane in range(count):
-        if S[BELOW * LANES + lane] > margin or out[pair[lane]] == COLLIDING:
+        k = queue[PAIR, lane]
+        if S[BELOW * LANES + lane] > margin or out[k] == COLLIDING:
             continue
         if rule == CONTACT_PRODUCT:
             guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
         else:
             guess = _rule_estimate(
-                rule, ta, factors[:2], pi[lane], Ta[pa[lane]], tb, factors[2:], pj[lane], Tb[pb[lane]], ellipsoids
-            )
+                rule, ta, factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
+                tb, factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], ellipsoids,
+            )  # fmt: skip
         # NaN counts as colliding, as it should never arise and must not free anybody.
         if not guess > margin:
-            out[pair[lane]] = COLLIDING
+            out[k] = COLLIDING
