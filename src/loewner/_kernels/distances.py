@@ -20,6 +20,9 @@ from loewner._kernels.contact import (
 from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.gjk import UNSETTLED, rounding_error, run
 from loewner._kernels.near_points import estimate_f
+from loewner._kernels.polytope_depth import UNSETTLED as DEPTH_UNSETTLED
+from loewner._kernels.polytope_depth import overlap_depth
+from loewner._kernels.polytope_depth import workspace as depth_workspace
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -149,8 +152,9 @@ def estimated_distance(F_outer, F_inner, width):
 
 
 @njit()
-def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result):
-    """Signed distance of two pieces.
+def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, overlapping, G, weights, v, d, work,
+                         W, K, result):  # fmt: skip
+    """Signed distance of two pieces, sought from the normal n; `overlapping` says what to expect.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
 
@@ -165,6 +169,11 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
+    polytopes = la[i, KIND] == POLYTOPE and lb[j, KIND] == POLYTOPE
+    if polytopes and overlapping:
+        unsettled, shallow, deep = overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result)
+        if unsettled != DEPTH_UNSETTLED:
+            return -deep, deep - shallow
     status, lower, upper, k = run(
         ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
     )
@@ -179,6 +188,12 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
             for row in range(k):
                 result[3 + c] += weights[row] * G[row, 3 + c]
     else:
+        if polytopes and not overlapping:
+            unsettled, shallow, deep = overlap_depth(
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result
+            )
+            if unsettled != DEPTH_UNSETTLED:
+                return -deep, deep - shallow
         S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
         # The depth sought is the upper bound: the support plane of the normal that comes with it.
         accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
@@ -221,6 +236,7 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
     d = np.empty(3)
     result = np.empty(9)
     work = workspace(exact)
+    W, K = depth_workspace(exact)
     ai, ao, bi, bo = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     Fai, Fao, Fbi, Fbo = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for k in range(start, stop):
@@ -257,8 +273,9 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
                     value, gap = exact_piece_distance(
-                        ta, a[1], a[2], i, Ta, ka, tb, b[1], b[2], j, Tb, kb, nx, ny, nz, G, weights, v, d, work, result
-                    )
+                        ta, a[1], a[2], i, Ta, ka, tb, b[1], b[2], j, Tb, kb, nx, ny, nz, F_outer * F_inner < 1.0,
+                        G, weights, v, d, work, W, K, result,
+                    )  # fmt: skip
                     gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
                     curved = a[1][i, KIND] != POLYTOPE or b[1][j, KIND] != POLYTOPE
                     if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
