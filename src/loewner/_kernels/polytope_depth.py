@@ -221,6 +221,40 @@ def _first_points(W, K, vectors_a, vectors_b, nx, ny, nz):
 
 
 @inline
+def _points_across(W, K, vectors_a, vectors_b, nx, ny, nz):
+    """Points 0..3 of A - B once more, for pieces with few corners or thin ones: each across what is there already."""
+    _add_point(W, K, 0, vectors_a, vectors_b, nx, ny, nz)
+    _add_point(W, K, 1, vectors_a, vectors_b, -nx, -ny, -nz)
+    ax, ay, az = _row(W, 0)
+    bx, by, bz = _row(W, 1)
+    ex, ey, ez = bx - ax, by - ay, bz - az
+    if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
+        px, py, pz = 0.0, -ez, ey
+    elif abs(ey) <= abs(ez):
+        px, py, pz = ez, 0.0, -ex
+    else:
+        px, py, pz = -ey, ex, 0.0
+    _farther_point(W, K, 2, vectors_a, vectors_b, px, py, pz)
+    cx, cy, cz = _row(W, 2)
+    ux, uy, uz = cx - ax, cy - ay, cz - az
+    _farther_point(W, K, 3, vectors_a, vectors_b, ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux)
+
+
+@inline
+def _farther_point(W, K, p, vectors_a, vectors_b, x, y, z):
+    """Point p along a direction or against it, whichever is farther from point 0."""
+    ax, ay, az = _row(W, 0)
+    height = x * ax + y * ay + z * az
+    against = _add_point(W, K, p + 1, vectors_a, vectors_b, -x, -y, -z)
+    along = _add_point(W, K, p, vectors_a, vectors_b, x, y, z)
+    if along - height < against + height:
+        K[_CORNER_A + p] = K[_CORNER_A + p + 1]
+        K[_CORNER_B + p] = K[_CORNER_B + p + 1]
+        for c in range(3):
+            W[_POINT + _POINT_ROW * p + c] = W[_POINT + _POINT_ROW * (p + 1) + c]
+
+
+@inline
 def _first_shell(W, K):
     """The four faces over points 0..3, facing outward; False if they are too thin."""
     ax, ay, az = _row(W, 0)
@@ -396,7 +430,9 @@ def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K
     for c in range(MAX_FACES):
         W[_OFFSET + c] = np.inf
     if not _first_shell(W, K):
-        return UNSETTLED, -np.inf, np.inf
+        _points_across(W, K, vectors_a, vectors_b, nx, ny, nz)
+        if not _first_shell(W, K):
+            return UNSETTLED, -np.inf, np.inf
     live = np.int64(15)
     upper = np.inf
     for used in range(4, MAX_POINTS):
