@@ -17,6 +17,7 @@ from loewner._kernels.contact import (
     rotated,
     separation,
 )
+from loewner._kernels.curved import is_round, round_distance
 from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.gjk import UNSETTLED, rounding_error, run
 from loewner._kernels.near_points import estimate_f
@@ -43,7 +44,7 @@ POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tigh
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Two curved pieces about one centre tie in every direction: the depth found is then right to rounding, but
+# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding, but
 # the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of a
 # plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
@@ -166,6 +167,9 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
     dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
     dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
     dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
+    if is_round(la, i) and is_round(lb, j):
+        size = ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz)
+        return round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz, size, result)
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
@@ -278,7 +282,8 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                     )  # fmt: skip
                     gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
                     curved = a[1][i, KIND] != POLYTOPE or b[1][j, KIND] != POLYTOPE
-                    if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * size:
+                    proven = is_round(a[1], i) and is_round(b[1], j)
+                    if not gap <= (SETTLED_CURVED if curved and value < 0.0 and not proven else SETTLED) * size:
                         status[k] = NOT_SETTLED
                     if value < distance[k]:
                         distance[k] = value
