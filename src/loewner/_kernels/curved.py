@@ -14,9 +14,9 @@ inequality of Cauchy and Schwarz (√x + √y)² is the least of (1 + 1/r) x + (
 
 where D(p, q) is the signed distance of the point c from the boundary of one ellipsoid: a secular equation with one
 root. One dimension is left, and D is concave in (p, q) as a minimum of concave functions. The arc of the
-hyperbola (p - 1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point where
-the tangents there meet, hence D on the arc is at least its linear interpolation in the triangle. The gap shrinks with the
-square of the interval, and branch and bound over r settles the rest.
+hyperbola (p - 1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point where the
+tangents there meet, hence D on the arc is at least its linear interpolation in the triangle. The gap shrinks
+with the square of the interval, and branch and bound over r settles the rest.
 
 References
 ----------
@@ -32,7 +32,7 @@ from loewner._kernels.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND,
 
 # Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
 MAX_STEPS = 80
-DAMPING_LIMIT = 1e12  # damping, relative to the size, at which a step no longer moves the normal
+DAMPING_LIMIT = 1e3  # damping, relative to the size, at which a step no longer moves the normal
 
 MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
 MAX_SECULAR = 60  # mostly 4 or 5
@@ -41,7 +41,7 @@ MAX_SECULAR = 60  # mostly 4 or 5
 # look at. Rounding in D itself is about 1e-15.
 PROOF_GAP = 1e-11
 MAX_INTERVALS = 600
-GROWTH = 4.0  # factor between the first intervals' distances from the minimum, in log r
+GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
 _STACK = 160
 
 # The share of the smallest radius of curvature up to which a depth is taken for unique: less than all, for rounding.
@@ -153,7 +153,7 @@ def descend(FA, FB, c, n, size):
     h, s1, s2, h11, h12, h22, e, g = _model(FA, FB, c, n)
     slope = np.sqrt(s1 * s1 + s2 * s2)
     for _ in range(MAX_STEPS):
-        if slope <= 0.25 * rounding:
+        if slope <= rounding:
             break
         # The least eigenvalue must be positive for a way down.
         mean = 0.5 * (h11 + h22)
@@ -190,9 +190,9 @@ def descend(FA, FB, c, n, size):
 
 @inline
 def _turn(a, b, off):
-    """Cosine and sine of the Jacobi rotation that clears the off-diagonal entry between a and b."""
-    theta = 0.5 * (b - a) / off
-    t = np.copysign(1.0, theta) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    """Tangent, cosine and sine of the Jacobi rotation that clears the off-diagonal entry between a and b."""
+    theta = 0.5 * (b - a)
+    t = off / (theta + np.copysign(np.sqrt(theta * theta + off * off), theta))
     cosine = 1.0 / np.sqrt(t * t + 1.0)
     return t, cosine, t * cosine
 
@@ -212,7 +212,7 @@ def _form(M, V, j, k):
 def eigen(M, V):
     """Eigenvalues of a symmetric matrix, unordered, by Jacobi's method.
 
-    V must be orthogonal: the eigenvectors of a similar matrix save most of the work. Its columns become the eigenvectors.
+    V must be orthogonal: the eigenvectors of a similar matrix save work. Its columns become the eigenvectors.
     """
     m00, m01, m02 = _form(M, V, 0, 0), _form(M, V, 0, 1), _form(M, V, 0, 2)
     m11, m12, m22 = _form(M, V, 1, 1), _form(M, V, 1, 2), _form(M, V, 2, 2)
@@ -340,13 +340,12 @@ def _ratio(FA, FB, n):
 
 
 @njit()
-def _refined(FA, FB, P, Q, c, n, size, V):
-    """Local minimum of h reached from n.
+def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
+    """Go on where a descent has ended with a slope left.
 
     Where Newton's steps stall, as they may on the needle-sharp ends of thin ellipsoids, the enclosing
     ellipsoid that touches at n leads on: its own nearest point is never worse.
     """
-    n, h, slope = descend(FA, FB, c, n, size)
     for _ in range(MAX_RESTARTS):
         if slope <= STEEP * size:
             break
@@ -388,9 +387,12 @@ def global_minimum(FA, FB, c, n, size):
     h, lower, slope : float
         That value, a lower bound on all values, and how far the witnesses at n are off each other.
     """
+    n, h, slope = descend(FA, FB, c, n, size)
+    if h <= 0.0 and slope <= STEEP * size:
+        return n, h, h, slope
     V = np.eye(3)
     P, Q = _gram(FA), _gram(FB)
-    n, h, slope = _refined(FA, FB, P, Q, c, n, size, V)
+    n, h, slope = _refined(FA, FB, P, Q, c, n, h, slope, size, V)
     if h <= 0.0:
         return n, h, h, slope
     small_a, large_a = _axes(P, V)
@@ -455,7 +457,8 @@ def _rounding(one, two, P, Q, h):
 @njit()
 def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
     """The lower of the minimum known and the one reached from another vector."""
-    other, value, left = _refined(FA, FB, P, Q, c, other, size, V)
+    other, value, left = descend(FA, FB, c, other, size)
+    other, value, left = _refined(FA, FB, P, Q, c, other, value, left, size, V)
     if value < h:
         return other, value, left
     return n, h, slope

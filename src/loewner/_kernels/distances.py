@@ -44,9 +44,9 @@ POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tigh
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding, but
-# the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of a
-# plane and two witnesses, never less than the true one.
+# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding,
+# but the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of
+# a plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
