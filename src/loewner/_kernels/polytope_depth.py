@@ -21,7 +21,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.contact import POSITION_ROUNDINGS
 from loewner._kernels.epa import DEPTH_ACCURACY, WITNESS_WINDOW
 from loewner._kernels.shapes import POINTS_FROM, POINTS_TO, REACH
-from loewner._kernels.vectors import bits, choose, larger, load, smaller, store, vector
+from loewner._kernels.vectors import bits, choose, larger, load, mask, smaller, store, vector
 
 SETTLED, UNSETTLED = 0, 1
 
@@ -96,6 +96,16 @@ def _first_bit(typingctx, x):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
 
     return signature(types.int64, types.int64), generate
+
+
+@intrinsic
+def _lanes(typingctx, x):
+    """Mask of eight lanes from the low eight bits of an integer."""
+
+    def generate(context, builder, sig, args):
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(8)), ir.VectorType(ir.IntType(1), 8))
+
+    return signature(mask, types.int64), generate
 
 
 @intrinsic
@@ -195,13 +205,10 @@ def _make_face(W, K, f, u, v, w):
     nz = ax * by - ay * bx
     area = np.sqrt(nx * nx + ny * ny + nz * nz)
     scale = 1.0 / area
-    nx *= scale
-    ny *= scale
-    nz *= scale
-    W[_NX + f] = nx
-    W[_NY + f] = ny
-    W[_NZ + f] = nz
-    W[_OFFSET + f] = (nx * (ux + vx + wx) + ny * (uy + vy + wy) + nz * (uz + vz + wz)) * THIRD
+    W[_NX + f] = nx * scale
+    W[_NY + f] = ny * scale
+    W[_NZ + f] = nz * scale
+    W[_OFFSET + f] = (nx * (ux + vx + wx) + ny * (uy + vy + wy) + nz * (uz + vz + wz)) * (THIRD * scale)
     return area > FLAT_FACE * max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz)
 
 
@@ -289,44 +296,53 @@ def _join(K, f, e, g, h):
 @inline
 def _seen(W, live, x, y, z, error):
     """Mask of the faces in front of which the point lies."""
-    mask = np.int64(0)
+    seen = np.int64(0)
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
         height = load(W, _NX + c) * x + load(W, _NY + c) * y + load(W, _NZ + c) * z
-        mask |= bits(height > load(W, _OFFSET + c) + error) << c
-    return mask & live
+        seen |= bits(height > load(W, _OFFSET + c) + error) << c
+    return seen & live
 
 
 @inline
 def _nearest(W, live):
-    """Number of the face with the least offset."""
-    least = load(W, _OFFSET)
-    for c in range(8, MAX_FACES, 8):
+    """Number and offset of the live face with the least offset."""
+    least = _spread(np.inf)
+    for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
-        least = smaller(load(W, _OFFSET + c), least)
-    return _first_bit(_not_above(W, live, _lowest(least)))
+        least = smaller(choose(_lanes(live >> c), load(W, _OFFSET + c), least), least)
+    bound = _lowest(least)
+    return _first_bit(_not_above(W, live, bound)), bound
 
 
 @inline
 def _not_above(W, live, bound):
     """Mask of the faces with an offset of at most `bound`."""
-    mask = np.int64(0)
+    found = np.int64(0)
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
-        mask |= bits(load(W, _OFFSET + c) <= bound) << c
-    return mask & live
+        found |= bits(load(W, _OFFSET + c) <= bound) << c
+    return found & live
 
 
 @inline
 def _expand(W, K, live, seen, w):
     """Replace the faces seen from point w by a fan around it.
 
-    Returns the mask of live faces, or 0 if the rim of what is seen is not one closed line, there is no room or a
-    face is too thin.
+    Returns
+    -------
+    live : int
+        Mask of the faces there are now, or 0 if the rim of what is seen is not one closed line, there is no room or
+        a face is too thin.
+    nearest : int
+    least : float
+        The face with the least offset, and that offset. It is sought among the old faces before the new
+        ones are written, so that nothing waits for those.
     """
+    nearest, least = _nearest(W, live & ~seen)
     count = 0
     rest = seen
     while rest != 0:
@@ -344,7 +360,7 @@ def _expand(W, K, live, seen, w):
     last = np.int64(0)
     for r in range(count):
         if room == 0:
-            return np.int64(0)
+            return np.int64(0), nearest, least
         last = _first_bit(room)
         room &= room - 1
         made |= np.int64(1) << last
@@ -354,6 +370,9 @@ def _expand(W, K, live, seen, w):
         K[_TWIN + 4 * last] = twin
         K[_TWIN + twin] = 4 * last
         K[_START + u] = last
+        offset = W[_OFFSET + last]
+        if offset < least:
+            nearest, least = last, offset
     # Walk along the rim; it must come back to where it began after all its edges and not before.
     back = 0
     g = last
@@ -364,12 +383,8 @@ def _expand(W, K, live, seen, w):
         g = h
         back += g == last
     if not fine or back != 1 or g != last:
-        return np.int64(0)
-    rest = seen & ~made
-    while rest != 0:
-        W[_OFFSET + _first_bit(rest)] = np.inf
-        rest &= rest - 1
-    return (live & ~seen) | made
+        return np.int64(0), nearest, least
+    return (live & ~seen) | made, nearest, least
 
 
 @inline
@@ -393,7 +408,7 @@ def _area(nx, ny, nz, ux, uy, uz, vx, vy, vz):
     return nx * (uy * ez - uz * ey) + ny * (uz * ex - ux * ez) + nz * (ux * ey - uy * ex)
 
 
-@njit()
+@inline
 def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result):
     """Depth of two polytopes that overlap.
 
@@ -413,33 +428,37 @@ def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K
     lower, upper : float
         Bounds on the depth to within rounding; `upper` is that of the support plane of the normal.
     """
-    corners = max(la[i, POINTS_TO] - la[i, POINTS_FROM], lb[j, POINTS_TO] - lb[j, POINTS_FROM])
-    if corners > MAX_CORNERS:
-        return UNSETTLED, -np.inf, np.inf
+    # Inlined, so that only three arrays are handed on: passing all of them costs as much as this does.
     dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
     dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
     dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
     error = POSITION_ROUNDINGS * (ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz))
+    vectors_a = vectors_b = 0
+    if max(la[i, POINTS_TO] - la[i, POINTS_FROM], lb[j, POINTS_TO] - lb[j, POINTS_FROM]) <= MAX_CORNERS:
+        vectors_a = _place(la, xa, i, Ta, ka, 0.0, 0.0, 0.0, W, _A)
+        vectors_b = _place(lb, xb, j, Tb, kb, dx, dy, dz, W, _B)
+    return _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result)
+
+
+@njit()
+def _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result):
+    """`overlap_depth` of corners already placed, so many vectors of eight; none of them if they are too many."""
+    if vectors_a == 0:
+        return UNSETTLED, -np.inf, np.inf
     tolerance = error * (DEPTH_ACCURACY / POSITION_ROUNDINGS)
-    vectors_a = _place(la, xa, i, Ta, ka, 0.0, 0.0, 0.0, W, _A)
-    vectors_b = _place(lb, xb, j, Tb, kb, dx, dy, dz, W, _B)
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not 0.0 < length < np.inf:
         nx, ny, nz, length = 0.0, 0.0, 1.0, 1.0
-    _first_points(W, K, vectors_a, vectors_b, nx / length, ny / length, nz / length)
-    for c in range(MAX_FACES):
-        W[_OFFSET + c] = np.inf
+    nx, ny, nz = nx / length, ny / length, nz / length
+    _first_points(W, K, vectors_a, vectors_b, nx, ny, nz)
     if not _first_shell(W, K):
         _points_across(W, K, vectors_a, vectors_b, nx, ny, nz)
         if not _first_shell(W, K):
             return UNSETTLED, -np.inf, np.inf
     live = np.int64(15)
+    f, lower = _nearest(W, live)
     upper = np.inf
     for used in range(4, MAX_POINTS):
-        f = _nearest(W, live)
-        if f > 63:
-            break
-        lower = W[_OFFSET + f]
         nx, ny, nz = W[_NX + f], W[_NY + f], W[_NZ + f]
         height = _add_point(W, K, used, vectors_a, vectors_b, nx, ny, nz)
         upper = min(upper, height)
@@ -451,7 +470,7 @@ def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K
             return SETTLED, lower, height
         px, py, pz = _row(W, used)
         seen = _seen(W, live, px, py, pz, error) | (np.int64(1) << f)
-        live = _expand(W, K, live, seen, used)
+        live, f, lower = _expand(W, K, live, seen, used)
         if live == 0:
             break
     return UNSETTLED, -np.inf, np.inf
