@@ -21,6 +21,7 @@ from loewner._kernels.curved import is_round, round_distance
 from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.gjk import UNSETTLED, rounding_error, run
 from loewner._kernels.near_points import estimate_f
+from loewner._kernels.polytope_depth import SETTLED as DEPTH_SETTLED
 from loewner._kernels.polytope_depth import UNSETTLED as DEPTH_UNSETTLED
 from loewner._kernels.polytope_depth import overlap_depth
 from loewner._kernels.polytope_depth import workspace as depth_workspace
@@ -153,9 +154,9 @@ def estimated_distance(F_outer, F_inner, width):
 
 
 @njit()
-def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, overlapping, G, weights, v, d, work,
-                         W, K, result):  # fmt: skip
-    """Signed distance of two pieces, sought from the normal n; `overlapping` says what to expect.
+def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, G, weights, v, d, work, W, K,
+                         result):  # fmt: skip
+    """Signed distance of two pieces.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
 
@@ -173,11 +174,6 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
-    polytopes = la[i, KIND] == POLYTOPE and lb[j, KIND] == POLYTOPE
-    if polytopes and overlapping:
-        unsettled, shallow, deep = overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result)
-        if unsettled != DEPTH_UNSETTLED:
-            return -deep, deep - shallow
     status, lower, upper, k = run(
         ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, v, d
     )
@@ -192,11 +188,11 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
             for row in range(k):
                 result[3 + c] += weights[row] * G[row, 3 + c]
     else:
-        if polytopes and not overlapping:
-            unsettled, shallow, deep = overlap_depth(
+        if la[i, KIND] == POLYTOPE and lb[j, KIND] == POLYTOPE:
+            searched, shallow, deep = overlap_depth(
                 ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result
             )
-            if unsettled != DEPTH_UNSETTLED:
+            if searched == DEPTH_SETTLED:
                 return -deep, deep - shallow
         S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
         # The depth sought is the upper bound: the support plane of the normal that comes with it.
@@ -232,8 +228,8 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop, operands as in `batch`; the last five arrays are written only if `exact`."""
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    ta = a[0]
-    tb = b[0]
+    ta, la, xa = a[0], a[1], a[2]
+    tb, lb, xb = b[0], b[1], b[2]
     G = np.empty((4, 9))
     weights = np.empty(4)
     v = np.empty(3)
@@ -276,13 +272,41 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                     guess = estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
-                    value, gap = exact_piece_distance(
-                        ta, a[1], a[2], i, Ta, ka, tb, b[1], b[2], j, Tb, kb, nx, ny, nz, F_outer * F_inner < 1.0,
-                        G, weights, v, d, work, W, K, result,
-                    )  # fmt: skip
+                    curved = la[i, KIND] != POLYTOPE or lb[j, KIND] != POLYTOPE
+                    searched = DEPTH_UNSETTLED
+                    if not curved and F_outer * F_inner < 1.0:  # they overlap, by the look of it
+                        searched, shallow, deep = overlap_depth(
+                            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result
+                        )
+                        value, gap = -deep, deep - shallow
+                    if searched != DEPTH_SETTLED:
+                        value, gap = exact_piece_distance(
+                            ta,
+                            la,
+                            xa,
+                            i,
+                            Ta,
+                            ka,
+                            tb,
+                            lb,
+                            xb,
+                            j,
+                            Tb,
+                            kb,
+                            nx,
+                            ny,
+                            nz,
+                            G,
+                            weights,
+                            v,
+                            d,
+                            work,
+                            W,
+                            K,
+                            result,
+                        )
                     gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
-                    curved = a[1][i, KIND] != POLYTOPE or b[1][j, KIND] != POLYTOPE
-                    proven = is_round(a[1], i) and is_round(b[1], j)
+                    proven = is_round(la, i) and is_round(lb, j)
                     if not gap <= (SETTLED_CURVED if curved and value < 0.0 and not proven else SETTLED) * size:
                         status[k] = NOT_SETTLED
                     if value < distance[k]:
