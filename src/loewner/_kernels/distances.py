@@ -21,10 +21,14 @@ from loewner._kernels.contact import (
     polynomials,
     rotated,
 )
+from loewner._kernels.curved import is_round, round_distance
 from loewner._kernels.epa import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.gjk import TOUCHING, UNSETTLED, run
 from loewner._kernels.near_points import estimate_f
 from loewner._kernels.pair_search import INSIDE, NEAREST, near, put_pair, scratch
+from loewner._kernels.polytope_depth import SETTLED as DEPTH_SETTLED
+from loewner._kernels.polytope_depth import overlap_depth
+from loewner._kernels.polytope_depth import workspace as depth_workspace
 from loewner._kernels.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -66,9 +70,9 @@ AHEAD = 2  # lanes between asking for a piece's vertices and their use
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Two curved pieces about one centre tie in every direction: the depth found is then right to rounding, but
-# the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of a
-# plane and two witnesses, never less than the true one.
+# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding,
+# but the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of
+# a plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
@@ -422,7 +426,7 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
-    spaces = (scratch(), np.empty(9), _ellipsoids())
+    spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
     out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
     count = np.int64(0)
     for k in range(start, stop):
@@ -507,17 +511,18 @@ def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
             )  # fmt: skip
         estimate[k] = min(estimate[k], max(below, min(above, guess)))
     if exact:
-        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[1], out)
+        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
         if late > 0:
-            _measure_late(late, queue, a, Ta, b, Tb, S, spaces[1], out)
+            _measure_late(late, queue, a, Ta, b, Tb, S, spaces[3], spaces[4], spaces[1], out)
 
 
 @njit()
-def _measure_near(count, queue, a, Ta, b, Tb, S, W, result, out):
+def _measure_near(count, queue, a, Ta, b, Tb, S, W, D, K, result, out):
     """Exact distances by the fast search; the lanes it leaves go to the front of the queue's last row."""
     ta, la, xa, Ta = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(Ta)
     tb, lb, xb, Tb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2]), borrowed(Tb)
     queue, S, W, result, distance = borrowed(queue), borrowed(S), borrowed(W), borrowed(result), borrowed(out[3])
+    D, K = borrowed(D), borrowed(K)
     late = 0
     for lane in range(count):
         if lane + AHEAD < count:
@@ -528,15 +533,28 @@ def _measure_near(count, queue, a, Ta, b, Tb, S, W, result, out):
         i, j, ka, kb = queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane], queue[POSE_B, lane]
         dx, dy, dz = _three(S, SHIFT, lane)
         nx, ny, nz = _three(S, NORMAL, lane)
-        error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
+        size = S[SIZE * LANES + lane]
+        if is_round(la, i) and is_round(lb, j):
+            value, gap = round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz, size, result)
+            _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, out)
+            continue
+        plain = la[i, KIND] <= POLYTOPE and lb[j, KIND] <= POLYTOPE
+        if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
+            searched, shallow, deep = overlap_depth(
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, D, K, result
+            )
+            if searched == DEPTH_SETTLED:
+                _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, out)
+                continue
+        error = POSITION_ROUNDINGS * size
         ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
         status, below, above = near(
             ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error,
             -np.inf, np.inf, result,
         )  # fmt: skip
         if status == NEAREST:
-            radii = radius(ta, la, i) + radius(tb, lb, j)
-            _record(lane, queue, ta, la, tb, lb, Ta, S, above - radii, above - below, result, out)
+            ra, rb = radius(ta, la, i), radius(tb, lb, j)
+            _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, out)
         else:
             queue[LATE, late] = 2 * lane + (status == INSIDE)
             late += 1
@@ -544,7 +562,7 @@ def _measure_near(count, queue, a, Ta, b, Tb, S, W, result, out):
 
 
 @njit()
-def _measure_late(late, queue, a, Ta, b, Tb, S, result, out):
+def _measure_late(late, queue, a, Ta, b, Tb, S, D, K, result, out):
     """Exact distances of the lanes that the fast search left; only they need the large work space."""
     ta, la, xa = a[0], a[1], a[2]
     tb, lb, xb = b[0], b[1], b[2]
@@ -558,27 +576,34 @@ def _measure_late(late, queue, a, Ta, b, Tb, S, result, out):
         dx, dy, dz = _three(S, SHIFT, lane)
         nx, ny, nz = _three(S, NORMAL, lane)
         error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
+        if inside and la[i, KIND] <= POLYTOPE and lb[j, KIND] <= POLYTOPE:
+            searched, shallow, deep = overlap_depth(
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, D, K, result
+            )
+            if searched == DEPTH_SETTLED:
+                _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, out)
+                continue
         value, gap = _distance_with_care(
             ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, inside, work, result
         )
-        _record(lane, queue, ta, la, tb, lb, Ta, S, value, gap, result, out)
+        curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
+        tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
+        _record(lane, queue, Ta, S, value, gap, tolerance, radius(ta, la, i), radius(tb, lb, j), result, out)
 
 
 @inline
-def _record(lane, queue, ta, la, tb, lb, Ta, S, value, gap, result, out):
+def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out):
     """Merge the exact distance of two pieces, and how far the bounds on it are apart, into the result of their pair.
 
-    `result` holds the normal and the witnesses of the cores, relative to a's translation.
+    `result` holds the normal and the witnesses, relative to a's translation and without the rounding radii ra and rb.
     """
     _, _, _, distance, witness_a, witness_b, normal, status = out
-    k, i, j, ka = queue[PAIR, lane], queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane]
+    k, ka = queue[PAIR, lane], queue[POSE_A, lane]
     gap = min(gap, value - S[BELOW * LANES + lane])  # the ellipsoids' own bound may be the better one
-    curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
-    if not gap <= (SETTLED_CURVED if curved and value < 0.0 else SETTLED) * S[SIZE * LANES + lane]:
+    if not gap <= tolerance * S[SIZE * LANES + lane]:
         status[k] = NOT_SETTLED
     if value < distance[k]:
         distance[k] = value
-        ra, rb = radius(ta, la, i), radius(tb, lb, j)
         for c in range(3):
             normal[k, c] = result[c]
             witness_a[k, c] = result[3 + c] + ra * result[c] + Ta[ka, c, 3]

@@ -280,6 +280,17 @@ def store(typingctx, array, offset, x):
     return signature(types.void, array, types.int64, x), generate
 
 
+@intrinsic
+def load(typingctx, array, offset):
+    """Read eight doubles from a flat array from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(address, vector.llvm.as_pointer()), align=8)
+
+    return signature(vector, array, types.int64), generate
+
+
 def _columns_of(builder, rows):
     """Transpose rows of eight, or of two times eight side by side, by three rounds of pairwise exchanges."""
     width = rows[0].type.count
