@@ -305,39 +305,10 @@ def _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
             out[k] = AMBIGUOUS
 
 
-@inline
-def _put(count, k, i, j, ka, kb, pair, pi, pj, pa, pb):
-    pair[count] = k
-    pi[count] = i
-    pj[count] = j
-    pa[count] = ka
-    pb[count] = kb
-
-
-@inline
-def _queue(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
-           tally):  # fmt: skip
-    """Queue the piece pairs of pair k, and settle the queue whenever it is full; returns how many wait in it."""
-    if a[8][ia] >= 0 or b[8][ib] >= 0:
-        return _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
-                           weights, v, d, out, tally)  # fmt: skip
-    start_a, start_b = a[4], b[4]
-    for i in range(start_a[ia], start_a[ia + 1]):
-        for j in range(start_b[ib], start_b[ib + 1]):
-            if out[k] == COLLIDING:
-                break
-            _put(count, k, i, j, ka, kb, pair, pi, pj, pa, pb)
-            count += 1
-            if count == LANES:
-                _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
-                count = np.int64(0)
-    return count
-
-
 @njit()
 def _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d,
                 out, tally):  # fmt: skip
-    """As `_queue`, where a body has many pieces: only the pairs that their trees leave."""
+    """Queue the piece pairs of pair k that the trees leave, settle full queues; returns how many wait."""
     steps = np.empty(trees.STEPS, np.int64)
     numbers = np.empty(trees.NUMBERS)
     found_a = np.empty(LANES, np.int64)
@@ -348,7 +319,11 @@ def _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pai
         if found == 0:
             break
         for c in range(found):
-            _put(count, k, found_a[c], found_b[c], ka, kb, pair, pi, pj, pa, pb)
+            pair[count] = k
+            pi[count] = found_a[c]
+            pj[count] = found_b[c]
+            pa[count] = ka
+            pb[count] = kb
             count += 1
             if count == LANES:
                 _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
@@ -387,6 +362,8 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     pj = np.empty(LANES, np.int64)
     pa = np.empty(LANES, np.int64)
     pb = np.empty(LANES, np.int64)
+    # Taken out of the tuples once: each time costs the counting of a reference.
+    start_a, roots_a, start_b, roots_b = a[4], a[8], b[4], b[8]
     posed = not (_unturned(Ta) and _unturned(Tb))
     count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
     # Walk the last axis by adding strides; only its end costs divisions.
@@ -407,8 +384,25 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
             ka += pose_a[last]
             kb += pose_b[last]
         here += 1
-        count = _queue(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
-                       weights, v, d, out, tally)  # fmt: skip
+        if roots_a[ia] >= 0 or roots_b[ib] >= 0:
+            count = _queue_many(mode, margin, posed, k, ia, ka, ib, kb, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G,
+                                weights, v, d, out, tally)  # fmt: skip
+            continue
+        # Written out: a function for it would count references to all these arrays at each pair.
+        for i in range(start_a[ia], start_a[ia + 1]):
+            for j in range(start_b[ib], start_b[ib + 1]):
+                if out[k] == COLLIDING:
+                    break
+                pair[count] = k
+                pi[count] = i
+                pj[count] = j
+                pa[count] = ka
+                pb[count] = kb
+                count += 1
+                if count == LANES:
+                    _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
+                           tally)  # fmt: skip
+                    count = np.int64(0)
     if count > 0:
         _flush(mode, margin, posed, a, Ta, b, Tb, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
 
@@ -436,14 +430,32 @@ def settle_listed(mode, margin, rows_a, rows_b, body_step, pose_step, pack, T, o
     pj = np.empty(LANES, np.int64)
     pa = np.empty(LANES, np.int64)
     pb = np.empty(LANES, np.int64)
+    start, roots = pack[4], pack[8]
     posed = not _unturned(T)
     count = np.int64(0)
     for k in range(rows_a.shape[0]):
         out[k] = FREE
         ia, ka = rows_a[k] * body_step, rows_a[k] * pose_step
         ib, kb = rows_b[k] * body_step, rows_b[k] * pose_step
-        count = _queue(mode, margin, posed, k, ia, ka, ib, kb, pack, T, pack, T, count, pair, pi, pj, pa, pb, S, G,
-                       weights, v, d, out, tally)  # fmt: skip
+        if roots[ia] >= 0 or roots[ib] >= 0:
+            count = _queue_many(mode, margin, posed, k, ia, ka, ib, kb, pack, T, pack, T, count, pair, pi, pj, pa, pb,
+                                S, G, weights, v, d, out, tally)  # fmt: skip
+            continue
+        # Written out: a function for it would count references to all these arrays at each pair.
+        for i in range(start[ia], start[ia + 1]):
+            for j in range(start[ib], start[ib + 1]):
+                if out[k] == COLLIDING:
+                    break
+                pair[count] = k
+                pi[count] = i
+                pj[count] = j
+                pa[count] = ka
+                pb[count] = kb
+                count += 1
+                if count == LANES:
+                    _flush(mode, margin, posed, pack, T, pack, T, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out,
+                           tally)  # fmt: skip
+                    count = np.int64(0)
     if count > 0:
         _flush(mode, margin, posed, pack, T, pack, T, count, pair, pi, pj, pa, pb, S, G, weights, v, d, out, tally)
 
