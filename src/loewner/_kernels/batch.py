@@ -348,7 +348,21 @@ def settle_listed(mode, margin, rows_a, rows_b, body_step, pose_step, pack, T, o
     moved = not is_identity(T)
     hint = 0
     count = np.int64(0)
-    for k in range(rows_a.shape[0]):
+    total = rows_a.shape[0]
+    if len(pack[3]) == len(pack[1]) + 1:
+        # One piece a body.
+        for first in range(0, total, BLOCK):
+            count = min(BLOCK, total - first)
+            for lane in range(count):
+                L[PAIR * BLOCK + lane] = first + lane
+                L[PIECE_A * BLOCK + lane] = rows_a[first + lane] * body_step
+                L[PIECE_B * BLOCK + lane] = rows_b[first + lane] * body_step
+                L[POSE_A * BLOCK + lane] = rows_a[first + lane] * pose_step
+                L[POSE_B * BLOCK + lane] = rows_b[first + lane] * pose_step
+                out[first + lane] = FREE
+            hint = _flush(mode, margin, True, hint, moved, moved, pack, T, pack, T, count, L, tier, V, W, out, tally)
+        return
+    for k in range(total):
         out[k] = FREE
         ia, ka = rows_a[k] * body_step, rows_a[k] * pose_step
         ib, kb = rows_b[k] * body_step, rows_b[k] * pose_step

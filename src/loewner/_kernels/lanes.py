@@ -129,7 +129,9 @@ def _rounded_size(a, reach_a, b, reach_b):
 def _clear(x, y, z, radii, size, margin, unit):
     """Mask: bounding spheres surely farther apart than the margin."""
     far = radii + POSITION_ERROR * unit * size + margin
-    return (x * x + y * y + z * z) * (1.0 - 16.0 * unit) > far * far
+    # The second where squares overflow.
+    widest = larger(magnitude(x), larger(magnitude(y), magnitude(z)))
+    return ((x * x + y * y + z * z) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
 
 
 @inline
