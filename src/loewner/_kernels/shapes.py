@@ -72,10 +72,10 @@ def radius(table, layout, piece):
 
 @inline
 def prefetch_points(layout, points, piece):
-    """Ask for the vertices of a piece ahead of their use; of a large one's only the start."""
-    start, stop = layout[piece, POINTS_FROM], min(layout[piece, POINTS_TO], layout[piece, POINTS_FROM] + LARGE)
-    for at in range(3 * start, 3 * stop, CACHE_LINE):
-        prefetch(points, at)
+    """Ask for the vertices of a small polytope ahead of their use."""
+    if layout[piece, KIND] == POLYTOPE:
+        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], CACHE_LINE):
+            prefetch(points, at)
 
 
 @inline
