@@ -135,7 +135,7 @@ def test_every_piece_is_in_its_tree_once():
     rng = np.random.default_rng(6)
     counts = (3, 8, 9, 64, 65, 130, 1)
     packed = Bodies([cloud(rng, count) for count in counts])._packed
-    start, groups, children, roots = packed.kernel[4], *packed.kernel[6:]
+    start, groups, children, roots = packed.kernel[3], *packed.kernel[6:]
     boxes = groups.reshape(-1, 6, boxtree.WIDE)
 
     def below(group: int) -> list[int]:
@@ -171,7 +171,7 @@ def test_work_grows_with_what_is_near():
     a, b = cloud(rng, 500, size=0.1), cloud(rng, 500, size=0.1)
 
     def looked_at(T: np.ndarray) -> int:
-        _, tally = queries._settle(verdicts.CERTIFY, 0.0, queries._prepare(a, None, b, T))
+        _, tally = queries._settle(verdicts.CERTIFY, 0.0, queries._prepare(a, None, b, T, check=True))
         return int(tally.sum())
 
     near = np.stack([shifted(x, 0.2, 0.1) for x in np.linspace(0, 2.5, 20)])

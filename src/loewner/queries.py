@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,8 +110,28 @@ def _prepare(
             "expected bodies and poses whose batch shapes broadcast, found "
             f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
         ) from None
+    _refuse_beyond_memory(shape)
     plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
     return _Pairs(shape, math.prod(shape), (plan, pack_a, Ta.reshape(-1, 4, 4), pack_b, Tb.reshape(-1, 4, 4)))
+
+
+def _refuse_beyond_memory(shape: tuple[int, ...]) -> None:
+    """A result that does not fit into the machine is refused before the machine starts to swap."""
+    needed = math.prod(shape)  # bytes, one a verdict; the fewest any query returns
+    if needed > _memory():
+        raise InputError(
+            f"expected a batch whose result fits into memory ({_memory() / 2**30:.1f} GiB), found {shape}: "
+            f"{needed / 2**30:.1f} GiB of verdicts alone; query it in parts"
+        )
+
+
+@cache
+def _memory() -> int:
+    """Physical memory in bytes; where the system does not tell, what an address can reach."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return sys.maxsize
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:

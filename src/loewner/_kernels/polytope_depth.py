@@ -79,10 +79,16 @@ def _reduced(x, comparison):
     def generate(context, builder, sig, args):
         value = args[0]
         i32 = ir.IntType(32)
-        for step in (4, 2, 1):
-            order = ir.Constant(ir.VectorType(i32, 8), [lane ^ step for lane in range(8)])
-            other = builder.shuffle_vector(value, ir.Constant(value.type, ir.Undefined), order)
-            value = builder.select(builder.fcmp_ordered(comparison, value, other), value, other)
+        nothing = ir.Constant(value.type, ir.Undefined)
+        for half in (4, 2, 1):
+            low, high = (
+                builder.shuffle_vector(
+                    value, nothing, ir.Constant(ir.VectorType(i32, half), list(range(first, first + half)))
+                )
+                for first in (0, half)
+            )
+            value = builder.select(builder.fcmp_ordered(comparison, low, high), low, high)
+            nothing = ir.Constant(value.type, ir.Undefined)
         return builder.extract_element(value, ir.Constant(i32, 0))
 
     return signature(types.float64, x), generate
