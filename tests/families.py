@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 
+import numba
 import numpy as np
 
-from oracles import HullPool, signed_distances
+from oracles import Differences, HullPool, signed_distances
 
 Maker = Callable[[np.random.Generator], np.ndarray]
 
@@ -83,6 +84,11 @@ def _mixed_scale(rng: np.random.Generator) -> np.ndarray:
     return _ball(20)(rng) * 10 ** rng.uniform(-3, 0)
 
 
+def _nested(rng: np.random.Generator) -> np.ndarray:
+    """Large ones and small ones, so that one of a pair fits deep into the other."""
+    return _ball(20)(rng) * (1.0 if rng.uniform() < 0.5 else 0.05)
+
+
 def _plate(s: float) -> Maker:
     scale = (1.0, 1.0, s)
     return _either(lambda rng: box_corners(np.array(scale)), _scaled(_ball(20), scale))
@@ -111,12 +117,17 @@ MORE: dict[str, Maker] = {
     "needles 1:1e-3:1e-3": _rod(1e-3),
     "slivers": _sliver,
     "mixed scales": _mixed_scale,
+    "one inside the other": _nested,
 }
 
 FAMILIES = {**EIGHT, **MORE}
 
 # How far apart pairs are placed, see `near_contact`; long thin pieces must come closer to meet at all.
-STRETCH = {"rods 1:0.05:0.05": (0.0, 0.65), "needles 1:1e-3:1e-3": (0.0, 0.03)}
+STRETCH = {
+    "rods 1:0.05:0.05": (0.0, 0.65),
+    "needles 1:1e-3:1e-3": (0.0, 0.03),
+    "one inside the other": (0.0, 1.0),
+}
 
 
 def stretch(family: str) -> tuple[float, float]:
@@ -199,4 +210,60 @@ def near_contact(
     wanted = rng.choice([-1, 1], size=len(chosen)) * 10 ** rng.uniform(-12, -2, size=len(chosen))
     wanted *= np.minimum(sizes(a)[ia[chosen]], sizes(b)[ib[chosen]])
     Tb[chosen, :3, 3] += (wanted - gap)[:, None] * axis
+    return Ta, Tb
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _place(normals, offsets, start, turns, inside, pair, toward, along, gap, size, Ta, Tb):
+    for p in range(pair.shape[0]):
+        k = pair[p]
+        u, c = toward[p], inside[k]
+        reach, face = np.inf, start[k]
+        for f in range(start[k], start[k + 1]):
+            speed = normals[0, f] * u[0] + normals[1, f] * u[1] + normals[2, f] * u[2]
+            if speed > 0.0:
+                left = offsets[f] - normals[0, f] * c[0] - normals[1, f] * c[1] - normals[2, f] * c[2]
+                if left < reach * speed:
+                    reach, face = left / speed, f
+        for r in range(3):
+            Tb[p, r, 3] = Ta[p, r, 3]
+        for m in range(3):
+            d = c[m] + along[p] * reach * u[m] + gap[p] * size[k] * normals[m, face]
+            for r in range(3):
+                Tb[p, r, 3] += Ta[p, r, m] * d
+        for r in range(3):
+            for m in range(3):
+                Tb[p, r, m] = 0.0
+                for q in range(3):
+                    Tb[p, r, m] += Ta[p, r, q] * turns[k, q, m]
+
+
+def posed_near_contact(
+    rng: np.random.Generator,
+    faces: Differences,
+    pair: np.ndarray,
+    *,
+    along: tuple[float, float] = (0.0, 2.2),
+    grazing: float = 0.25,
+    deep: float = 0.02,
+    spread: float = 2.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of pairs whose difference is known: millions a minute, each at a turn and a place of its own in the world.
+
+    From where the centroids coincide b goes a random way, `along` times as far as where the two just touch. The fraction
+    `deep` goes a twentieth of that; `grazing` goes to contact and from there, square to the faces or edges that touch, to a
+    gap or an overlap of 2e-14 to 1e-1 of the size; one in a thousand of these to less, which only rational arithmetic judges.
+    """
+    count = len(pair)
+    toward = rng.normal(size=(count, 3))
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    factor, gap, kind = rng.uniform(*along, size=count), np.zeros(count), rng.uniform(size=count)
+    factor[kind < deep] *= 0.05
+    graze = kind > 1 - grazing
+    factor[graze] = 1.0
+    exponent = rng.uniform(-13.7, -1, size=graze.sum())
+    exponent[rng.uniform(size=len(exponent)) < 1e-3] -= 13
+    gap[graze] = rng.choice([-1, 1], size=len(exponent)) * 10**exponent
+    Ta, Tb = random_poses(rng, count, spread), np.tile(np.eye(4), (count, 1, 1))
+    _place(*faces[:5], pair, toward, factor, gap, faces.size, Ta, Tb)
     return Ta, Tb

@@ -6,6 +6,8 @@ oracle                 algorithm                                good for
 `signed_distances`     separating axes: the face normals of     the sign always, the penetration depth of
                        both and the edge crosses that are       overlapping pairs; millions of pairs
                        faces of the Minkowski difference
+`posed_gaps`           the same for one turn and many shifts:   the same, ten million pairs in seconds
+                       the faces are listed once
 `naive_distance`       every vertex against every triangle,     distance and near points of separated
                        every edge against every edge            pairs; carries its own proof
 `exact_squared_        Wolfe's nearest point in rational        the judge of grazing pairs: no rounding,
@@ -137,19 +139,21 @@ def _unit_edges(V, N, edges):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _separating_axis(A, NA, EA, B, NB, EB, best_n):
-    """Largest gap over all faces of the Minkowski difference B - A; the axis, from A to B, goes to best_n."""
-    best = -np.inf
+def _axes(A, NA, EA, B, NB, EB, out):
+    """List the outward normals, from A to B, of all faces of the Minkowski difference; returns how many.
+
+    Each row of `out` gets a unit vector and the gap that the faces or edges it comes from have along it: infinity for the
+    normals of A and B, which have to be checked in any case.
+    """
+    count = 0
     for k in range(NA.shape[0]):
-        gap = _gap(NA[k, 0], NA[k, 1], NA[k, 2], A, B)
-        if gap > best:
-            best = gap
-            best_n[:] = NA[k]
+        out[count, :3] = NA[k]
+        out[count, 3] = np.inf
+        count += 1
     for k in range(NB.shape[0]):
-        gap = _gap(-NB[k, 0], -NB[k, 1], -NB[k, 2], A, B)
-        if gap > best:
-            best = gap
-            best_n[:] = -NB[k]
+        out[count, :3] = -NB[k]
+        out[count, 3] = np.inf
+        count += 1
 
     DA = _unit_edges(A, NA, EA)
     DB = _unit_edges(B, NB, EB)
@@ -182,12 +186,28 @@ def _separating_axis(A, NA, EA, B, NB, EB, best_n):
                 if sign * out_a < -ARC_SLACK or sign * out_b > ARC_SLACK:
                     continue
                 x, y, z = sign * n0 / length, sign * n1 / length, sign * n2 / length
-                claimed = x * (other[0] - foot[0]) + y * (other[1] - foot[1]) + z * (other[2] - foot[2])
-                if claimed > best:
-                    gap = _gap(x, y, z, A, B)
-                    if gap > best:
-                        best = gap
-                        best_n[0], best_n[1], best_n[2] = x, y, z
+                out[count, 0], out[count, 1], out[count, 2] = x, y, z
+                out[count, 3] = x * (other[0] - foot[0]) + y * (other[1] - foot[1]) + z * (other[2] - foot[2])
+                count += 1
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _most_axes(NA, EA, NB, EB):
+    return NA.shape[0] + NB.shape[0] + 2 * EA.shape[0] * EB.shape[0]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _separating_axis(A, NA, EA, B, NB, EB, best_n):
+    """Largest gap over all faces of the Minkowski difference B - A; the axis, from A to B, goes to best_n."""
+    axes = np.empty((_most_axes(NA, EA, NB, EB), 4))
+    best = -np.inf
+    for k in range(_axes(A, NA, EA, B, NB, EB, axes)):
+        if axes[k, 3] > best:
+            gap = _gap(axes[k, 0], axes[k, 1], axes[k, 2], A, B)
+            if gap > best:
+                best = gap
+                best_n[:] = axes[k, :3]
     return best
 
 
@@ -247,6 +267,88 @@ def signed_distance(a: Hull, Ta: np.ndarray, b: Hull, Tb: np.ndarray) -> tuple[f
     zero = np.zeros(1, np.int64)
     gap, axis = signed_distances(pack([a]), zero, Ta[None], pack([b]), zero, Tb[None])
     return float(gap[0]), axis[0]
+
+
+# -- one turn, many shifts --------------------------------------------------------------------------
+
+
+class Differences(NamedTuple):
+    """Minkowski differences of n pairs of hulls, b turned, as half-spaces: shifted by d they meet if normals @ d <= offsets.
+
+    All the work that depends on the turn is in here, so that the truth of a shift is one product per face.
+    """
+
+    normals: np.ndarray  # (3, f): unit, from a to b
+    offsets: np.ndarray  # (f,)
+    start: np.ndarray  # (n + 1,): pair k owns the faces start[k] .. start[k + 1]
+    turns: np.ndarray  # (n, 3, 3): what b is turned by
+    inside: np.ndarray  # (n, 3): a shift at which the means of the vertices coincide
+    size: np.ndarray  # (n,): sum of the largest distances of a vertex from its hull's origin
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _difference(A, NA, EA, B, NB, EB):
+    """Faces of one Minkowski difference, rows of unit normal and offset."""
+    out = np.empty((_most_axes(NA, EA, NB, EB), 4))
+    count = _axes(A, NA, EA, B, NB, EB, out)
+    for k in range(count):
+        out[k, 3] = -_gap(out[k, 0], out[k, 1], out[k, 2], A, B)
+    return out[:count].copy()
+
+
+def differences(a: HullPool, ia: np.ndarray, b: HullPool, ib: np.ndarray, turns: np.ndarray) -> Differences:
+    """Minkowski differences of hull ia[k] of a and hull ib[k] of b turned by turns[k], shape (n, 3, 3)."""
+    rows, inside, size = [], [], []
+    for i, j, R in zip(ia, ib, turns, strict=True):
+        A, B = a.hull(i), b.hull(j)
+        turned = _placed(R, B.vertices, np.zeros(3))
+        normals = _placed(R, B.normals, np.zeros(3))
+        rows.append(_difference(A.vertices, A.normals, A.edges, turned, normals, B.edges))
+        inside.append(A.vertices.mean(axis=0) - turned.mean(axis=0))
+        size.append(sum(np.linalg.norm(h.vertices, axis=1).max() for h in (A, B)))
+    faces = np.concatenate(rows)
+    start = np.cumsum([0, *map(len, rows)])
+    return Differences(
+        np.ascontiguousarray(faces[:, :3].T), faces[:, 3].copy(), start, turns, np.array(inside), np.array(size)
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _deepest_face(normals, offsets, first, last, d):
+    """Largest n·d - offset over the faces of a difference, and its face."""
+    best, face = -np.inf, first
+    for k in range(first, last):
+        gap = normals[0, k] * d[0] + normals[1, k] * d[1] + normals[2, k] * d[2] - offsets[k]
+        if gap > best:
+            best, face = gap, k
+    return best, face
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _posed_gaps(normals, offsets, start, pair, Ta, Tb, gap, axis):
+    d = np.empty(3)
+    for p in range(pair.shape[0]):
+        k = pair[p]
+        for c in range(3):
+            d[c] = 0.0
+            for r in range(3):
+                d[c] += Ta[p, r, c] * (Tb[p, r, 3] - Ta[p, r, 3])
+        gap[p], face = _deepest_face(normals, offsets, start[k], start[k + 1], d)
+        for r in range(3):
+            axis[p, r] = 0.0
+            for c in range(3):
+                axis[p, r] += Ta[p, r, c] * normals[c, face]
+
+
+def posed_gaps(faces: Differences, pair: np.ndarray, Ta: np.ndarray, Tb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`signed_distances` of pairs whose poses differ by the turn of their difference: Tb's rotation is Ta's times it.
+
+    The products of the rotations round, which turns the bodies by a few parts in 1e16: the gaps are good to about
+    1e-15 of the lengths.
+    """
+    gap, axis = np.empty(len(pair)), np.empty((len(pair), 3))
+    _posed_gaps(*faces[:3], pair, Ta, Tb, gap, axis)
+    return gap, axis
 
 
 # -- every feature against every feature --------------------------------------------------------
