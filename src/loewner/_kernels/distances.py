@@ -156,7 +156,7 @@ def estimated_distance(F_outer, F_inner, width):
 @njit()
 def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, G, weights, v, d, work, W, K,
                          result):  # fmt: skip
-    """Signed distance of two pieces.
+    """Signed distance of two pieces, not both of them ellipsoids or balls.
 
     `result` (9,) receives the unit normal from a to b and the witnesses relative to a's translation.
 
@@ -168,9 +168,6 @@ def exact_piece_distance(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, n
     dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
     dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
     dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    if is_round(la, i) and is_round(lb, j):
-        size = ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz)
-        return round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz, size, result)
     error = rounding_error(ta, i, tb, j, dx, dy, dz)
     if not nx * nx + ny * ny + nz * nz > 0.0:
         nx, ny, nz = 1.0, 0.0, 0.0
@@ -273,13 +270,16 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                 estimate[k] = min(estimate[k], max(below, min(above, guess)))
                 if exact and below < distance[k]:
                     curved = la[i, KIND] != POLYTOPE or lb[j, KIND] != POLYTOPE
+                    proven = is_round(la, i) and is_round(lb, j)
                     searched = DEPTH_UNSETTLED
-                    if not curved and F_outer * F_inner < 1.0:  # they overlap, by the look of it
+                    if proven:
+                        value, gap = round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result)
+                    elif not curved and F_outer * F_inner < 1.0:  # they overlap, by the look of it
                         searched, shallow, deep = overlap_depth(
                             ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result
                         )
                         value, gap = -deep, deep - shallow
-                    if searched != DEPTH_SETTLED:
+                    if not proven and searched != DEPTH_SETTLED:
                         value, gap = exact_piece_distance(
                             ta,
                             la,
@@ -306,7 +306,6 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
                             result,
                         )
                     gap = min(gap, value - below)  # the ellipsoids' own bound may be the better one
-                    proven = is_round(la, i) and is_round(lb, j)
                     if not gap <= (SETTLED_CURVED if curved and value < 0.0 and not proven else SETTLED) * size:
                         status[k] = NOT_SETTLED
                     if value < distance[k]:
