@@ -354,8 +354,8 @@ def distance(
     PoseError, InputError, UnknownNameError
         As for `collide`.
     ConvergenceError
-        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration
-        depth of curved pieces is never less than the true one, and proven to 1e-3 where many directions tie.)
+        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of
+        cylinders, cones and capsules is never less than the true one, and proven to 1e-3 where many directions tie.)
 
     Examples
     --------
