@@ -5,6 +5,7 @@
 //   pairs QUERY VARIANT CRITERION TYPE GUESS EARLY SELECTION ANSWERS
 //     QUERY      hull-collide | hull-solver | ellipsoid-collide | ellipsoid-solver   boolean answers
 //                hull-distance | hull-signed | hull-contact                          distance, witnesses, normal
+//                ellipsoid-distance | ellipsoid-signed                               the same
 //     VARIANT    0 default GJK, 1 Polyak, 2 Nesterov
 //     CRITERION  0 default, 1 duality gap, 2 hybrid;   TYPE  0 relative, 1 absolute
 //     GUESS      0 default, 1 cached (set to the offset of the bodies), 2 bounding volumes
@@ -203,8 +204,10 @@ void store(Nearest& to, double distance, const Vec3s& p, const Vec3s& q, const V
   }
 }
 
-void distances(const Data& data, const std::vector<std::int64_t>& chosen, const Settings& settings, bool is_signed,
-               const std::string& answers) {
+template <typename Shape>
+void distances(const std::vector<std::unique_ptr<Shape>>& shapes, const Data& data, const std::vector<Transform3s>& Ta,
+               const std::vector<Transform3s>& Tb, const std::vector<std::int64_t>& chosen, const Settings& settings,
+               bool is_signed, const std::string& answers) {
   coal::DistanceRequest request;
   request.enable_signed_distance = is_signed;
   settings.apply(request);
@@ -215,10 +218,9 @@ void distances(const Data& data, const std::vector<std::int64_t>& chosen, const 
   Stopwatch watch;
   for (std::size_t m = 0; m < chosen.size(); ++m) {
     const auto k = chosen[m];
-    if (cached) request.cached_gjk_guess = offset(data.pose_a[k], data.pose_b[k]);
+    if (cached) request.cached_gjk_guess = offset(Ta[k], Tb[k]);
     result.clear();
-    const double d = coal::distance(data.hulls[data.a[k]].get(), data.pose_a[k], data.hulls[data.b[k]].get(),
-                                    data.pose_b[k], request, result);
+    const double d = coal::distance(shapes[data.a[k]].get(), Ta[k], shapes[data.b[k]].get(), Tb[k], request, result);
     store(out[m], d, result.nearest_points[0], result.nearest_points[1], result.normal);
   }
   watch.stop();
@@ -341,7 +343,10 @@ void obey(const Data& data, const std::string& line) {
     collide(data.ellipsoids, data, data.ellipsoid_a, data.ellipsoid_b, chosen, settings, query == "ellipsoid-solver",
             answers);
   else if (query == "hull-distance" || query == "hull-signed")
-    distances(data, chosen, settings, query == "hull-signed", answers);
+    distances(data.hulls, data, data.pose_a, data.pose_b, chosen, settings, query == "hull-signed", answers);
+  else if (query == "ellipsoid-distance" || query == "ellipsoid-signed")
+    distances(data.ellipsoids, data, data.ellipsoid_a, data.ellipsoid_b, chosen, settings, query == "ellipsoid-signed",
+              answers);
   else if (query == "hull-contact")
     contacts(data, chosen, settings, answers);
   else

@@ -13,10 +13,10 @@ import numpy as np
 
 import loewner
 from clock import race, timed
-from loewner import Ellipsoids, Verdict
+from loewner import Bodies, Body, Ellipsoids, Verdict
 from report import REQUIRED, Row, differences
 from rivals import CoalLoop, CoalPython, FclPython, Missing, Settings, all_settings, build_loop
-from samples import Array, Pairs, clearance, paper_pairs, repeated_pairs, world_vertices
+from samples import Array, Pairs, clearance, paper_pairs, poses, repeated_pairs, world_vertices
 
 COUNT, QUICK = 100_000, 2_000
 # Pairs that one call at a time from Python gets; the times are per pair.
@@ -111,6 +111,7 @@ def contests(p: Pairs, colliding: Array) -> list[Contest]:
         )
 
     return [
+        *ellipsoid_contests(p),
         Contest(
             f"{p.name}: verdict",
             "classify",
@@ -141,6 +142,35 @@ def contests(p: Pairs, colliding: Array) -> list[Contest]:
             all_settings("hull-signed", "hull-contact", early=(0,)),
         ),
     ]
+
+
+def ellipsoid_contests(p: Pairs) -> list[Contest]:
+    """Distance and depth of the outer ellipsoids themselves, on the first pairs."""
+    some = p.part(slice(0, FROM_PYTHON))
+    placed = [
+        (Bodies([Body.ellipsoid(s) for s in E.semi_axes]), poses(E.rotation, E.center))
+        for E in (p.bodies.outer[some.a].transformed(some.Ta), p.bodies.outer[some.b].transformed(some.Tb))
+    ]
+
+    def query(where: Array) -> Callable[[], Any]:
+        (a, Ta), (b, Tb) = placed
+        return partial(loewner.distance, a[where], Ta[where], b[where], Tb[where], exact=True)
+
+    depths = query(np.arange(len(some)))().distance
+    rows = []
+    for case, where, asked in (
+        ("ellipsoids apart", np.flatnonzero(depths > 0), "ellipsoid-distance"),
+        ("ellipsoids overlapping", np.flatnonzero(depths <= 0), "ellipsoid-signed"),
+    ):
+        judge = partial(largest_difference, depths[where])
+        ways = all_settings(asked, early=(0,))
+        rows.append(
+            Contest(
+                f"{p.name}: {case}", "distance, exact", query(where), "Coal C++ ellipsoids", ways, depths[where], None,
+                judge, where,
+            )
+        )  # fmt: skip
+    return rows
 
 
 def beside_loop(c: Contest, loop: CoalLoop, rounds: int) -> list[Row]:

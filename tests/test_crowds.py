@@ -220,7 +220,7 @@ def test_search_is_far_from_all_pairs():
     leaf, count = crowds.boxtree.candidates(0, -(-n // crowds.boxtree.WIDE), 0.0, *tree, rows[0], rows[1])
     assert leaf == n // crowds.boxtree.WIDE
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
-    crowds.boxtree.bounds(0, n, *steps, *operands, lower, upper)
+    crowds.boxtree.bounds(0, n, *steps, operands[0].kernel, operands[1], lower, upper)
     meet = ((lower[:, None] <= upper[None]) & (upper[:, None] >= lower[None])).all(axis=2)
     truth = np.argwhere(np.triu(meet, 1))
     assert count == len(truth)
@@ -283,9 +283,10 @@ def test_many_at_once_are_those_one_by_one():
 def test_unsettled_pairs_are_an_error(monkeypatch):
     """A pair that arithmetic cannot settle is named, not dropped."""
 
-    def gives_up(mode, margin, a, b, body_step, pose_step, pack, T, out, tally):
+    def gives_up(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally):
         out[:] = Verdict.AMBIGUOUS
+        return True
 
-    monkeypatch.setattr(crowds.batch, "settle_listed", gives_up)
+    monkeypatch.setattr(crowds.batch, "settle_range", gives_up)
     with pytest.raises(loewner.ConvergenceError, match=r"first of them \(0, 1\)"):
         overlapping_pairs(Bodies.spheres([1.0, 1.0]))

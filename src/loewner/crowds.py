@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import batch, boxtree, verdicts
+from loewner._kernels import batch, boxtree, careful, verdicts
 from loewner._threads import over_blocks, share
-from loewner.bodies import Bodies, Body, Ints
+from loewner.bodies import Bodies, Body, Ints, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
 # The smallest share of a crowd that is worth handing to a thread.
@@ -83,7 +81,7 @@ def overlapping_pairs(
     return np.stack(np.divmod(keys, n), axis=1)
 
 
-def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Any, Floats]]:
+def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Packed, Floats]]:
     """Number of bodies, whether each has its own pieces and its own pose (1) or not (0), pieces and poses."""
     if not isinstance(bodies, (Body, Bodies)):
         raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
@@ -97,15 +95,15 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
         if T_world is not None and len(T) != n:
             raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
     steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
-    return n, steps, (bodies._packed.kernel, T.reshape(-1, 4, 4))
+    return n, steps, (bodies._packed, T.reshape(-1, 4, 4))
 
 
-def _tree(n: int, steps: tuple[int, int], operands: tuple[Any, Floats]) -> tuple[Floats, Ints, Ints]:
+def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:
     """Groups of boxes, where each level of them starts, and the order of the bodies in the lowest."""
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
-        boxtree.bounds(first, last, *steps, *operands, lower, upper)
+        boxtree.bounds(first, last, *steps, operands[0].kernel, operands[1], lower, upper)
 
     for _ in over_blocks(box, n, share(n, CHUNK)):
         pass
@@ -120,23 +118,32 @@ def _settled(
     last: int,
     tree: tuple[Floats, Ints, Ints],
     steps: tuple[int, int],
-    operands: tuple[Any, Floats],
+    operands: tuple[Packed, Floats],
 ) -> Ints:
     """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j."""
     n = len(tree[2])
+    packed, T = operands
+    # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
+    plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     rows = np.empty((2, boxtree.WIDE * n + CANDIDATES), dtype=np.int64)
     found = []
     leaf = first
     while leaf < last:
         leaf, count = boxtree.candidates(leaf, last, margin, *tree, rows[0], rows[1])
-        a, b = rows[0, :count], rows[1, :count]
+        if count == 0:
+            continue
+        listed = rows[:, :count].copy()
+        a, b = listed
         out = np.empty(count, dtype=np.int8)
-        batch.settle_listed(mode, margin, a, b, *steps, *operands, out, np.zeros(verdicts.TIERS, dtype=np.int64))
+        tally = np.zeros(verdicts.TIERS, dtype=np.int64)
+        batch.settle_range(mode, margin, 0, count, plan, listed, packed.handle, T, packed.handle, T, out, tally)
         if mode == verdicts.EXACT:
+            if tally[verdicts.OPEN]:
+                careful.settle_open(margin, plan, listed, packed.kernel, T, packed.kernel, T, out)
             _refuse_unsettled(out, a, b)
         kept = out != verdicts.FREE
         found.append(a[kept] * n + b[kept])
-    return np.concatenate(found)
+    return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:

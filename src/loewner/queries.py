@@ -15,13 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import batch, distances, verdicts
+from loewner._kernels import batch, careful, distances, verdicts
 from loewner._threads import over_blocks, share
-from loewner.bodies import Bodies, Body
+from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
+
+# The same for exact distances that need care, each of which takes microseconds.
+CAREFUL_CHUNK = 64
 
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
@@ -73,16 +76,31 @@ class Distance:
     normal: Any = None
 
 
+# The plan of one pair, and the rows of pairs that are not listed by number: see `batch.settle_range`.
+_ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
+NO_ROWS = np.empty((2, 0), dtype=np.int64)
+
+
 class _Pairs(NamedTuple):
     """Operands of a query, broadcast: what the kernels take."""
 
     shape: tuple[int, ...]
     total: int
-    operands: tuple[Any, ...]  # plan, pack of a, poses of a, pack of b, poses of b
+    plan: NDArray[np.int64]
+    packs: tuple[Packed, Packed]
+    poses: tuple[Floats, Floats]
 
+    @property
+    def operands(self) -> tuple[Any, ...]:
+        """Plan, pack and poses of a, pack and poses of b, as the kernels of distances take them."""
+        (a, b), (Ta, Tb) = self.packs, self.poses
+        return self.plan, a.kernel, Ta, b.kernel, Tb
 
-# The plan of one pair: batch shape and the four strides, see `batch.settle_range`.
-_ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
+    @property
+    def handles(self) -> tuple[Any, ...]:
+        """The same by handles, as `batch.settle_range` takes them."""
+        (a, b), (Ta, Tb) = self.packs, self.poses
+        return self.plan, NO_ROWS, a.handle, Ta, b.handle, Tb
 
 
 def _prepare(
@@ -95,9 +113,9 @@ def _prepare(
         raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}")
     Ta = _check.poses(T_world_a, "T_world_a", check=check)
     Tb = _check.poses(T_world_b, "T_world_b", check=check)
-    pack_a, pack_b = a._packed.kernel, b._packed.kernel
+    packs = a._packed, b._packed
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        return _Pairs((), 1, (_ONE_PAIR, pack_a, Ta.reshape(1, 4, 4), pack_b, Tb.reshape(1, 4, 4)))
+        return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
     of_a = (len(a),) if isinstance(a, Bodies) else ()
     of_b = (len(b),) if isinstance(b, Bodies) else ()
@@ -112,7 +130,7 @@ def _prepare(
         ) from None
     _refuse_beyond_memory(shape)
     plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
-    return _Pairs(shape, math.prod(shape), (plan, pack_a, Ta.reshape(-1, 4, 4), pack_b, Tb.reshape(-1, 4, 4)))
+    return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
 def _refuse_beyond_memory(shape: tuple[int, ...]) -> None:
@@ -166,8 +184,11 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
     if type(a) is Body and type(b) is Body:
         Ta, Tb = _check.one_pose(T_world_a), _check.one_pose(T_world_b)
         if Ta is not None and Tb is not None:
-            verdict: int = batch.settle_one(mode, margin, a._packed.handle, Ta, b._packed.handle, Tb)
-            return verdict
+            out = np.empty(1, dtype=np.int8)
+            tally = np.zeros(verdicts.TIERS, dtype=np.int64)
+            handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
+            if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally):
+                return int(out[0])
     return -1
 
 
@@ -177,15 +198,18 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
 
     def run(first: int, last: int) -> NDArray[np.int64]:
         tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        if not batch.settle_range(mode, margin, first, last, *pairs.operands, out, tally):
-            _, _, Ta, _, Tb = pairs.operands
-            _check.rigid_motions(Ta, "T_world_a")
-            _check.rigid_motions(Tb, "T_world_b")
+        if not batch.settle_range(mode, margin, first, last, *pairs.handles, out, tally):
+            for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
+                _check.rigid_motions(T, name)
         return tally
 
     if pairs.total <= CHUNK:
-        return out, run(0, pairs.total)
-    return out, np.sum(list(over_blocks(run, pairs.total, share(pairs.total, CHUNK))), axis=0)
+        tally = run(0, pairs.total)
+    else:
+        tally = np.sum(list(over_blocks(run, pairs.total, share(pairs.total, CHUNK))), axis=0)
+    if mode == verdicts.EXACT and tally[verdicts.OPEN]:
+        careful.settle_open(margin, pairs.plan, NO_ROWS, *pairs.operands[1:], out)
+    return out, tally
 
 
 def classify(
@@ -354,8 +378,8 @@ def distance(
     PoseError, InputError, UnknownNameError
         As for `collide`.
     ConvergenceError
-        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration
-        depth of curved pieces is never less than the true one, and proven to 1e-3 where many directions tie.)
+        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of
+        cylinders, cones and capsules is never less than the true one, and proven to 1e-3 where many directions tie.)
 
     Examples
     --------
@@ -372,11 +396,19 @@ def distance(
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
     factors = a._packed.factors + b._packed.factors
+    operands = (np.empty(0, dtype=np.int64), *pairs.operands, factors, *numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        distances.distance_range(exact, code, first, last, *pairs.operands, factors, *numbers, *vectors, status)
+        distances.distance_range(exact, code, first, last, *operands)
 
     for _ in over_blocks(run, n, share(n, CHUNK)):
+        pass
+    operands = (np.flatnonzero(status == distances.PUT_OFF), *operands[1:])
+
+    def run_again(first: int, last: int) -> None:
+        distances.careful_range(exact, code, first, last, *operands)
+
+    for _ in over_blocks(run_again, len(operands[0]), share(len(operands[0]), CAREFUL_CHUNK)):
         pass
     _refuse_unsettled(status != 0, "distance")
 

@@ -26,12 +26,17 @@ from loewner._kernels.pair_search import scratch
 from loewner._kernels.rigid import RIGID, fault
 from loewner._kernels.shapes import REACH, prefetch_points
 from loewner._kernels.vectors import SINGLE_LANES
-from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, TIERS
+from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
 # that single precision could not settle. Or a pose that is no rigid motion.
 FAR, CLOSE = 1, 2
 FAULTY = -1
+
+AHEAD = 6  # piece pairs between asking for their vertices and their use
+
+# Said to `_flush` besides: the list is of consecutive pairs of bodies, one piece pair each.
+DISTINCT = 4
 
 
 @inline
@@ -111,10 +116,8 @@ def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
 
 
 @njit()
-def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
+def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally):
     """Settle the listed piece pairs and merge them into the verdicts of their pairs.
-
-    `distinct` says that the list is of consecutive pairs of bodies, one piece pair each.
 
     Takes and returns FAR | CLOSE as a hint how to start with the next block, or returns FAULTY.
     """
@@ -130,9 +133,9 @@ def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, 
             return FAULTY
         if count == 0:
             tally[BY_SPHERE] += listed
-            return hint
+            return hint & (FAR | CLOSE)
         _fill(count, L)
-    unsure = 0
+    unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if margin > 0.0:
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
             return FAULTY
@@ -155,7 +158,7 @@ def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, 
     tally[BY_INNER] += listed - far - outer - left
     unsettled = np.int8(FREE if mode == EXACT else AMBIGUOUS)
     first = L[PAIR * BLOCK]
-    if distinct and count == listed:
+    if hint & DISTINCT and count == listed:
         for lane in range(count):
             out[first + lane] = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
     else:
@@ -171,11 +174,13 @@ def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, 
         for lane in range(count):
             L[OPEN_LANE * BLOCK + left] = lane
             left += tier[lane] == OPEN
-        for n in range(left):
-            lane = L[OPEN_LANE * BLOCK + n]
-            prefetch_points(la, xa, L[PIECE_A * BLOCK + lane])
-            prefetch_points(lb, xb, L[PIECE_B * BLOCK + lane])
-        for n in range(left):
+        for n in range(-AHEAD, left):
+            if n + AHEAD < left:
+                lane = L[OPEN_LANE * BLOCK + n + AHEAD]
+                prefetch_points(la, xa, L[PIECE_A * BLOCK + lane])
+                prefetch_points(lb, xb, L[PIECE_B * BLOCK + lane])
+            if n < 0:
+                continue
             lane = L[OPEN_LANE * BLOCK + n]
             k = L[PAIR * BLOCK + lane]
             if out[k] == COLLIDING:
@@ -187,7 +192,9 @@ def _flush(mode, margin, distinct, hint, moved_a, moved_b, a, Ta, b, Tb, count, 
                 size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
             at = OUT_NORMAL * BLOCK + lane
             nx, ny, nz = V[at], V[at + BLOCK], V[at + 2 * BLOCK]
-            verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W)
+            verdict, t = exact_piece_pair(
+                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W, result
+            )
             tally[t] += 1
             if verdict != FREE:
                 out[k] = verdict
@@ -204,56 +211,18 @@ def _put(L, count, k, i, j, ka, kb):
 
 
 @inline
-def _list(mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
-    """List the piece pairs of pair k, and settle the list whenever it is full; how many wait in it, and the hint."""
-    if a[8][ia] >= 0 or b[8][ib] >= 0:
-        return _list_many(
-            mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally
-        )
-    start_a, start_b = a[3], b[3]
-    for i in range(start_a[ia], start_a[ia + 1]):
-        for j in range(start_b[ib], start_b[ib + 1]):
-            if out[k] == COLLIDING:
-                break
-            _put(L, count, k, i, j, ka, kb)
-            count += 1
-            if count == BLOCK:
-                hint = _flush(
-                    mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
-                )
-                count = np.int64(0)
-    return count, hint
+def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
+    """Rows of a, b and their poses that belong to pair k."""
+    if rows.shape[1] > 0:
+        return rows[0, k] * body_a[0], rows[1, k] * body_b[0], rows[0, k] * pose_a[0], rows[1, k] * pose_b[0]
+    return row_of(k, shape, body_a), row_of(k, shape, body_b), row_of(k, shape, pose_a), row_of(k, shape, pose_b)
 
 
 @njit()
-def _list_many(mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally):
-    """As `_list`, where a body has many pieces: only the pairs that their trees leave."""
-    # The trees may leave none, and nobody else would then look at the poses.
-    if fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID:
-        return count, FAULTY
-    steps = np.empty(trees.STEPS, np.int64)
-    numbers = np.empty(trees.NUMBERS)
-    found_a = np.empty(BLOCK, np.int64)
-    found_b = np.empty(BLOCK, np.int64)
-    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
-    while out[k] != COLLIDING:
-        found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
-        if found == 0:
-            break
-        for c in range(found):
-            _put(L, count, k, found_a[c], found_b[c], ka, kb)
-            count += 1
-            if count == BLOCK:
-                hint = _flush(
-                    mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally
-                )
-                count = np.int64(0)
-    return count, hint
-
-
-@njit()
-def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
+def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally):
     """Settle pairs start .. stop.
+
+    One function for everything, single pairs included: what calls it would be compiled with all of it once more.
 
     Parameters
     ----------
@@ -263,8 +232,11 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
         Distance that pairs must keep, >= 0.
     plan : ndarray of int64, shape (5, d)
         Batch shape, then the strides, in rows, of a, Ta, b and Tb along its axes.
-    a, b : tuple of ndarray
-        Packed pieces, see `shapes`.
+    rows : ndarray of int64, shape (2, m) or (2, 0)
+        If not empty, pair k is of a's row rows[0, k] and b's row rows[1, k], and d is 1: strides are then steps from
+        one such row to the next.
+    pack_a, pack_b : int
+        Handles of packed pieces, see `handles`.
     Ta, Tb : ndarray, shape (..., 4, 4), one batch axis
     out : ndarray of int8
         Receives the verdicts; AMBIGUOUS in mode EXACT means that the search did not settle the pair.
@@ -276,122 +248,73 @@ def settle_range(mode, margin, start, stop, plan, a, Ta, b, Tb, out, tally):
     bool
         False if one of the poses is no rigid motion; nothing then holds.
     """
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     V = np.empty(ROWS * BLOCK)
     L = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
     W = scratch()
-    la, lb, start_a, start_b = a[1], b[1], a[3], b[3]
+    result = np.empty(9)
     moved_a, moved_b = not is_identity(Ta), not is_identity(Tb)
-    hint = 0
-    count = np.int64(0)  # typed: a constant would have `_flush` compiled twice
-    if shape.shape[0] == 1 and len(start_a) == len(la) + 1 and len(start_b) == len(lb) + 1:
-        # One piece a body, one axis: the lists are arithmetic progressions.
-        for first in range(start, stop, BLOCK):
-            count = min(BLOCK, stop - first)
-            for lane in range(count):
-                L[PAIR * BLOCK + lane] = first + lane
-                L[PIECE_A * BLOCK + lane] = (first + lane) * body_a[0]
-                L[PIECE_B * BLOCK + lane] = (first + lane) * body_b[0]
-                L[POSE_A * BLOCK + lane] = (first + lane) * pose_a[0]
-                L[POSE_B * BLOCK + lane] = (first + lane) * pose_b[0]
-                out[first + lane] = FREE
-            hint = _flush(mode, margin, True, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally)
+    listed = rows.shape[1] > 0
+    # Typed: a constant would have `_flush` compiled twice.
+    hint = np.int64(0)
+    count = np.int64(0)
+    if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
+        # One piece a body: nothing to look up.
+        k = start
+        while k < stop:
+            count = np.int64(0)
+            while count < BLOCK and k < stop:
+                more = min(BLOCK - count, stop - k)
+                if listed:
+                    for lane in range(more):
+                        ra, rb = rows[0, k + lane], rows[1, k + lane]
+                        _put(L, lane, k + lane, ra * body_a[0], rb * body_b[0], ra * pose_a[0], rb * pose_b[0])
+                else:
+                    # Along the last axis the rows are arithmetic progressions.
+                    last = shape.shape[0] - 1
+                    more = min(more, shape[last] - k % shape[last])
+                    ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
+                    for lane in range(more):
+                        _put(
+                            L, count + lane, k + lane, ia + lane * body_a[last], ib + lane * body_b[last],
+                            ka + lane * pose_a[last], kb + lane * pose_b[last],
+                        )  # fmt: skip
+                count += more
+                k += more
+            out[k - count : k] = FREE
+            hint |= DISTINCT
+            hint = _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally)
             if hint == FAULTY:
                 return False
         return True
-    # Walk the last axis by adding strides; only its end costs divisions.
-    last = shape.shape[0] - 1
-    here = shape[last]
-    ia, ib, ka, kb = 0, 0, 0, 0
+
+    steps = np.empty(trees.STEPS, np.int64)
+    numbers = np.empty(trees.NUMBERS)
+    found_a = np.empty(BLOCK, np.int64)
+    found_b = np.empty(BLOCK, np.int64)
     for k in range(start, stop):
         out[k] = FREE
-        if here == shape[last] or k == start:
-            here = k % shape[last]
-            ia = row_of(k, shape, body_a)
-            ib = row_of(k, shape, body_b)
-            ka = row_of(k, shape, pose_a)
-            kb = row_of(k, shape, pose_b)
-        else:
-            ia += body_a[last]
-            ib += body_b[last]
-            ka += pose_a[last]
-            kb += pose_b[last]
-        here += 1
-        count, hint = _list(
-            mode, margin, hint, moved_a, moved_b, k, ia, ka, ib, kb, a, Ta, b, Tb, count, L, tier, V, W, out, tally
-        )
-        if hint == FAULTY:
+        ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
+        # The trees may leave no piece pair at all, and nobody else would then look at the poses.
+        if (a[8][ia] >= 0 or b[8][ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
+        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        while out[k] != COLLIDING:
+            found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+            if found == 0:
+                break
+            for c in range(found):
+                _put(L, count, k, found_a[c], found_b[c], ka, kb)
+                count += 1
+                if count == BLOCK:
+                    hint = _flush(
+                        mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally
+                    )
+                    if hint == FAULTY:
+                        return False
+                    count = np.int64(0)
     if count > 0:
-        hint = _flush(mode, margin, False, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, out, tally)
+        hint = _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally)
     return hint != FAULTY
-
-
-@njit()
-def settle_listed(mode, margin, rows_a, rows_b, body_step, pose_step, pack, T, out, tally):
-    """Settle pairs of one set of bodies, listed by number; the poses are known to be rigid.
-
-    Parameters
-    ----------
-    rows_a, rows_b : ndarray of int64, shape (m,)
-        The two bodies of each pair.
-    body_step, pose_step : int
-        1 if each body has its own pieces, its own pose; 0 if all share one.
-    mode, margin, pack, T, out, tally
-        As for `settle_range`.
-    """
-    V = np.empty(ROWS * BLOCK)
-    L = np.empty(LISTS * BLOCK, np.int64)
-    tier = np.empty(BLOCK, np.int8)
-    W = scratch()
-    moved = not is_identity(T)
-    hint = 0
-    count = np.int64(0)
-    total = rows_a.shape[0]
-    if len(pack[3]) == len(pack[1]) + 1:
-        # One piece a body.
-        for first in range(0, total, BLOCK):
-            count = min(BLOCK, total - first)
-            for lane in range(count):
-                L[PAIR * BLOCK + lane] = first + lane
-                L[PIECE_A * BLOCK + lane] = rows_a[first + lane] * body_step
-                L[PIECE_B * BLOCK + lane] = rows_b[first + lane] * body_step
-                L[POSE_A * BLOCK + lane] = rows_a[first + lane] * pose_step
-                L[POSE_B * BLOCK + lane] = rows_b[first + lane] * pose_step
-                out[first + lane] = FREE
-            hint = _flush(mode, margin, True, hint, moved, moved, pack, T, pack, T, count, L, tier, V, W, out, tally)
-        return
-    for k in range(total):
-        out[k] = FREE
-        ia, ka = rows_a[k] * body_step, rows_a[k] * pose_step
-        ib, kb = rows_b[k] * body_step, rows_b[k] * pose_step
-        count, hint = _list(
-            mode, margin, hint, moved, moved, k, ia, ka, ib, kb, pack, T, pack, T, count, L, tier, V, W, out, tally
-        )
-    if count > 0:
-        _flush(mode, margin, False, hint, moved, moved, pack, T, pack, T, count, L, tier, V, W, out, tally)
-
-
-@njit()
-def settle_one(mode, margin, a, Ta, b, Tb):
-    """Verdict of one pair of bodies, given by their handles (see `handles`), or -1 if a pose is no rigid motion."""
-    plan = np.zeros((5, 1), np.int64)
-    plan[0, 0] = 1
-    out = np.empty(1, np.int8)
-    tally = np.zeros(TIERS, np.int64)
-    if settle_range(
-        mode,
-        margin,
-        np.int64(0),
-        np.int64(1),
-        plan,
-        arrays_of(a),
-        Ta.reshape((1, 4, 4)),
-        arrays_of(b),
-        Tb.reshape((1, 4, 4)),
-        out,
-        tally,
-    ):
-        return np.int64(out[0])
-    return np.int64(-1)

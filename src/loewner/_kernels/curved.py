@@ -464,20 +464,35 @@ def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
     return n, h, slope
 
 
+@njit()
+def least_height(wide_a, FA, wide_b, FB, c, n, size):
+    """`global_minimum` for ellipsoids, and for the cores of balls: those are points, not `wide`, with zero factors."""
+    if wide_a and wide_b:
+        return global_minimum(FA, FB, c, n, size)
+    if wide_a or wide_b:
+        # What is left has one minimum, or two that mirror each other.
+        P = _gram(FA if wide_a else FB)
+        _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
+        n, h, slope = descend(FA, FB, c, n, size)
+        return n, h, h, slope
+    away = np.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    if away > 0.0:
+        n = (c[0] / away, c[1] / away, c[2] / away)
+    return n, -away, -away, 0.0
+
+
 @inline
 def is_round(layout, piece):
     """Whether the piece is an ellipsoid or a ball."""
     return layout[piece, KIND] == ELLIPSOID or layout[piece, KIND] == POINT
 
 
-@njit()
-def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz, size, result):
+@inline
+def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result):
     """Signed distance of two pieces that are ellipsoids or balls.
 
     Parameters
     ----------
-    dx, dy, dz : float
-        From a's translation to b's.
     nx, ny, nz : float
         Where to look first: a normal from A to B, of any length.
     size : float
@@ -493,23 +508,13 @@ def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz,
     """
     FA, ax, ay, az = _image(ta, la, i, Ta, ka)
     FB, bx, by, bz = _image(tb, lb, j, Tb, kb)
-    bx, by, bz = bx + dx, by + dy, bz + dz
+    bx += Tb[kb, 0, 3] - Ta[ka, 0, 3]
+    by += Tb[kb, 1, 3] - Ta[ka, 1, 3]
+    bz += Tb[kb, 2, 3] - Ta[ka, 2, 3]
     c = (bx - ax, by - ay, bz - az)
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     n = (nx / length, ny / length, nz / length) if 0.0 < length < np.inf else (0.0, 0.0, 1.0)
-    if la[i, KIND] == ELLIPSOID and lb[j, KIND] == ELLIPSOID:
-        n, h, lower, slope = global_minimum(FA, FB, c, n, size)
-    elif la[i, KIND] == ELLIPSOID or lb[j, KIND] == ELLIPSOID:
-        # One of the factors is zero. What is left has one minimum, or two that mirror each other.
-        P = _gram(FA if la[i, KIND] == ELLIPSOID else FB)
-        _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
-        n, h, slope = descend(FA, FB, c, n, size)
-        lower = h
-    else:
-        away = np.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
-        if away > 0.0:
-            n = (c[0] / away, c[1] / away, c[2] / away)
-        h, lower, slope = -away, -away, 0.0
+    n, h, lower, slope = least_height(la[i, KIND] == ELLIPSOID, FA, lb[j, KIND] == ELLIPSOID, FB, c, n, size)
     _, px, py, pz = _support(FA, n[0], n[1], n[2])
     _, qx, qy, qz = _support(FB, n[0], n[1], n[2])
     ra, rb = ta[i, ROUNDING], tb[j, ROUNDING]

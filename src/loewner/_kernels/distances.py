@@ -75,7 +75,7 @@ SETTLED = 1e-9
 # a plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
 
-SETTLED_DISTANCE, NOT_SETTLED = 0, 1
+SETTLED_DISTANCE, NOT_SETTLED, PUT_OFF = 0, 1, 2
 
 
 @njit()
@@ -420,49 +420,6 @@ def _ellipsoids():
 
 
 @njit()
-def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                   witness_a, witness_b, normal, status):  # fmt: skip
-    """Distances of pairs start .. stop, operands as in `batch`; the last five arrays are written only if `exact`."""
-    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S = np.empty(ROWS * LANES)
-    queue = np.empty((QUEUE, LANES), np.int64)
-    spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
-    out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
-    count = np.int64(0)
-    for k in range(start, stop):
-        ia = row_of(k, shape, body_a)
-        ib = row_of(k, shape, body_b)
-        ka = row_of(k, shape, pose_a)
-        kb = row_of(k, shape, pose_b)
-        lower[k] = np.inf
-        upper[k] = np.inf
-        estimate[k] = np.inf
-        if exact:
-            distance[k] = np.inf
-            status[k] = SETTLED_DISTANCE
-        if a[8][ia] >= 0 or b[8][ib] >= 0:
-            if count > 0:
-                _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-                count = np.int64(0)
-            _measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out)
-            continue
-        for i in range(a[3][ia], a[3][ia + 1]):
-            for j in range(b[3][ib], b[3][ib + 1]):
-                queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
-                queue[POSE_A, count], queue[POSE_B, count] = ka, kb
-                count += 1
-                if count == LANES:
-                    _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-                    count = np.int64(0)
-    if count > 0:
-        _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-    if exact:
-        for k in range(start, stop):
-            # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
-            distance[k] = max(lower[k], min(upper[k], distance[k]))
-
-
-@njit()
 def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
     """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
     found = trees.more(a, b, ib, reach, steps, numbers, queue[1, :WALKED], queue[2, :WALKED])
@@ -470,50 +427,6 @@ def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
     queue[3, :found] = ka
     queue[4, :found] = kb
     return found
-
-
-@njit()
-def _measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out):
-    """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
-    upper, distance = out[1], out[3]
-    steps = np.empty(trees.STEPS, np.int64)
-    numbers = np.empty(trees.NUMBERS)
-    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
-    # A first bound on the distance spares the walk most pairs.
-    i, j = trees.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
-    queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
-    found = np.int64(1)
-    while found > 0:
-        _measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, out)
-        cut = upper[k]
-        if exact:
-            cut = min(cut, distance[k] + SETTLED * numbers[trees.SIZE])
-        found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, numbers, queue)
-
-
-@njit()
-def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
-    """Measure the queued piece pairs and merge them into the results of their pairs."""
-    _bounds(count, queue, a[0], Ta, b[0], Tb, S)
-    lower, upper, estimate = out[0], out[1], out[2]
-    for lane in range(count):
-        k = queue[PAIR, lane]
-        below = S[BELOW * LANES + lane]
-        above = S[ABOVE * LANES + lane]
-        lower[k] = min(lower[k], below)
-        upper[k] = min(upper[k], above)
-        if rule == CONTACT_PRODUCT:
-            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
-        else:
-            guess = _rule_estimate(
-                rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
-                b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
-            )  # fmt: skip
-        estimate[k] = min(estimate[k], max(below, min(above, guess)))
-    if exact:
-        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
-        if late > 0:
-            _measure_late(late, queue, a, Ta, b, Tb, S, spaces[3], spaces[4], spaces[1], out)
 
 
 @njit()
@@ -535,7 +448,7 @@ def _measure_near(count, queue, a, Ta, b, Tb, S, W, D, K, result, out):
         nx, ny, nz = _three(S, NORMAL, lane)
         size = S[SIZE * LANES + lane]
         if is_round(la, i) and is_round(lb, j):
-            value, gap = round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, dx, dy, dz, nx, ny, nz, size, result)
+            value, gap = round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result)
             _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, out)
             continue
         plain = la[i, KIND] <= POLYTOPE and lb[j, KIND] <= POLYTOPE
@@ -608,6 +521,114 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out):
             normal[k, c] = result[c]
             witness_a[k, c] = result[3 + c] + ra * result[c] + Ta[ka, c, 3]
             witness_b[k, c] = result[6 + c] - rb * result[c] + Ta[ka, c, 3]
+
+
+def _ranges(measure_late):
+    """The function below, with what is to become of piece pairs that the fast searches leave."""
+
+    @njit()
+    def measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
+        """Measure the queued piece pairs and merge them into the results of their pairs."""
+        _bounds(count, queue, a[0], Ta, b[0], Tb, S)
+        lower, upper, estimate = out[0], out[1], out[2]
+        for lane in range(count):
+            k = queue[PAIR, lane]
+            below = S[BELOW * LANES + lane]
+            above = S[ABOVE * LANES + lane]
+            lower[k] = min(lower[k], below)
+            upper[k] = min(upper[k], above)
+            if rule == CONTACT_PRODUCT:
+                guess = estimated_distance(
+                    S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane]
+                )
+            else:
+                guess = _rule_estimate(
+                    rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
+                    b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
+                )  # fmt: skip
+            estimate[k] = min(estimate[k], max(below, min(above, guess)))
+        if exact:
+            late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
+            if late > 0:
+                measure_late(late, queue, a, Ta, b, Tb, S, spaces[3], spaces[4], spaces[1], out)
+
+    @njit()
+    def measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out):
+        """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
+        upper, distance = out[1], out[3]
+        steps = np.empty(trees.STEPS, np.int64)
+        numbers = np.empty(trees.NUMBERS)
+        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        # A first bound on the distance spares the walk most pairs.
+        i, j = trees.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
+        queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
+        found = np.int64(1)
+        while found > 0:
+            measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, out)
+            cut = upper[k]
+            if exact:
+                cut = min(cut, distance[k] + SETTLED * numbers[trees.SIZE])
+            found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, numbers, queue)
+
+    @njit()
+    def distance_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                       witness_a, witness_b, normal, status):  # fmt: skip
+        """Distances of pairs start .. stop, or of which[start] .. which[stop - 1] if that is not empty.
+
+        Operands as in `batch`; the last five arrays are written only if `exact`.
+        """
+        shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+        S = np.empty(ROWS * LANES)
+        queue = np.empty((QUEUE, LANES), np.int64)
+        spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
+        out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
+        count = np.int64(0)
+        for n in range(start, stop):
+            k = which[n] if which.shape[0] > 0 else n
+            ia = row_of(k, shape, body_a)
+            ib = row_of(k, shape, body_b)
+            ka = row_of(k, shape, pose_a)
+            kb = row_of(k, shape, pose_b)
+            lower[k] = np.inf
+            upper[k] = np.inf
+            estimate[k] = np.inf
+            if exact:
+                distance[k] = np.inf
+                status[k] = SETTLED_DISTANCE
+            if a[8][ia] >= 0 or b[8][ib] >= 0:
+                if count > 0:
+                    measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+                    count = np.int64(0)
+                measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out)
+                continue
+            for i in range(a[3][ia], a[3][ia + 1]):
+                for j in range(b[3][ib], b[3][ib + 1]):
+                    queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
+                    queue[POSE_A, count], queue[POSE_B, count] = ka, kb
+                    count += 1
+                    if count == LANES:
+                        measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+                        count = np.int64(0)
+        if count > 0:
+            measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
+        if exact:
+            for n in range(start, stop):
+                k = which[n] if which.shape[0] > 0 else n
+                # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+                distance[k] = max(lower[k], min(upper[k], distance[k]))
+
+    return distance_range
+
+
+@njit()
+def _put_off(late, queue, a, Ta, b, Tb, S, D, K, result, out):
+    """Leave a pair with such piece pairs to `careful_range`."""
+    for m in range(late):
+        out[7][queue[PAIR, queue[LATE, m] // 2]] = PUT_OFF
+
+
+distance_range = _ranges(_put_off)
+careful_range = _ranges(_measure_late)  # compiled only when a pair needs it
 
 
 @njit()
