@@ -23,8 +23,8 @@ COUNT, QUICK = 100_000, 2_000
 FROM_PYTHON = 5_000
 # Pairs on which the ways to ask Coal are first compared, and how many of the fastest then run on all pairs.
 TRIAL, FINALISTS = 2_000, 4
-# The data that the required ratios are about; the others' ratios are shown beside.
-DECISIVE = "distinct hulls, volume"
+# The data that the required ratios are about, and the same with every hull turned; the others' ratios are shown beside.
+DECISIVE = ("distinct hulls, volume, shifted only", "distinct hulls, volume")
 # Most differing answers that are judged by linear programs.
 JUDGED = 200
 # Distances that differ by less than Coal's own tolerance (1e-6, relative) agree.
@@ -35,6 +35,7 @@ def run(quick: bool, folder: Path) -> list[Row]:
     count = QUICK if quick else COUNT
     rows = []
     for p in (
+        paper_pairs(count, turned=False),
         paper_pairs(count),
         paper_pairs(count // 5, "radius"),
         repeated_pairs(count // 5),
@@ -99,7 +100,7 @@ def contests(p: Pairs, colliding: Array) -> list[Contest]:
     overlapping = loewner.overlap(*ellipsoids)
 
     def needed(key: str) -> float | None:
-        return REQUIRED[key] if p.name == DECISIVE else None
+        return REQUIRED[key] if p.name in DECISIVE else None
 
     def nearest(case: str, key: str, where: Array, ways: list[Settings]) -> Contest:
         some = p.part(where)
@@ -197,7 +198,7 @@ def alone(c: Contest, missing: str, rounds: int) -> Row:
 def beside_python(p: Pairs, colliding: Array, rounds: int) -> list[Row]:
     rows = []
     for name, make, key in (("Coal Python", CoalPython, "collide vs Coal Python"), ("python-fcl", FclPython, None)):
-        required = REQUIRED[key] if key and p.name == DECISIVE else None
+        required = REQUIRED[key] if key and p.name in DECISIVE else None
         case = f"{p.name}: boolean"
         try:
             rival = make(p)

@@ -29,6 +29,8 @@ class Pairs:
     a, b : ndarray of int, shape (n,)
         Which of them meet.
     Ta, Tb : ndarray, shape (n, 4, 4)
+    still : bool
+        Whether every Ta is the identity, so that ours need not be told.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Pairs:
     b: Array
     Ta: Array
     Tb: Array
+    still: bool = False
 
     @cached_property
     def first(self) -> Bodies:
@@ -52,11 +55,13 @@ class Pairs:
 
     def part(self, chosen: Array | slice) -> Pairs:
         """Some of the pairs, over the same bodies."""
-        return Pairs(self.name, self.bodies, self.a[chosen], self.b[chosen], self.Ta[chosen], self.Tb[chosen])
+        return Pairs(
+            self.name, self.bodies, self.a[chosen], self.b[chosen], self.Ta[chosen], self.Tb[chosen], self.still
+        )
 
-    def arguments(self) -> tuple[Bodies, Array, Bodies, Array]:
+    def arguments(self) -> tuple[Bodies, Array | None, Bodies, Array]:
         """What `loewner.classify` and its like take."""
-        return self.first, self.Ta, self.second, self.Tb
+        return self.first, None if self.still else self.Ta, self.second, self.Tb
 
 
 def fitted(point_sets: Sequence[Array] | Array) -> Bodies:
@@ -88,20 +93,23 @@ def shifts(rng: np.random.Generator, count: int, largest: float = dataset.LARGES
     return rng.uniform(0, largest, size=(count, 1)) * np.ones(3) / np.sqrt(3.0)
 
 
-def paper_pairs(count: int, density: str = "volume", seed: int = 0) -> Pairs:
+def paper_pairs(count: int, density: str = "volume", seed: int = 0, turned: bool = True) -> Pairs:
     """The paper's pairs of hulls of 20 points, every hull used once.
 
-    The points are isotropic, so turning each hull changes nothing about the pairs; without it all rotations would be
-    the identity, which no user's are.
+    The points are isotropic, so turning each hull changes nothing about the pairs; without it all rotations are
+    the identity, which few users' are.
     """
     drawn = dataset.sample(count, seed, density)
     shift = drawn.shift[:, None] * np.ones(3) / np.sqrt(3.0)
-    rng = np.random.default_rng(seed + 1)
     bodies = fitted([*drawn.points_1, *(drawn.points_2 - shift[:, None])])
     a = np.arange(count)
-    name = f"distinct hulls, {density}"
+    if not turned:
+        still = np.tile(np.eye(3), (count, 1, 1))
+        Ta, Tb = poses(still, np.zeros((count, 3))), poses(still, shift)
+        return Pairs(f"distinct hulls, {density}, shifted only", bodies, a, count + a, Ta, Tb, still=True)
+    rng = np.random.default_rng(seed + 1)
     Ta, Tb = poses(rotations(rng, count), np.zeros((count, 3))), poses(rotations(rng, count), shift)
-    return Pairs(name, bodies, a, count + a, Ta, Tb)
+    return Pairs(f"distinct hulls, {density}", bodies, a, count + a, Ta, Tb)
 
 
 def repeated_pairs(count: int, hulls: int = 100, seed: int = 0) -> Pairs:
