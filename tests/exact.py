@@ -95,7 +95,7 @@ class ExactEllipsoid:
         self.factor = M @ rational(factor)
 
     def reach(self, n: np.ndarray) -> tuple[Fraction, Fraction]:
-        """Bounds, next to each other, on how far the ellipsoid reaches from its center along n, times |n|; n rational."""
+        """Bounds, next to each other, on how far the ellipsoid reaches from its center along n, times |n|."""
         return root_bounds(sum(w * w for w in n @ self.factor))
 
     def contains(self, x: np.ndarray) -> bool:

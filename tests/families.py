@@ -250,9 +250,10 @@ def posed_near_contact(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses of pairs whose difference is known: millions a minute, each at a turn and a place of its own in the world.
 
-    From where the centroids coincide b goes a random way, `along` times as far as where the two just touch. The fraction
-    `deep` goes a twentieth of that; `grazing` goes to contact and from there, square to the faces or edges that touch, to a
-    gap or an overlap of 2e-14 to 1e-1 of the size; one in a thousand of these to less, which only rational arithmetic judges.
+    From where the centroids coincide b goes a random way, `along` times as far as where the two just touch. The
+    fraction `deep` goes a twentieth of that; `grazing` goes to contact and from there, square to the faces or edges
+    that touch, to a gap or an overlap of 2e-14 to 1e-1 of the size; one in a thousand of these to less, where only
+    rational arithmetic can judge.
     """
     count = len(pair)
     toward = rng.normal(size=(count, 3))

@@ -142,7 +142,7 @@ def _unit_edges(V, N, edges):
 def _axes(A, NA, EA, B, NB, EB, out):
     """List the outward normals, from A to B, of all faces of the Minkowski difference; returns how many.
 
-    Each row of `out` gets a unit vector and the gap that the faces or edges it comes from have along it: infinity for the
+    Each row of `out` gets a unit vector and the gap that the edges it comes from have along it: infinity for the
     normals of A and B, which have to be checked in any case.
     """
     count = 0
@@ -273,9 +273,10 @@ def signed_distance(a: Hull, Ta: np.ndarray, b: Hull, Tb: np.ndarray) -> tuple[f
 
 
 class Differences(NamedTuple):
-    """Minkowski differences of n pairs of hulls, b turned, as half-spaces: shifted by d they meet if normals @ d <= offsets.
+    """Minkowski differences of n pairs of hulls, b turned, as half-spaces.
 
-    All the work that depends on the turn is in here, so that the truth of a shift is one product per face.
+    With b shifted by d a pair meets exactly if normals @ d <= offsets. All the work that depends on the turn is in
+    here, so that the truth of a shift is one product per face.
     """
 
     normals: np.ndarray  # (3, f): unit, from a to b

@@ -8,7 +8,17 @@ import pytest
 
 import loewner
 from families import box_corners, pieces
-from loewner import Bodies, Body, FileError, GeometryError, InputError, LoewnerError, PoseError, UnknownNameError
+from loewner import (
+    Bodies,
+    Body,
+    FileError,
+    GeometryError,
+    InputError,
+    LoewnerError,
+    PoseError,
+    UnknownNameError,
+    _check,
+)
 
 CUBE = box_corners(np.ones(3))
 
@@ -194,8 +204,141 @@ def test_poses_that_do_not_broadcast():
 def test_bad_margin(margin: object):
     a = Body.sphere(1)
     for query in (loewner.classify, loewner.collide):
-        with pytest.raises(InputError):
-            query(a, None, a, None, margin=margin)
+        for arguments in ((a, None, a, None), (a, np.tile(np.eye(4), (3, 1, 1)), a, None)):
+            with pytest.raises(InputError, match="margin: expected a"):
+                query(*arguments, margin=margin)
+    with pytest.raises(InputError, match="margin: expected a"):
+        loewner.overlapping_pairs(Bodies([a, a]), margin=margin)
+
+
+# -- batches -----------------------------------------------------------------------------------------------
+
+PAIRWISE = ("classify", "collide", "distance")
+
+
+def ask(query: str, a: object, Ta: object, b: object, Tb: object) -> np.ndarray:
+    """One array of answers, from whichever query."""
+    if query == "distance":
+        return np.asarray(loewner.distance(a, Ta, b, Tb, exact=True).distance)
+    return np.asarray(getattr(loewner, query)(a, Ta, b, Tb))
+
+
+def row_of_poses(count: int) -> np.ndarray:
+    """Poses along x: whole metres, which every type of number can say."""
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, 0, 3] = np.arange(count)
+    return T
+
+
+@pytest.mark.parametrize("query", PAIRWISE)
+def test_lengths_that_do_not_match_are_named(query: str):
+    """Seven poses for eight, or for eight bodies: both lengths are in the message."""
+    a = Body.box([1, 1, 1])
+    seven, eight, many = row_of_poses(7), row_of_poses(8), Bodies([a] * 8)
+    for arguments in (
+        (a, seven, a, eight),
+        (many, seven, a, None),
+        (a, None, many, seven),
+        (many, None, many[:7], None),
+    ):
+        with pytest.raises(PoseError) as caught:
+            ask(query, *arguments)
+        assert "7" in str(caught.value)
+        assert "8" in str(caught.value)
+
+
+def test_one_pose_for_each_body_of_a_crowd():
+    many = Bodies([Body.box([1, 1, 1])] * 8)
+    with pytest.raises(PoseError, match="8 bodies, found 7"):
+        loewner.overlapping_pairs(many, row_of_poses(7))
+
+
+@pytest.mark.parametrize("query", PAIRWISE)
+def test_empty_batches_come_back_empty(query: str):
+    a, none = Body.box([1, 1, 1]), np.empty((0, 4, 4))
+    nobody = Bodies([a])[:0]
+    for arguments in ((a, none, a, None), (a, None, a, none), (a, none, a, none), (nobody, None, a, None)):
+        assert ask(query, *arguments).shape == (0,)
+    assert ask(query, a, np.empty((3, 0, 4, 4)), a, None).shape == (3, 0)
+    assert ask(query, nobody, np.empty((3, 1, 4, 4)), a, None).shape == (3, 0)
+
+
+def test_an_empty_crowd_has_no_pairs():
+    for found in (
+        loewner.overlapping_pairs(Bodies([Body.sphere(1)])[:0]),
+        loewner.overlapping_pairs(Body.sphere(1), np.empty((0, 4, 4))),
+    ):
+        assert found.shape == (0, 2)
+        assert found.dtype == np.int64
+
+
+def read_only(T: np.ndarray) -> np.ndarray:
+    T = T.copy()
+    T.setflags(write=False)
+    return T
+
+
+KINDS_OF_POSES: dict[str, Callable[[np.ndarray], object]] = {
+    "every second": lambda T: np.repeat(T, 2, axis=0)[::2],
+    "backwards twice": lambda T: np.ascontiguousarray(T[::-1])[::-1],
+    "part of wider rows": lambda T: np.concatenate([T, T], axis=2)[:, :, :4],
+    "Fortran order": np.asfortranarray,
+    "transposed twice": lambda T: np.ascontiguousarray(T.transpose(0, 2, 1)).transpose(0, 2, 1),
+    "broadcast": lambda T: np.broadcast_to(T, (2, *T.shape))[0],
+    "other byte order": lambda T: T.astype(T.dtype.newbyteorder()),
+    "read-only": read_only,
+    "float32": lambda T: T.astype(np.float32),
+    "float16": lambda T: T.astype(np.float16),
+    "int64": lambda T: T.astype(np.int64),
+    "int8": lambda T: T.astype(np.int8),
+    "uint8": lambda T: T.astype(np.uint8),
+    "lists": lambda T: T.tolist(),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_POSES)
+@pytest.mark.parametrize("query", [*PAIRWISE, "overlapping_pairs"])
+def test_any_array_of_poses_will_do(query: str, kind: str):
+    """How poses are laid out or typed changes no answer, and they are not written to: in batches and one at a time."""
+    a, T = Body.from_points(CUBE), row_of_poses(6)
+    given = KINDS_OF_POSES[kind](T)
+    if query == "overlapping_pairs":
+        assert loewner.overlapping_pairs(a, given).tolist() == [[k, k + 1] for k in range(5)]
+    else:
+        wanted = ask(query, a, T, a, None)
+        assert len(np.unique(wanted)) > 1
+        assert np.array_equal(ask(query, a, given, a, None), wanted)
+        assert np.array_equal(ask(query, a, None, a, given), ask(query, a, None, a, T))
+        assert [ask(query, a, given[k], a, None).item() for k in range(6)] == wanted.tolist()
+    assert np.array_equal(given, T)
+
+
+@pytest.mark.parametrize("query", PAIRWISE)
+def test_a_batch_beyond_memory_is_refused(query: str, monkeypatch: pytest.MonkeyPatch):
+    """Before anything is computed, with the shape asked for and the memory that it would take."""
+    a = Body.sphere(1)
+    monkeypatch.setattr(_check, "physical_memory", lambda: 2**30)
+    across, down = row_of_poses(40_000), row_of_poses(40_000)[:, None]
+    with pytest.raises(InputError, match=r"memory \(1 GiB\), found \(40000, 40000\) pairs, which need [0-9.]+ GiB"):
+        ask(query, a, across, a, down)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_distances_take_more_memory_than_verdicts(exact: bool, monkeypatch: pytest.MonkeyPatch):
+    """A batch of as many distances as bytes: each takes more than one, and is counted so."""
+    a, T = Body.sphere(1), row_of_poses(1000)
+    monkeypatch.setattr(_check, "physical_memory", lambda: 1000)
+    assert loewner.classify(a, T, a, None).shape == (1000,)
+    with pytest.raises(InputError, match="fit into memory"):
+        loewner.distance(a, T, a, None, exact=exact)
+
+
+def test_a_crowd_with_more_pairs_than_memory_is_refused(monkeypatch: pytest.MonkeyPatch):
+    """All of them in one place: 500,000 pairs, told as soon as they become too many."""
+    T = np.tile(np.eye(4), (1000, 1, 1))
+    monkeypatch.setattr(_check, "physical_memory", lambda: 2**20)
+    with pytest.raises(InputError, match="pairs of 1000 bodies"):
+        loewner.overlapping_pairs(Body.sphere(1), T)
 
 
 def test_unknown_names_list_the_known():
@@ -218,6 +361,8 @@ def test_things_that_are_no_bodies():
                 query(a, None, other, None)
             with pytest.raises(InputError):
                 query(other, None, a, None)
+        with pytest.raises(InputError, match=f"bodies: expected .* found {type(other).__name__}"):
+            loewner.overlapping_pairs(other)
 
 
 def test_bodies_without_pieces():
@@ -406,18 +551,13 @@ def test_a_flat_mesh_is_an_error(tmp_path: Path):
 # -- what is not bad ------------------------------------------------------------------------------------------
 
 
-def test_empty_batches_give_empty_answers():
-    a = Body.box([1, 1, 1])
-    none = np.empty((0, 4, 4))
-    assert loewner.classify(a, none, a, None).shape == (0,)
+def test_empty_batches_have_the_usual_types():
+    a, none = Body.box([1, 1, 1]), np.empty((0, 4, 4))
     assert loewner.classify(a, none, a, None).dtype == np.int8
-    assert loewner.collide(a, None, a, np.empty((5, 0, 4, 4))).shape == (5, 0)
+    assert loewner.collide(a, none, a, None).dtype == np.bool_
     result = loewner.distance(a, none, a, None, exact=True)
-    assert result.lower.shape == result.distance.shape == (0,)
-    assert result.witness_a.shape == (0, 3)
-    nobody = Bodies([a])[:0]
-    assert len(nobody) == 0
-    assert loewner.classify(nobody, None, a, None).shape == (0,)
+    assert result.lower.shape == result.upper.shape == result.estimate.shape == (0,)
+    assert result.witness_a.shape == result.witness_b.shape == result.normal.shape == (0, 3)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,10 @@ Everything past this module may assume finite float64 in C order and rigid poses
 """
 
 import math
+import os
+import sys
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -150,3 +153,21 @@ _POSE_FAULTS = {
     rigid.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
     rigid.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
 }
+
+
+def fits_memory(needed: int, what: str) -> None:
+    """Refuse results of `needed` bytes before the machine starts to swap."""
+    if needed > physical_memory():
+        raise InputError(
+            f"expected a batch whose results fit into memory ({physical_memory() / 2**30:.3g} GiB), found {what}, "
+            f"which need {needed / 2**30:.3g} GiB; query them in parts"
+        )
+
+
+@cache
+def physical_memory() -> int:
+    """Bytes; where the system does not tell, what an address can reach."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return sys.maxsize

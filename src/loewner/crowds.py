@@ -18,6 +18,9 @@ CHUNK = 4096
 # Candidate pairs that are found before they are settled, beside the most that one group of boxes can have.
 CANDIDATES = 65536
 
+# A pair that is found takes a key, its copies when all are put together, and the two numbers that are returned.
+PAIR_BYTES = 40
+
 MODES = {"exact": verdicts.EXACT, "certified": verdicts.CERTIFY}
 
 
@@ -126,7 +129,7 @@ def _settled(
     # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
     plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     rows = np.empty((2, boxtree.WIDE * n + CANDIDATES), dtype=np.int64)
-    found = []
+    found: list[Ints] = []
     leaf = first
     while leaf < last:
         leaf, count = boxtree.candidates(leaf, last, margin, *tree, rows[0], rows[1])
@@ -143,6 +146,8 @@ def _settled(
             _refuse_unsettled(out, a, b)
         kept = out != verdicts.FREE
         found.append(a[kept] * n + b[kept])
+        total = sum(map(len, found))
+        _check.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
     return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
 

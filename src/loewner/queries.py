@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +22,9 @@ CHUNK = 4096
 
 # The same for exact distances that need care, each of which takes microseconds.
 CAREFUL_CHUNK = 64
+
+# What `distance` returns for a pair, in bytes: three numbers; and with one more, three vectors and a status.
+BOUND_BYTES, EXACT_BYTES = 24, 105
 
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
@@ -104,9 +104,18 @@ class _Pairs(NamedTuple):
 
 
 def _prepare(
-    a: Body | Bodies, T_world_a: ArrayLike | None, b: Body | Bodies, T_world_b: ArrayLike | None, *, check: bool
+    a: Body | Bodies,
+    T_world_a: ArrayLike | None,
+    b: Body | Bodies,
+    T_world_b: ArrayLike | None,
+    *,
+    check: bool,
+    each: int,
 ) -> _Pairs:
-    """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`."""
+    """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`.
+
+    `each` is how many bytes of results a pair takes: what does not fit into memory is refused.
+    """
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
     if not isinstance(b, (Body, Bodies)):
@@ -128,28 +137,9 @@ def _prepare(
             "expected bodies and poses whose batch shapes broadcast, found "
             f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
         ) from None
-    _refuse_beyond_memory(shape)
+    _check.fits_memory(each * math.prod(shape), f"{_check.shape_text(shape)} pairs")
     plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
-
-
-def _refuse_beyond_memory(shape: tuple[int, ...]) -> None:
-    """A result that does not fit into the machine is refused before the machine starts to swap."""
-    needed = math.prod(shape)  # bytes, one a verdict; the fewest any query returns
-    if needed > _memory():
-        raise InputError(
-            f"expected a batch whose result fits into memory ({_memory() / 2**30:.1f} GiB), found {shape}: "
-            f"{needed / 2**30:.1f} GiB of verdicts alone; query it in parts"
-        )
-
-
-@cache
-def _memory() -> int:
-    """Physical memory in bytes; where the system does not tell, what an address can reach."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return sys.maxsize
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
@@ -261,7 +251,7 @@ def classify(
     one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
     if one >= 0:
         return _VERDICTS[one]
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=1)
     out, _ = _settle(verdicts.CERTIFY, keep, pairs)
     return Verdict(int(out[0])) if pairs.shape == () else out.reshape(pairs.shape)
 
@@ -328,7 +318,7 @@ def collide(
         one = _settle_one(verdicts.EXACT, keep, a, T_world_a, b, T_world_b)
         if one in (verdicts.FREE, verdicts.COLLIDING):
             return one == verdicts.COLLIDING
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=False)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=1)
     if method == "exact":
         out, _ = _settle(verdicts.EXACT, keep, pairs)
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
@@ -390,7 +380,7 @@ def distance(
     1.5
     """
     code = _rule_code(rule)
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=True)
+    pairs = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES)
     n, m = pairs.total, pairs.total if exact else 0
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]

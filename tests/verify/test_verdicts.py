@@ -120,3 +120,49 @@ def test_no_wrong_verdict(family: str):
     assert wrong == 0
     assert wrong_exact == 0
     assert (tiers > LEAST_SHARE.get(family, 0.1) * done).all()  # the mix is what it says: no tier is starved
+
+
+def outside(w: World, pair: np.ndarray, side: str, T: np.ndarray, x: np.ndarray) -> float:
+    """How far points of the world, one for each pair, are outside the hulls they should be in, over the size."""
+    worst = 0.0
+    for p, k in enumerate(pair):
+        h = w.pool.hull(k if side == "a" else w.order[k])
+        local = T[p, :3, :3].T @ (x[p] - T[p, :3, 3])
+        worst = max(worst, float((h.normals @ local - (h.normals @ h.vertices.T).max(axis=1)).max() / w.faces.size[k]))
+    return worst
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_distances_are_true(family: str):
+    """Signed distances to 1e-9 of the size, bounds about them, witnesses in their bodies: a hundredth of the pairs."""
+    wanted = -(-DISTANCES // len(FAMILIES))
+    w = world(family, 100)
+    shape = (-1, len(w.points), 4, 4)
+    error = bounds = inside = together = apart = done = 0.0
+    for pair, Ta, Tb in rounds(w, family, wanted):
+        # The largest gap over all faces is the depth where hulls meet; where they do not, only a lower bound.
+        truth, _ = posed_gaps(w.faces, pair, Ta, Tb)
+        free = np.flatnonzero(truth > 0)
+        for p in free:
+            k = pair[p]
+            truth[p], _, _, proof = naive_distance(w.pool.hull(k), Ta[p], w.pool.hull(w.order[k]), Tb[p])
+            assert proof == pytest.approx(truth[p], abs=1e-10 * w.faces.size[k]) or truth[p] < 1e-6 * w.faces.size[k]
+        d = loewner.distance(w.a, Ta.reshape(shape), w.b, Tb.reshape(shape), exact=True)
+        size = w.faces.size[pair]
+        found = d.distance.ravel()
+        near_a, near_b, normal = (x.reshape(-1, 3) for x in (d.witness_a, d.witness_b, d.normal))
+        error = max(error, float((np.abs(found - truth) / size).max()))
+        bounds = max(bounds, float((np.maximum(d.lower.ravel() - truth, truth - d.upper.ravel()) / size).max()))
+        inside = max(inside, outside(w, pair, "a", Ta, near_a), outside(w, pair, "b", Tb, near_b))
+        step = near_b - near_a - found[:, None] * normal
+        together = max(together, float((np.linalg.norm(step, axis=1) / size).max()))
+        assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-12
+        apart, done = apart + len(free), done + len(pair)
+    print(
+        f"\n{family:22s} {done:8.0f} distances ({apart:.0f} apart): largest error {error:.1e} of the size, "
+        f"bounds broken by {bounds:.1e}, witnesses outside their bodies by {inside:.1e}, off distance times normal by {together:.1e}"
+    )
+    assert error <= 1e-9
+    assert bounds <= 1e-12
+    assert inside <= 1e-9
+    assert together <= 1e-9
