@@ -211,8 +211,8 @@ def _miss(x, y, z, s, px, py, pz, qx, qy, qz):
 def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit, sure):
     """Mask: surely separated by n. And mask: surely no s whatever separates, because F < 1 everywhere.
 
-    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by at
-    most what it does to F over s(1-s).
+    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by
+    at most what it does to F over s(1-s).
     """
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
