@@ -413,7 +413,7 @@ def distance(
 
 
 def _rule_code(rule: str) -> int:
-    if rule not in RULES:
+    if not isinstance(rule, str) or rule not in RULES:
         raise UnknownNameError(f"rule: expected one of {', '.join(RULES)}, found {rule!r}")
     return RULES[rule]
 

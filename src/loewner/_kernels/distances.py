@@ -375,6 +375,15 @@ def _distance_with_care(
         S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
     )  # fmt: skip
     if deep != FLAT:
+        if k < 4:
+            # A graze. An expanding polytope that does not hold the origin need not hold the origin's foot in
+            # its nearest face either; GJK's points may be the better ones.
+            normal, points = result[:3].copy(), result[3:].copy()
+            missed = _miss(result, -deep)
+            _write(G, k, weights, d, result)
+            result[:3] = normal
+            if not _miss(result, -deep) < missed:
+                result[3:] = points
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
         # Cores that are apart after all: what GJK has, with the gap it has.
@@ -387,6 +396,15 @@ def _distance_with_care(
     _write(G, k, weights, d, result)
     result[0], result[1], result[2] = nx, ny, nz
     return -ra - rb, 0.0
+
+
+@njit()
+def _miss(result, distance):
+    """How far the two points are from lying `distance` apart along the normal."""
+    squared = 0.0
+    for c in range(3):
+        squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
+    return np.sqrt(squared)
 
 
 @njit()
@@ -512,7 +530,8 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out):
     """
     _, _, _, distance, witness_a, witness_b, normal, status = out
     k, ka = queue[PAIR, lane], queue[POSE_A, lane]
-    gap = min(gap, value - S[BELOW * LANES + lane])  # the ellipsoids' own bound may be the better one
+    # The ellipsoids' own bound may be the better one. A value far below it is none, whatever its own bounds say.
+    gap = min(gap, abs(value - S[BELOW * LANES + lane]))
     if not gap <= tolerance * S[SIZE * LANES + lane]:
         status[k] = NOT_SETTLED
     if value < distance[k]:

@@ -44,6 +44,7 @@ from loewner._kernels.shapes import (
     OUTER_CENTER,
     OUTER_RADIUS,
     OUTER_SHAPE,
+    OUTER_SIGMA,
     REACH,
 )
 from loewner._kernels.vectors import (
@@ -59,6 +60,7 @@ from loewner._kernels.vectors import (
     mark,
     share,
     single_columns,
+    smaller,
     spread,
     store,
 )
@@ -71,7 +73,10 @@ NEWTON_STEPS = 12
 # Errors in units of the roundoff: of the shape matrices times trace |n|², and of the positions times the lengths.
 SHAPE_ERROR, POSITION_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF, POSITION_ROUNDINGS / UNIT_ROUNDOFF
 SINGLE_ROUNDOFF = 2.0**-24
-SINGLE_SURE = 1e-3
+
+# How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
+# rounding does to F (see `_doubt`), in either precision.
+SURE, SINGLE_SURE = 1e-6, 2e-3
 
 # What `certify` says where a better s may settle a pair.
 UNSURE = 7
@@ -173,10 +178,41 @@ def _best(p, q, x, y, z):
 
 
 @inline
-def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit):
-    """Mask: surely separated by n. And what F cannot exceed anywhere.
+def _doubt(p, q, least, miss, s, size, unit, sure):
+    """What rounding can do to F = s(1-s) rᵀK⁻¹r while that is about 1, times the least eigenvalue of K.
 
-    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere.
+    √F is a norm of r: an error ε of r, that of the positions and that by which K n misses r, changes it by at most
+    η = √(s(1-s)) ε / √λ, with λ the least eigenvalue of K. So F, computed from n·r, is on the side of 1 that it seems
+    to be on if it is off by 3η + 2η² <= c + 4η²/c, for any small c. An error of K changes F by its share in λ.
+
+    Parameters
+    ----------
+    least : vector
+        Lower bound on λ.
+    miss : vector
+        1-norm of r - K n.
+    sure : float
+        c; also the least distance of F from 1 that is taken for real.
+    """
+    u = 1.0 - s
+    off = POSITION_ERROR * unit * size + miss
+    trace = u * (p[0] + p[3] + p[5]) + s * (q[0] + q[3] + q[5])
+    return sure * least + 4.0 / sure * (s * u * off * off) + SHAPE_ERROR * unit * trace
+
+
+@inline
+def _miss(x, y, z, s, px, py, pz, qx, qy, qz):
+    """1-norm of r - K(s) n, from P n and Q n."""
+    u = 1.0 - s
+    return magnitude(x - u * px - s * qx) + magnitude(y - u * py - s * qy) + magnitude(z - u * pz - s * qz)
+
+
+@inline
+def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit, sure):
+    """Mask: surely separated by n. And mask: surely no s whatever separates, because F < 1 everywhere.
+
+    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by
+    at most what it does to F over s(1-s).
     """
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
@@ -193,12 +229,17 @@ def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit):
     # underflowing.
     separated = (a > 0.5) & (t > unit * (a * a)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (b * c))
     u = 1.0 - s
-    return separated, s * u * along + magnitude(u * u * pn - s * s * qn) * larger(s, u)
+    most = s * u * along + magnitude(u * u * pn - s * s * qn) * larger(s, u)
+    least = u * (p[OUTER_SIGMA - OUTER_SHAPE] * p[OUTER_SIGMA - OUTER_SHAPE])
+    least = least + s * (q[OUTER_SIGMA - OUTER_SHAPE] * q[OUTER_SIGMA - OUTER_SHAPE])
+    doubt = _doubt(p, q, least, _miss(x, y, z, s, px, py, pz, qx, qy, qz), s, size, unit, sure)
+    end = smaller(s, u)
+    return separated, (1.0 - most) * least * end > doubt * (1.0 + end)
 
 
 @inline
-def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
-    """Mask: surely a common point at (1-s) P n from a's center; and F, which exceeds 1 only if there is none."""
+def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit, sure):
+    """Mask: surely a common point at (1-s) P n from a's center. And mask: surely F > 1, so that there is none."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
     pn = _dot(px, py, pz, nx, ny, nz)
@@ -208,8 +249,8 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
     u = 1.0 - s
     # The point seen from a, and how far the same point seen from b misses it: zero in exact arithmetic.
     ax, ay, az = u * px, u * py, u * pz
-    slack = magnitude(x - ax - s * qx) + magnitude(y - ay - s * qy) + magnitude(z - az - s * qz)
-    slack = slack + POSITION_ERROR * unit * size
+    miss = magnitude(x - ax - s * qx) + magnitude(y - ay - s * qy) + magnitude(z - az - s * qz)
+    slack = miss + POSITION_ERROR * unit * size
     # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
     error_p = SHAPE_ERROR * unit * (p[0] + p[3] + p[5])
     error_q = SHAPE_ERROR * unit * (q[0] + q[3] + q[5])
@@ -217,7 +258,10 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit):
     free_b = 1.0 - 32.0 * unit - (s * error_q * length + slack) * grip_b
     inside_a = (free_a > 0.0) & (u * u * (pn + error_p * squared) <= free_a * free_a)
     inside_b = (free_b > 0.0) & (s * s * (qn + error_q * squared) <= free_b * free_b)
-    return inside_a & inside_b, s * u * _dot(nx, ny, nz, x, y, z)
+    F = s * u * _dot(nx, ny, nz, x, y, z)
+    least = u / (grip_a * grip_a) + s / (grip_b * grip_b)
+    doubt = _doubt(p, q, least, miss, s, size, unit, sure)
+    return inside_a & inside_b, ((F - 1.0) * least > 1.25 * doubt) & (doubt < least)
 
 
 @inline
@@ -268,7 +312,7 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
     unit, tiny : float
         Unit roundoff, and a number that no product of four lengths falls below.
     sure : float
-        How far F must be from 1 to say that no s whatever settles a pair.
+        How far F must be from 1, at least, to say that no s whatever settles a pair.
     """
     everything = 2**lanes - 1
 
@@ -345,17 +389,16 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
                 q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b, turned_b)
                 s = _guess(p, q, x, y, z, tiny)
                 nx, ny, nz = _normal(p, q, s, x, y, z)
-                separated, most = _apart(p, q, x, y, z, nx, ny, nz, s, size, unit)
+                separated, inseparable = _apart(p, q, x, y, z, nx, ny, nz, s, size, unit, sure)
                 free = free | separated
-                inseparable = most < 1.0 - sure
                 if bits(free | inseparable) != everything:
                     s, mx, my, mz = better(p, q, x, y, z, nx, ny, nz)
-                    separated, most = _apart(p, q, x, y, z, mx, my, mz, s, size, unit)
+                    separated, none = _apart(p, q, x, y, z, mx, my, mz, s, size, unit, sure)
                     nx = choose(inseparable, nx, mx)
                     ny = choose(inseparable, ny, my)
                     nz = choose(inseparable, nz, mz)
                     free = free | separated
-                    inseparable = inseparable | (most < 1.0 - sure)
+                    inseparable = inseparable | none
                 _put_three(V, OUT_NORMAL, at, nx, ny, nz)
 
             overlap = free
@@ -371,14 +414,13 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
                 grip_a, grip_b = p[INNER_GRIP - INNER_SHAPE], q[INNER_GRIP - INNER_SHAPE]
                 s = _guess(p, q, x, y, z, tiny)
                 nx, ny, nz = _normal(p, q, s, x, y, z)
-                overlap, F = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit)
-                distinct = 1.0 + sure < F
+                overlap, distinct = _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit, sure)
                 settled = overlap | distinct
                 if bits(free | settled) != everything:
                     s, mx, my, mz = better(p, q, x, y, z, nx, ny, nz)
-                    found, F = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit)
+                    found, none = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit, sure)
                     overlap = overlap | found
-                    distinct = distinct | (1.0 + sure < F)
+                    distinct = distinct | none
             mark(tier, at, far | ~far, UNSURE)
             mark(tier, at, inseparable & distinct, OPEN)
             mark(tier, at, overlap, BY_INNER)
@@ -392,7 +434,7 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
 _pose = _poses(columns, ALL, is_rigid, 1.0)
 _single_pose = _poses(single_columns, SINGLE_ALL, is_rigid_single, np.float32(1.0))
 
-spheres, certify = _stages(columns, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, 0.0)
+spheres, certify = _stages(columns, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, SURE)
 single_spheres, single_certify = _stages(
     single_columns, SINGLE_LANES, _single_pose, _rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
 )

@@ -357,21 +357,3 @@ def single_columns(typingctx, table, width, rows, at, column):
 
     integer = types.int64
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
-
-
-@intrinsic
-def prefetch(typingctx, array, offset):
-    """Ask for the cache line that holds one entry of a flat array; never a fault, whatever the offset."""
-
-    def generate(context, builder, sig, args):
-        address = _address(context, builder, sig.args[0], args[0], args[1])
-        byte = ir.IntType(8).as_pointer()
-        i32 = ir.IntType(32)
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(ir.VoidType(), [byte, i32, i32, i32]), "llvm.prefetch.p0"
-        )
-        hint = [ir.Constant(i32, x) for x in (0, 3, 1)]  # read, keep in every cache, data
-        builder.call(function, [builder.bitcast(address, byte), *hint])
-        return context.get_dummy_value()
-
-    return signature(types.void, array, types.int64), generate
