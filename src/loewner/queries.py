@@ -110,7 +110,7 @@ def _prepare(
     T_world_b: ArrayLike | None,
     *,
     check: bool,
-    each: int,
+    each: int = 1,
 ) -> _Pairs:
     """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`.
 
