@@ -349,6 +349,8 @@ def test_unknown_names_list_the_known():
         loewner.collide(a, None, a, None, method="estimate", rule="rimon")
     with pytest.raises(UnknownNameError, match="rimon-boyd"):
         loewner.distance(a, None, a, None, rule="")
+    with pytest.raises(UnknownNameError, match="rimon-boyd"):
+        loewner.distance(a, None, a, None, rule=["rimon-boyd"])
     with pytest.raises(InputError, match="direct"):
         loewner.mvce(CUBE, method="fast")
 
