@@ -83,3 +83,26 @@ def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
     blocked = tmp_path / "a file"
     blocked.write_text("")
     assert float(ask(package, blocked).stdout) == 2.0
+
+
+QUERIES = """
+import numpy as np
+import loewner
+box, sphere = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
+T = np.tile(np.eye(4), (3, 1, 1))
+T[:, 0, 3] = [0.2, 1.1, 1.7]
+loewner.classify(box, None, sphere, T)
+loewner.collide(box, None, sphere, T)
+loewner.distance(box, None, sphere, T, exact=True)
+loewner.overlapping_pairs(box, T)
+"""
+
+
+def test_a_second_process_compiles_nothing():
+    """Every query is found on disk the next time."""
+    env = {k: v for k, v in os.environ.items() if k != "LOEWNER_QUIET"}
+    runs = [
+        subprocess.run([sys.executable, "-c", QUERIES], env=env, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert runs[1].stderr == ""

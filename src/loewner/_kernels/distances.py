@@ -543,7 +543,7 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out):
 
 
 def _ranges(measure_late):
-    """The function below, with what is to become of piece pairs that the fast searches leave."""
+    """The last function below, with what is to become of piece pairs that the fast searches leave."""
 
     @njit()
     def measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
@@ -590,12 +590,8 @@ def _ranges(measure_late):
             found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, numbers, queue)
 
     @njit()
-    def distance_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                       witness_a, witness_b, normal, status):  # fmt: skip
-        """Distances of pairs start .. stop, or of which[start] .. which[stop - 1] if that is not empty.
-
-        Operands as in `batch`; the last five arrays are written only if `exact`.
-        """
+    def measure_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                      witness_a, witness_b, normal, status):  # fmt: skip
         shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
         S = np.empty(ROWS * LANES)
         queue = np.empty((QUEUE, LANES), np.int64)
@@ -636,7 +632,7 @@ def _ranges(measure_late):
                 # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
                 distance[k] = max(lower[k], min(upper[k], distance[k]))
 
-    return distance_range
+    return measure_range
 
 
 @njit()
@@ -646,8 +642,31 @@ def _put_off(late, queue, a, Ta, b, Tb, S, D, K, result, out):
         out[7][queue[PAIR, queue[LATE, m] // 2]] = PUT_OFF
 
 
-distance_range = _ranges(_put_off)
-careful_range = _ranges(_measure_late)  # compiled only when a pair needs it
+_fast_range = _ranges(_put_off)
+_slow_range = _ranges(_measure_late)
+
+# What Python calls are functions of the module's own: those made by `_ranges` hold other compiled functions, by which
+# Numba cannot know them again in the next process, so nothing on disk would ever be found.
+
+
+@njit()
+def distance_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                   witness_a, witness_b, normal, status):  # fmt: skip
+    """Distances of pairs start .. stop, or of which[start] .. which[stop - 1] if that is not empty.
+
+    Operands as in `batch`; the last five arrays are written only if `exact`. Pairs that need more care get status
+    PUT_OFF.
+    """
+    _fast_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                witness_a, witness_b, normal, status)  # fmt: skip
+
+
+@njit()
+def careful_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                  witness_a, witness_b, normal, status):  # fmt: skip
+    """The same with all the care that pairs may need; compiled only when one does."""
+    _slow_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
+                witness_a, witness_b, normal, status)  # fmt: skip
 
 
 @njit()
