@@ -5,12 +5,23 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, rotations
+from exact import ExactEllipsoid, gap_bounds, rational
+from families import (
+    EIGHT,
+    FAMILIES,
+    box_corners,
+    near_contact,
+    pieces,
+    posed_near_contact,
+    random_poses,
+    rotations,
+)
 from oracles import (
     Hull,
     capsule_support,
     cone_support,
     cylinder_support,
+    differences,
     directional_distance,
     ellipsoid_support,
     exact_collides,
@@ -20,6 +31,7 @@ from oracles import (
     naive_distance,
     pack,
     polytope_support,
+    posed_gaps,
     posed_support,
     signed_distance,
     signed_distances,
@@ -91,6 +103,28 @@ def test_separating_axes_against_rationals(sample: dict, family: str):
             # Rounding turns the normal of a short segment, and the proof with it.
             assert abs(d - proof) <= 1e-15 + 3e-14 / d
             assert gap[p] <= d + 1e-15
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_many_shifts_of_one_turn(family: str):
+    """The listed faces give what the separating axes give, and above 1e-14 of the lengths the sign is the exact one."""
+    rng = np.random.default_rng(6)
+    points = pieces(family, 12)
+    pool = pack(map(hull, points))
+    i, j = np.arange(12), rng.permutation(12)
+    faces = differences(pool, i, pool, j, rotations(rng, 12))
+    pair = np.tile(i, 8)
+    Ta, Tb = posed_near_contact(rng, faces, pair, grazing=1.0)
+    gap, axis = posed_gaps(faces, pair, Ta, Tb)
+    same, _ = signed_distances(pool, i[pair], Ta, pool, j[pair], Tb)
+    size = faces.size[pair] + np.linalg.norm(Tb[:, :3, 3] - Ta[:, :3, 3], axis=1)
+    assert (np.abs(gap - same) <= 3e-15 * size).all()
+    assert np.linalg.norm(axis, axis=1) == pytest.approx(np.ones(len(pair)), abs=1e-14)
+    nearest = np.argsort(np.abs(gap) / size)[:12]
+    assert (np.abs(gap[nearest]) < 1e-10 * size[nearest]).all()
+    for p in nearest:
+        if abs(gap[p]) > 1e-14 * size[p]:
+            assert exact_collides(points[i[pair[p]]], Ta[p], points[j[pair[p]]], Tb[p]) == (gap[p] <= 0)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -265,3 +299,30 @@ def test_hull_is_a_record():
         assert isinstance(pool.hull(k), Hull)
         for ours, packed in zip(h, pool.hull(k), strict=True):
             assert np.array_equal(ours, packed)
+
+
+def test_exact_gaps_by_hand():
+    """Balls of radius 1 and 2 along x: the gap of planes is exact to the last bit, whatever the direction's length."""
+    T = translation(np.nextafter(3.0, 4.0), 0, 0)
+    small, large = (ExactEllipsoid(np.zeros(3), r * np.eye(3), P) for r, P in ((1.0, np.eye(4)), (2.0, T)))
+    for length in (1.0, 3.0):
+        low, high = gap_bounds(small, large, np.array([length, 0.0, 0.0]))
+        assert 0 <= low <= high
+        assert float(low) == float(high) == np.spacing(3.0)
+    low, high = gap_bounds(small, large, np.array([0.0, 1.0, 0.0]))
+    assert float(low) == float(high) == -3.0
+    assert large.contains(rational(np.array([1 + np.spacing(3.0), 0.0, 0.0])))
+    assert not large.contains(rational(np.array([1.0, 0.0, 0.0])))
+    assert small.contains(rational(np.array([1.0, 0.0, 0.0])))
+
+
+def test_exact_containment_of_a_sheared_ellipsoid():
+    """Images of points in and on the unit ball under a general factor are inside, those beyond are not."""
+    rng = np.random.default_rng(7)
+    F = rng.integers(-3, 4, size=(3, 3)) + 5 * np.eye(3)
+    E = ExactEllipsoid(np.array([1.0, 2.0, 3.0]), F, translation(0.5, 0, 0))
+    for u in np.eye(3):
+        on = np.array([1.5, 2.0, 3.0]) + F @ u
+        assert E.contains(rational(on))
+        assert not E.contains(rational(on + F @ u * 2.0**-40))
+        assert E.contains(rational(on - F @ u * 2.0**-40))
