@@ -88,12 +88,12 @@ def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
 QUERIES = """
 import numpy as np
 import loewner
-box, sphere = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
+box, other = loewner.Body.box([1, 1, 1]), loewner.Body.box([0.5, 0.6, 0.7])
 T = np.tile(np.eye(4), (3, 1, 1))
 T[:, 0, 3] = [0.2, 1.1, 1.7]
-loewner.classify(box, None, sphere, T)
-loewner.collide(box, None, sphere, T)
-loewner.distance(box, None, sphere, T, exact=True)
+loewner.classify(box, None, other, T)
+loewner.collide(box, None, other, T)
+loewner.distance(box, None, other, T, exact=True)
 loewner.overlapping_pairs(box, T)
 """
 
