@@ -169,6 +169,35 @@ def test_witnesses_prove_the_distance(world: dict[str, Pairs], family: str):
         check_witnesses(result, a, b, 1e-9 * float(w.size[where]), where)
 
 
+def test_witnesses_of_a_graze():
+    """Where an edge all but touches a tiny cylinder, in any direction, the witnesses are that place."""
+    rng = np.random.default_rng(0)
+    count, size, radius, length = 2000, np.array([0.1, 0.05, 0.02]), 1e-5, 6e-5
+    Ta, Tb = random_poses(rng, count, 0.0), random_poses(rng, count, 0.0)
+    angle = rng.uniform(0, np.pi / 2, size=count)
+    n = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+    n = np.einsum("kij,kj->ki", Ta[:, :3, :3], n)
+    place = Ta[:, :3, :3] @ (size * [0.5, 0.5, 0.0])
+    place += (size[2] * rng.uniform(-0.5, 0.5, size=count))[:, None] * Ta[:, :3, 2]
+    gap = 10.0 ** rng.uniform(-16, -13, size=count)
+    for k in range(count):
+        Tb[k, :3, 3] = (
+            place[k] + gap[k] * n[k] - posed_support(cylinder_support(radius, length), Tb[k])(-n[k : k + 1])[0]
+        )
+    a, b = Body.box(size), Body.cylinder(radius, length)
+    settled = 0
+    for k in range(count):
+        try:
+            result = loewner.distance(a, Ta[k], b, Tb[k], exact=True)
+        except loewner.ConvergenceError:
+            continue
+        settled += 1
+        assert abs(result.distance) < 1e-10
+        assert np.abs(result.witness_a - place[k]).max() < 1e-6
+        assert np.abs(result.witness_b - place[k]).max() < 1e-6
+    assert settled > 0.99 * count
+
+
 def test_mix_is_mixed(world: dict[str, Pairs]):
     """Over all families each of free, ambiguous and colliding has its fair share."""
     counts = np.zeros(3)
