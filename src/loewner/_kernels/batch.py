@@ -12,6 +12,7 @@ from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of
 from loewner._kernels.lanes import (
     BLOCK,
+    LATER,
     LISTS,
     OPEN_LANE,
     OUT_NORMAL,
@@ -35,8 +36,10 @@ FAULTY = -1
 
 AHEAD = 6  # piece pairs between asking for their vertices and their use
 
-# Said to `_flush` besides: the list is of consecutive pairs of bodies, one piece pair each.
-DISTINCT = 4
+LEAD = 2 * BLOCK  # piece pairs between asking for their rows and their use
+
+# Said to `_flush` besides: the list is of consecutive pairs of bodies, one piece pair each; it tells what comes later.
+DISTINCT, ASKING = 4, 8
 
 
 @inline
@@ -74,10 +77,10 @@ def _fill(count, L):
 
 
 @njit()
-def _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier):
+def _culled(count, margin, asking, a, Ta, moved_a, b, Tb, moved_b, single, L, tier):
     """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
-    done = single and lanes.single_spheres(count, margin, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)
-    if not (done or lanes.spheres(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier)):
+    done = single and lanes.single_spheres(count, margin, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)
+    if not (done or lanes.spheres(count, margin, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier)):
         return -1
     left = 0
     for lane in range(count):
@@ -128,7 +131,7 @@ def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V
     _fill(count, L)
     single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
-        count = _culled(count, margin, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
+        count = _culled(count, margin, hint & ASKING != 0, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
         if count < 0:
             return FAULTY
         if count == 0:
@@ -140,8 +143,9 @@ def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
             return FAULTY
     else:
-        done = single and lanes.single_certify(count, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
-        if not (done or lanes.certify(count, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
+        asking = hint & (ASKING | FAR) == ASKING
+        done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
+        if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
             return FAULTY
         unsure = _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V)
         if unsure < 0:
@@ -211,6 +215,14 @@ def _put(L, count, k, i, j, ka, kb):
 
 
 @inline
+def _put_later(L, count, i, j, ka, kb):
+    L[(LATER + PIECE_A) * BLOCK + count] = i
+    L[(LATER + PIECE_B) * BLOCK + count] = j
+    L[(LATER + POSE_A) * BLOCK + count] = ka
+    L[(LATER + POSE_B) * BLOCK + count] = kb
+
+
+@inline
 def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
     """Rows of a, b and their poses that belong to pair k."""
     if rows.shape[1] > 0:
@@ -271,6 +283,9 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                     for lane in range(more):
                         ra, rb = rows[0, k + lane], rows[1, k + lane]
                         _put(L, lane, k + lane, ra * body_a[0], rb * body_b[0], ra * pose_a[0], rb * pose_b[0])
+                        if k + lane + LEAD < stop:
+                            ra, rb = rows[0, k + lane + LEAD], rows[1, k + lane + LEAD]
+                            _put_later(L, lane, ra * body_a[0], rb * body_b[0], ra * pose_a[0], rb * pose_b[0])
                 else:
                     # Along the last axis the rows are arithmetic progressions.
                     last = shape.shape[0] - 1
@@ -281,10 +296,16 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                             L, count + lane, k + lane, ia + lane * body_a[last], ib + lane * body_b[last],
                             ka + lane * pose_a[last], kb + lane * pose_b[last],
                         )  # fmt: skip
+                        # Past the end of the axis nobody needs these: no harm in asking.
+                        later = lane + LEAD
+                        _put_later(
+                            L, count + lane, ia + later * body_a[last], ib + later * body_b[last],
+                            ka + later * pose_a[last], kb + later * pose_b[last],
+                        )  # fmt: skip
                 count += more
                 k += more
             out[k - count : k] = FREE
-            hint |= DISTINCT
+            hint |= DISTINCT | ASKING * (k + LEAD <= stop)
             hint = _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally)
             if hint == FAULTY:
                 return False

@@ -16,7 +16,8 @@ from numba.extending import intrinsic
 from loewner._kernels._jit import inline, njit
 
 BLOCK = 8
-CACHE_LINE = 8  # in float64
+CACHE_LINE = 64  # bytes
+LINE = CACHE_LINE // 8  # the same in float64
 
 _HALF = ir.IntType(32)
 _WORD = ir.IntType(64)
@@ -33,8 +34,8 @@ def entry(column):
 @njit()
 def aligned(count):
     """Make an uninitialised flat array that starts at a cache line."""
-    raw = np.empty(count + CACHE_LINE)
-    skip = (-(raw.ctypes.data // 8)) % CACHE_LINE
+    raw = np.empty(count + LINE)
+    skip = (-(raw.ctypes.data // 8)) % LINE
     return raw[skip : skip + count]
 
 

@@ -52,6 +52,8 @@ from loewner._kernels.vectors import (
     LANES,
     SINGLE_ALL,
     SINGLE_LANES,
+    ask,
+    ask_single,
     bits,
     choose,
     columns,
@@ -81,9 +83,11 @@ SURE, SINGLE_SURE = 1e-6, 2e-3
 # What `certify` says where a better s may settle a pair.
 UNSURE = 7
 
-# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the lanes still open in the end.
+# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; the lanes still open in the end; and
+# pieces and poses that a later block will need, to be asked for while this one is computed.
 PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, OPEN_LANE = 0, 1, 2, 3, 4, 5
-LISTS = 6
+LATER = 5  # from a row of the list to the one with what comes later
+LISTS = 10
 
 # Rows of the array in which open pairs leave what the exact tests start from.
 OUT_NORMAL = 0
@@ -300,13 +304,15 @@ def _poses(fetch, everything, rigid_poses, one):
     return pose
 
 
-def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
+def _stages(fetch, ask, lanes, pose, size_of, unit, tiny, sure):
     """The two compiled functions below, in one of the two precisions.
 
     Parameters
     ----------
     fetch : callable
         Reads eight columns of as many rows as a vector has lanes.
+    ask : callable
+        Asks for such rows ahead of their use.
     lanes : int
     pose, size_of : callable
     unit, tiny : float
@@ -317,12 +323,19 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
     everything = 2**lanes - 1
 
     @njit()
-    def spheres(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+    def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
         """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
 
         Returns False where `certify` does.
         """
         for at in range(0, count, lanes):
+            if asking:
+                ask(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
+                ask(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
+            if asking and moved_a:
+                ask(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
+            if asking and moved_b:
+                ask(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
             a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
             b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
             if not (a[12] and b[12]):
@@ -344,13 +357,15 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
         return s, nx, ny, nz
 
     @njit()
-    def certify(count, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    def certify(count, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
         """Certify the listed piece pairs, margin 0.
 
         Parameters
         ----------
         count : int
             Piece pairs; the lists are filled with repeats up to whole vectors.
+        asking : bool
+            Ask for what comes later; in portions between the computations, which a burst of it would hold up.
         hot_a, hot_b : ndarray, shape (P, HOT)
         Ta, Tb : ndarray, shape (N, 4, 4)
         moved_a, moved_b : bool
@@ -368,6 +383,8 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
             False if a pose is no rigid motion (in single precision: may be none); the rest is then not done.
         """
         for at in range(0, count, lanes):
+            if asking:
+                ask(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
             a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
             b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
             if not (a[12] and b[12]):
@@ -384,6 +401,8 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
             far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, 0.0, unit)
             free = far
             inseparable = ~(far | ~far)
+            if asking:
+                ask(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
             if bits(free) != everything:
                 p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a, turned_a)
                 q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b, turned_b)
@@ -401,6 +420,8 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
                     inseparable = inseparable | none
                 _put_three(V, OUT_NORMAL, at, nx, ny, nz)
 
+            if asking and moved_b:
+                ask(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
             overlap = free
             distinct = free
             if bits(free) != everything:
@@ -421,6 +442,8 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
                     found, none = _common(p, q, grip_a, grip_b, x, y, z, mx, my, mz, s, size, unit, sure)
                     overlap = overlap | found
                     distinct = distinct | none
+            if asking and moved_a:
+                ask(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
             mark(tier, at, far | ~far, UNSURE)
             mark(tier, at, inseparable & distinct, OPEN)
             mark(tier, at, overlap, BY_INNER)
@@ -434,9 +457,9 @@ def _stages(fetch, lanes, pose, size_of, unit, tiny, sure):
 _pose = _poses(columns, ALL, is_rigid, 1.0)
 _single_pose = _poses(single_columns, SINGLE_ALL, is_rigid_single, np.float32(1.0))
 
-spheres, certify = _stages(columns, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, SURE)
+spheres, certify = _stages(columns, ask, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, SURE)
 single_spheres, single_certify = _stages(
-    single_columns, SINGLE_LANES, _single_pose, _rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
+    single_columns, ask_single, SINGLE_LANES, _single_pose, _rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
 )
 
 

@@ -27,7 +27,7 @@ whose cores are a segment and a point).
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.blocks import BLOCK, CACHE_LINE, entry, farthest, prefetch
+from loewner._kernels.blocks import BLOCK, LINE, entry, farthest, prefetch
 from loewner._kernels.directions import candidates
 
 # The polytopes come first: a kind above POLYTOPE is curved.
@@ -74,7 +74,7 @@ def radius(table, layout, piece):
 def prefetch_points(layout, points, piece):
     """Ask for the vertices of a small polytope ahead of their use."""
     if layout[piece, KIND] == POLYTOPE:
-        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], CACHE_LINE):
+        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
             prefetch(points, at)
 
 

@@ -15,6 +15,8 @@ from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
+from loewner._kernels.blocks import CACHE_LINE
+
 LANES, SINGLE_LANES = 8, 16
 ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that holds everywhere
 
@@ -357,3 +359,40 @@ def single_columns(typingctx, table, width, rows, at, column):
 
     integer = types.int64
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
+
+
+def _asking(count):
+    """The function below, for as many rows as a vector has lanes."""
+
+    @intrinsic
+    def ask(typingctx, table, width, rows, at):
+        """Ask for the first two cache lines of rows that are needed some thousand instructions later.
+
+        Into the second-level cache: the first can wait for two dozen lines at a time only, less than a pair's rows and
+        poses at the pace of the certificate. Never faults, never waits.
+        """
+
+        def generate(context, builder, sig, args):
+            array, wide, numbers, at = args
+            byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
+            function = builder.module.declare_intrinsic(
+                "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
+            )
+            read, second_level, data = (ir.Constant(half, code) for code in (0, 2, 1))
+            for lane in range(count):
+                place = builder.add(at, ir.Constant(at.type, lane))
+                row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+                address = _address(context, builder, sig.args[0], array, builder.mul(row, wide))
+                first = builder.bitcast(address, byte)
+                for offset in (0, CACHE_LINE):
+                    line = builder.gep(first, [ir.Constant(ir.IntType(64), offset)])
+                    builder.call(function, [line, read, second_level, data])
+            return context.get_dummy_value()
+
+        integer = types.int64
+        return signature(types.void, table, integer, rows, integer), generate
+
+    return ask
+
+
+ask, ask_single = _asking(LANES), _asking(SINGLE_LANES)
