@@ -126,14 +126,16 @@ def _judge_along(a: ExactEllipsoid, b: ExactEllipsoid, n: np.ndarray, margin: fl
     """What the planes square to n, and the points where they touch, prove."""
     if gap_bounds(a, b, n)[0] > margin:
         return APART
-    inward = 1 - 1e-13  # the points are rounded, and must lie in their ellipsoids
-    x = a.center + rational(inward * _support(a.factor.astype(float), n))
-    y = b.center - rational(inward * _support(b.factor.astype(float), n))
-    middle = (x + y) / 2
-    if a.contains(middle) and b.contains(middle):
-        return MEETING
-    near = sum((x - y) * (x - y)) <= Fraction(margin) ** 2
-    return MEETING if near and a.contains(x) and b.contains(y) else UNDECIDED
+    # The points are rounded, and must lie in their ellipsoids: thin ones need more of a push inward than round ones.
+    for inward in (1 - 1e-13, 1 - 1e-14, 1 - 1e-15):
+        x = a.center + rational(inward * _support(a.factor.astype(float), n))
+        y = b.center - rational(inward * _support(b.factor.astype(float), n))
+        middle = (x + y) / 2
+        if a.contains(middle) and b.contains(middle):
+            return MEETING
+        if sum((x - y) * (x - y)) <= Fraction(margin) ** 2 and a.contains(x) and b.contains(y):
+            return MEETING
+    return UNDECIDED
 
 
 def _parting(a: ExactEllipsoid, b: ExactEllipsoid) -> np.ndarray:

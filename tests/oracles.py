@@ -429,8 +429,14 @@ def naive_distance(a: Hull, Ta: np.ndarray, b: Hull, Tb: np.ndarray) -> tuple[fl
     pa, pb = np.empty(3), np.empty(3)
     d = _near_points(A, a.triangles, B, b.triangles, pa, pb)
     n = (pb - pa) / d if d > 0 else np.array([1.0, 0.0, 0.0])
-    proof = float((B @ n).min() - (A @ n).max())
-    return float(d), pa + Ta[:3, 3], pb + Ta[:3, 3], proof
+    return float(d), pa + Ta[:3, 3], pb + Ta[:3, 3], gap_along(n, a, Ta, b, Tb)
+
+
+def gap_along(n: np.ndarray, a: Hull, Ta: np.ndarray, b: Hull, Tb: np.ndarray) -> float:
+    """Gap between the supporting planes square to the unit vector n: no points of a and b are nearer, whatever n is."""
+    A = a.vertices @ Ta[:3, :3].T
+    B = b.vertices @ Tb[:3, :3].T + (Tb[:3, 3] - Ta[:3, 3])
+    return float((B @ n).min() - (A @ n).max())
 
 
 # -- exact rational -----------------------------------------------------------------------------

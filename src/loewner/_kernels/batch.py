@@ -14,8 +14,6 @@ from loewner._kernels.lanes import (
     BLOCK,
     LATER,
     LISTS,
-    OPEN_LANE,
-    OUT_NORMAL,
     PAIR,
     PIECE_A,
     PIECE_B,
@@ -25,7 +23,7 @@ from loewner._kernels.lanes import (
 )
 from loewner._kernels.pair_search import scratch
 from loewner._kernels.rigid import RIGID, fault
-from loewner._kernels.shapes import REACH, prefetch_points
+from loewner._kernels.shapes import REACH, ask_points, prefetch_points
 from loewner._kernels.vectors import SINGLE_LANES
 from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN
 
@@ -119,37 +117,72 @@ def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
 
 
 @njit()
-def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally):
-    """Settle the listed piece pairs and merge them into the verdicts of their pairs.
+def _search(margin, count, a, Ta, b, Tb, S, N, W, result, out, tally):
+    """Settle listed piece pairs that the ellipsoids left open by the exact searches."""
+    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
+    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
+    Ta, Tb, S, N, W = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(W)
+    for n in range(-AHEAD, count):
+        if n + AHEAD < count:
+            prefetch_points(la, xa, S[PIECE_A * BLOCK + n + AHEAD])
+            prefetch_points(lb, xb, S[PIECE_B * BLOCK + n + AHEAD])
+        if n < 0:
+            continue
+        k = S[PAIR * BLOCK + n]
+        if out[k] == COLLIDING:
+            continue
+        i, j = S[PIECE_A * BLOCK + n], S[PIECE_B * BLOCK + n]
+        ka, kb = S[POSE_A * BLOCK + n], S[POSE_B * BLOCK + n]
+        size = ta[i, REACH] + tb[j, REACH]
+        for r in range(3):
+            size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
+        nx, ny, nz = N[n], N[BLOCK + n], N[2 * BLOCK + n]
+        verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W, result)
+        tally[t] += 1
+        if verdict != FREE:
+            out[k] = verdict
 
-    Takes and returns FAR | CLOSE as a hint how to start with the next block, or returns FAULTY.
+
+@njit()
+def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally):
+    """Certify the listed piece pairs and merge them into the verdicts of their pairs.
+
+    Those left open wait for the exact search in S and N, `held` of them, while the next block is certified: their
+    vertices then arrive meanwhile. If the list is not DISTINCT they are searched at once, which may spare the rest.
+
+    Returns
+    -------
+    hint : int
+        FAR | CLOSE for how to start with the next block, or FAULTY.
+    held : int
     """
     ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
     tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
-    Ta, Tb, L, tier, V, W = borrowed(Ta), borrowed(Tb), borrowed(L), borrowed(tier), borrowed(V), borrowed(W)
+    Ta, Tb, L, tier, V = borrowed(Ta), borrowed(Tb), borrowed(L), borrowed(tier), borrowed(V)
+    S, N, W = borrowed(S), borrowed(N), borrowed(W)
     listed = count
     _fill(count, L)
     single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
         count = _culled(count, margin, hint & ASKING != 0, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
         if count < 0:
-            return FAULTY
+            return FAULTY, held
         if count == 0:
             tally[BY_SPHERE] += listed
-            return hint & (FAR | CLOSE)
+            return hint & (FAR | CLOSE), held
         _fill(count, L)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if margin > 0.0:
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
-            return FAULTY
+            return FAULTY, held
     else:
         asking = hint & (ASKING | FAR) == ASKING
         done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
         if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
-            return FAULTY
+            return FAULTY, held
         unsure = _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V)
         if unsure < 0:
-            return FAULTY
+            return FAULTY, held
 
     # Without branches: nobody can predict how the next pair comes out.
     far, outer, left = listed - count, 0, 0
@@ -171,38 +204,26 @@ def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V
             verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
             before = out[k]
             out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
+    hint = FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0)) | hint & DISTINCT
     if mode != EXACT:
         tally[OPEN] += left
-    elif left > 0:
-        left = 0
-        for lane in range(count):
-            L[OPEN_LANE * BLOCK + left] = lane
-            left += tier[lane] == OPEN
-        for n in range(-AHEAD, left):
-            if n + AHEAD < left:
-                lane = L[OPEN_LANE * BLOCK + n + AHEAD]
-                prefetch_points(la, xa, L[PIECE_A * BLOCK + lane])
-                prefetch_points(lb, xb, L[PIECE_B * BLOCK + lane])
-            if n < 0:
-                continue
-            lane = L[OPEN_LANE * BLOCK + n]
-            k = L[PAIR * BLOCK + lane]
-            if out[k] == COLLIDING:
-                continue
-            i, j = L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane]
-            ka, kb = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
-            size = ta[i, REACH] + tb[j, REACH]
-            for r in range(3):
-                size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
-            at = OUT_NORMAL * BLOCK + lane
-            nx, ny, nz = V[at], V[at + BLOCK], V[at + 2 * BLOCK]
-            verdict, t = exact_piece_pair(
-                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W, result
-            )
-            tally[t] += 1
-            if verdict != FREE:
-                out[k] = verdict
-    return FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0))
+        return hint & (FAR | CLOSE), np.int64(0)
+    if held > 0:
+        _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
+    held = np.int64(0)
+    for lane in range(count):
+        for row in range(PAIR, POSE_B + 1):
+            S[row * BLOCK + held] = L[row * BLOCK + lane]
+        for row in range(ROWS):
+            N[row * BLOCK + held] = V[row * BLOCK + lane]
+        held += tier[lane] == OPEN
+    for n in range(held):
+        ask_points(ta, la, xa, S[PIECE_A * BLOCK + n])
+        ask_points(tb, lb, xb, S[PIECE_B * BLOCK + n])
+    if hint & DISTINCT == 0 and held > 0:
+        _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
+        held = np.int64(0)
+    return hint & (FAR | CLOSE), held
 
 
 @inline
@@ -263,7 +284,9 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = arrays_of(pack_a), arrays_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     V = np.empty(ROWS * BLOCK)
+    N = np.empty(ROWS * BLOCK)
     L = np.empty(LISTS * BLOCK, np.int64)
+    S = np.empty((POSE_B + 1) * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
     W = scratch()
     result = np.empty(9)
@@ -272,6 +295,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     # Typed: a constant would have `_flush` compiled twice.
     hint = np.int64(0)
     count = np.int64(0)
+    held = np.int64(0)
     if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
         # One piece a body: nothing to look up.
         k = start
@@ -306,9 +330,13 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 k += more
             out[k - count : k] = FREE
             hint |= DISTINCT | ASKING * (k + LEAD <= stop)
-            hint = _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally)
+            hint, held = _flush(
+                mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally
+            )
             if hint == FAULTY:
                 return False
+        if held > 0:
+            _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
         return True
 
     steps = np.empty(trees.STEPS, np.int64)
@@ -330,12 +358,15 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 _put(L, count, k, found_a[c], found_b[c], ka, kb)
                 count += 1
                 if count == BLOCK:
-                    hint = _flush(
-                        mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally
-                    )
+                    hint, held = _flush(
+                        mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result,
+                        out, tally,
+                    )  # fmt: skip
                     if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        hint = _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, L, tier, V, W, result, out, tally)
+        hint, held = _flush(
+            mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally
+        )
     return hint != FAULTY

@@ -174,19 +174,29 @@ def place(typingctx, points, start, stop, r00, r01, r02, r10, r11, r12, r20, r21
     return signature, codegen
 
 
-@intrinsic
-def prefetch(typingctx, array, index):
-    """prefetch(array, index): ask for the cache line of an entry of a flat array; never faults, never waits."""
-    signature = types.void(array, types.int64)
+def _prefetching(locality):
+    """The functions below; `locality` is LLVM's: 3 for the first-level cache, 2 for the second."""
 
-    def codegen(context, builder, signature, args):
-        data = _data(context, builder, signature.args[0], args[0])
-        pointer = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
-        function = builder.module.declare_intrinsic(
-            "llvm.prefetch", [pointer.type], ir.FunctionType(ir.VoidType(), [pointer.type, _HALF, _HALF, _HALF])
-        )
-        read, keep, data_cache = (ir.Constant(_HALF, code) for code in (0, 3, 1))
-        builder.call(function, [pointer, read, keep, data_cache])
-        return context.get_dummy_value()
+    @intrinsic
+    def prefetch(typingctx, array, index):
+        """prefetch(array, index): ask for the cache line of an entry of an array; never faults, never waits."""
+        signature = types.void(array, types.int64)
 
-    return signature, codegen
+        def codegen(context, builder, signature, args):
+            data = _data(context, builder, signature.args[0], args[0])
+            pointer = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
+            function = builder.module.declare_intrinsic(
+                "llvm.prefetch", [pointer.type], ir.FunctionType(ir.VoidType(), [pointer.type, _HALF, _HALF, _HALF])
+            )
+            read, near, data_cache = (ir.Constant(_HALF, code) for code in (0, locality, 1))
+            builder.call(function, [pointer, read, near, data_cache])
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    return prefetch
+
+
+# The first-level cache can wait for two dozen lines at a time only; the second for more, so ask there for what is
+# needed some thousand instructions later.
+prefetch, ask_line = _prefetching(3), _prefetching(2)

@@ -83,11 +83,11 @@ SURE, SINGLE_SURE = 1e-6, 2e-3
 # What `certify` says where a better s may settle a pair.
 UNSURE = 7
 
-# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; the lanes still open in the end; and
-# pieces and poses that a later block will need, to be asked for while this one is computed.
-PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, OPEN_LANE = 0, 1, 2, 3, 4, 5
-LATER = 5  # from a row of the list to the one with what comes later
-LISTS = 10
+# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the pieces and poses that a later block
+# will need, to be asked for while this one is computed.
+PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B = 0, 1, 2, 3, 4
+LATER = 4  # from a row of the list to the one with what comes later
+LISTS = 9
 
 # Rows of the array in which open pairs leave what the exact tests start from.
 OUT_NORMAL = 0

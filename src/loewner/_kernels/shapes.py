@@ -27,7 +27,7 @@ whose cores are a segment and a point).
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.blocks import BLOCK, LINE, entry, farthest, prefetch
+from loewner._kernels.blocks import BLOCK, LINE, ask_line, entry, farthest, prefetch
 from loewner._kernels.directions import candidates
 
 # The polytopes come first: a kind above POLYTOPE is curved.
@@ -76,6 +76,15 @@ def prefetch_points(layout, points, piece):
     if layout[piece, KIND] == POLYTOPE:
         for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
             prefetch(points, at)
+
+
+@inline
+def ask_points(table, layout, points, piece):
+    """The same long ahead, and the row of the table besides: into the second-level cache, which can wait for more."""
+    ask_line(table, piece * COLUMNS)
+    if layout[piece, KIND] == POLYTOPE:
+        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
+            ask_line(points, at)
 
 
 @inline
