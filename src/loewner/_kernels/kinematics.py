@@ -14,8 +14,8 @@ multiplier, offset : ndarray, shape (L,)
     A joint of one value moves by multiplier * value + offset (one that mimics another; otherwise 1 and 0).
 constants : ndarray, shape (L, CONSTANTS)
     ROTATION, 9 entries by rows, and TRANSLATION [m], 3: pose in `parent` of what the joint moves. A turning joint's
-    rotation is ROTATION + sin q SINE + cos q COSINE, 9 entries each. ACROSS and ALONG, 3 each: unit vectors along which a
-    planar joint slides by its first two values; a prismatic one slides along ACROSS.
+    rotation is ROTATION + sin q SINE + cos q COSINE, 9 entries each. ACROSS and ALONG, 3 each: unit vectors along
+    which a planar joint slides by its first two values; a prismatic one slides along ACROSS.
 
 Eight poses are twelve vectors a link in a flat array W of float64:
 W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the translation.
@@ -25,7 +25,7 @@ import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.trigonometry import sine_cosine
-from loewner._kernels.vectors import LANES, load, root, spread, store, store_columns
+from loewner._kernels.vectors import LANES, load, spread, store, store_columns
 
 FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
 
@@ -38,7 +38,7 @@ POSE = 12  # vectors a link in W
 
 @inline
 def room(links, dof):
-    """Entries that `place_links` needs in W: the poses of all links, and behind them eight configurations by columns."""
+    """Entries that `place_links` needs in W: the poses of all links, then eight configurations by columns."""
     return (POSE * links + dof) * LANES
 
 
