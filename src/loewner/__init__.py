@@ -18,12 +18,15 @@ from loewner.fits import Fit, mvce, mvie
 from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.scenes import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Attachment",
     "Bodies",
     "Body",
+    "Contact",
     "ConvergenceError",
     "Covering",
     "Distance",
@@ -38,6 +41,7 @@ __all__ = [
     "Piece",
     "Polytope",
     "PoseError",
+    "Scene",
     "UnknownNameError",
     "Verdict",
     "classify",
