@@ -18,6 +18,7 @@ from loewner.fits import Fit, mvce, mvie
 from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
@@ -41,6 +42,7 @@ __all__ = [
     "Piece",
     "Polytope",
     "PoseError",
+    "Problem",
     "Scene",
     "UnknownNameError",
     "Verdict",
@@ -48,9 +50,12 @@ __all__ = [
     "collide",
     "contact_function",
     "distance",
+    "load_scene",
     "mvce",
     "mvie",
     "near_points",
     "overlap",
     "overlapping_pairs",
+    "read_motion_bench_maker",
+    "save_scene",
 ]
