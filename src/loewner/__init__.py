@@ -18,12 +18,16 @@ from loewner.fits import Fit, mvce, mvie
 from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
+from loewner.scenes import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Attachment",
     "Bodies",
     "Body",
+    "Contact",
     "ConvergenceError",
     "Covering",
     "Distance",
@@ -38,15 +42,20 @@ __all__ = [
     "Piece",
     "Polytope",
     "PoseError",
+    "Problem",
+    "Scene",
     "UnknownNameError",
     "Verdict",
     "classify",
     "collide",
     "contact_function",
     "distance",
+    "load_scene",
     "mvce",
     "mvie",
     "near_points",
     "overlap",
     "overlapping_pairs",
+    "read_motion_bench_maker",
+    "save_scene",
 ]

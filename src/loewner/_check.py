@@ -3,6 +3,7 @@
 Everything past this module may assume finite float64 in C order and rigid poses.
 """
 
+import difflib
 import math
 import os
 import sys
@@ -14,9 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner._kernels import rigid
-from loewner.errors import InputError, PoseError
+from loewner.errors import InputError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]
+
+# Names that the message about an unknown one lists at most.
+LISTED = 30
 
 IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
@@ -153,6 +157,17 @@ _POSE_FAULTS = {
     rigid.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
     rigid.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
 }
+
+
+def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
+    """Make the error about a name that is none of the `known` ones: it lists them, and the nearest first."""
+    listed = list(known)
+    nearest = difflib.get_close_matches(str(name), listed, n=1)
+    hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
+    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
+    return UnknownNameError(
+        f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {name!r}{hint}"
+    )
 
 
 def fits_memory(needed: int, what: str) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 
 import loewner
 from loewner._check import Floats
+from loewner._rotations import from_quaternion
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
 
 if TYPE_CHECKING:
@@ -254,26 +255,8 @@ def _pose(text: str | None, name: str) -> Floats | None:
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
-        T[:3, :3] = _rotation(numbers[3:], name)
+        T[:3, :3] = from_quaternion(numbers[3:], name)
     return T
-
-
-# How far a typed quaternion may be from unit length: three digits are enough to type.
-QUATERNION_TOLERANCE = 1e-2
-
-
-def _rotation(wxyz: list[float], name: str) -> Floats:
-    length = float(np.linalg.norm(wxyz))
-    if not abs(length - 1) <= QUATERNION_TOLERANCE:
-        raise PoseError(f"{name}: expected a unit quaternion qw qx qy qz, found one of length {length:.4g}")
-    w, x, y, z = (q / length for q in wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _pose_file(path: Path) -> Floats:

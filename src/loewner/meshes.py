@@ -125,6 +125,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
 def convex_pieces(
     source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
     *,
+    scale: float | Floats = 1.0,
     decompose: bool = True,
     cover: bool = True,
     threshold: float = 0.05,
@@ -137,6 +138,8 @@ def convex_pieces(
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene
         See `load`.
+    scale : float, or array_like of shape (3,)
+        Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
     decompose : bool
         False takes the convex hull of everything as the one piece; it holds the mesh.
     cover : bool
@@ -179,7 +182,11 @@ def convex_pieces(
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
     if max_pieces is not None and max_pieces < 1:
         raise InputError(f"max_pieces: expected at least 1, found {max_pieces}")
-    vertices, triangles = _welded(*load(source))
+    factors = _check.finite_array(scale, "scale", (3,) if np.ndim(scale) else ())
+    if not factors.all():
+        raise InputError(f"scale: expected factors other than 0, found {scale}")
+    vertices, triangles = load(source)
+    vertices, triangles = _welded(vertices * factors, triangles)
     volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
     if volume < 0:  # turned inside out
         triangles, volume = triangles[:, ::-1], -volume

@@ -164,6 +164,46 @@ def magnitude(typingctx, x):
     return signature(_result((x,)), x), generate
 
 
+@intrinsic
+def nearest(typingctx, x):
+    """Nearest whole number, halves to the even one."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "rint", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def floor(typingctx, x):
+    """Largest whole number that is not above x."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "floor", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def sines(typingctx, x):
+    """Sine [rad], lane by lane from the mathematics library."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "sin", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def cosines(typingctx, x):
+    """Cosine [rad], lane by lane from the mathematics library."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "cos", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
 def _choice(builder, comparison, x, y):
     return builder.select(builder.fcmp_ordered(comparison, x, y), x, y)
 
@@ -344,6 +384,24 @@ def columns(typingctx, table, width, rows, at, column):
 
     integer = types.int64
     return signature(types.UniTuple(vector, 8), table, integer, rows, integer, integer), generate
+
+
+@intrinsic
+def store_columns(typingctx, table, width, rows, at, column, eight):
+    """Write eight vectors to eight consecutive columns of eight rows: the reverse of `columns`."""
+
+    def generate(context, builder, sig, args):
+        table, width, rows, at, column, eight = args
+        for lane, row in enumerate(_columns_of(builder, cgutils.unpack_tuple(builder, eight, LANES))):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            number = builder.load(_address(context, builder, sig.args[2], rows, place))
+            first = builder.add(builder.mul(number, width), column)
+            address = _address(context, builder, sig.args[0], table, first)
+            builder.store(row, builder.bitcast(address, vector.llvm.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, table, integer, rows, integer, integer, types.UniTuple(vector, LANES)), generate
 
 
 @intrinsic

@@ -1,0 +1,45 @@
+"""Rotation matrices from what people and files write: quaternions, and roll, pitch and yaw."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner.errors import PoseError
+
+# How far a written quaternion may be from unit length: three digits are enough to type.
+QUATERNION_TOLERANCE = 1e-2
+
+
+def from_quaternion(wxyz: Sequence[float], name: str) -> Floats:
+    """Rotation of a unit quaternion, real part first, shape (3, 3); a length near 1 is made 1.
+
+    Raises
+    ------
+    PoseError
+        If the length is not within `QUATERNION_TOLERANCE` of 1.
+    """
+    length = math.hypot(*wxyz)
+    if not abs(length - 1) <= QUATERNION_TOLERANCE:
+        raise PoseError(f"{name}: expected a unit quaternion qw qx qy qz, found one of length {length:.4g}")
+    w, x, y, z = (q / length for q in wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
+    """Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3): turns about fixed axes x, then y, then z, as in URDF; radians."""
+    (cr, cp, cy), (sr, sp, sy) = ([f(angle) for angle in (roll, pitch, yaw)] for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -1,0 +1,591 @@
+"""Robot descriptions, read and checked: URDF (links, joints, shapes) and SRDF (groups, states, disabled pairs).
+
+The reader is the standard library's: it knows the line of every element, which the errors here name, and reads nothing
+that is not asked for (visual geometry, materials, sensors and transmissions are left alone, broken or not).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner.errors import FileError, GeometryError, InputError, UnknownNameError
+
+# Names of the values of a joint, by kind; a joint of one value gives it its own name.
+VALUES: dict[str, tuple[str, ...]] = {
+    "fixed": (),
+    "revolute": ("",),
+    "continuous": ("",),
+    "prismatic": ("",),
+    "planar": ("x", "y", "theta"),
+    "floating": ("x", "y", "z", "qw", "qx", "qy", "qz"),
+}
+
+# Number of sizes of the shapes that are not meshes, and the attributes that hold them.
+SIZES: dict[str, tuple[tuple[str, int], ...]] = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+}
+
+# What pinocchio calls the free base that it puts under a robot; its SRDF files name it without declaring it.
+UNDECLARED_BASE = "root_joint"
+
+# An SRDF that knows less than this share of the names it could know was written for another robot.
+LEAST_IN_COMMON = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One collision element of a link.
+
+    Attributes
+    ----------
+    kind : str
+        "mesh", "box", "sphere", "cylinder" or "capsule" (along z; its length is that of the straight part).
+    sizes : tuple of float
+        Edge lengths of a box; radius; radius and length. In metres; empty for meshes.
+    file_name : str
+        As the URDF gives it; empty for the others.
+    scale : ndarray, shape (3,)
+        Of a mesh, along its own axes; negative entries mirror.
+    origin : ndarray, shape (4, 4)
+        Pose in the link.
+    line : int
+        Of the URDF.
+    """
+
+    kind: str
+    sizes: tuple[float, ...]
+    file_name: str
+    scale: Floats
+    origin: Floats
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Mimic:
+    """A joint moves by multiplier * (value of another joint) + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Floats
+    axis: Floats
+    lower: float
+    upper: float
+    mimic: Mimic | None
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """What a URDF says, checked to be a tree.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    shapes : dict
+        Link name to its collision shapes, for all links; parents before children, siblings as in the file.
+    joints : dict
+        Joint name to joint, as in the file. No joint mimics one that mimics another: such chains are resolved.
+    joint_above : dict
+        Link name to the joint it hangs on, for all links but the root.
+    """
+
+    name: str
+    path: Path
+    shapes: dict[str, tuple[Shape, ...]]
+    joints: dict[str, Joint]
+    joint_above: dict[str, Joint]
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Joints that have values of their own: movable, and not mimicking."""
+        return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
+
+
+@dataclass(frozen=True, eq=False)
+class Semantics:
+    """What an SRDF adds.
+
+    Attributes
+    ----------
+    groups : dict
+        Group name to the names of its driven joints, in the order of the URDF.
+    states : dict
+        State name to (group, {driven joint: value or tuple of values}).
+    disabled_pairs : frozenset
+        Sorted pairs of links that are not to be checked.
+    """
+
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    states: dict[str, tuple[str, dict[str, float | tuple[float, ...]]]] = field(default_factory=dict)
+    disabled_pairs: frozenset[tuple[str, str]] = frozenset()
+
+
+# -- XML ----------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Element:
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: Path
+    children: list[_Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[_Element]:
+        return (c for c in self.children if c.tag == tag)
+
+    def first(self, tag: str) -> _Element | None:
+        return next(self.all(tag), None)
+
+    def the(self, tag: str) -> _Element:
+        found = self.first(tag)
+        if found is None:
+            self.fault(f"a <{tag}> in <{self.tag}>", "none")
+        return found
+
+    def text(self, attribute: str) -> str:
+        found = self.attributes.get(attribute, "").strip()
+        if not found:
+            self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
+        return found
+
+    def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
+        text = self.attributes.get(attribute, default)
+        if text is None:
+            self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        if len(values) != count or any(math.isnan(v) for v in values):
+            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", repr(text))
+        return values
+
+    def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
+        values = self.numbers(attribute, count, default)
+        if not all(math.isfinite(v) for v in values):
+            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>", repr(self.attributes[attribute]))
+        return values
+
+    def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:
+        raise kind(f"{self.path}, line {self.line}: expected {expected}, found {found}")
+
+
+def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
+    """Root element of a robot description."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"{path}: expected {what}, found {(error.strerror or str(error)).lower()}") from None
+    parser = expat.ParserCreate()
+    document = _Element("", {}, 1, path)
+    open_elements = [document]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        element = _Element(tag, attributes, parser.CurrentLineNumber, path)
+        open_elements[-1].children.append(element)
+        open_elements.append(element)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: open_elements.pop()
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the last two: an encoding nobody knows
+        line = getattr(error, "lineno", 1)
+        raise FileError(f"{path}, line {line}: expected {what}, found broken XML ({error})") from None
+    root = document.children[0]
+    if root.tag != "robot":
+        root.fault(f"{what} with the root element <robot>", f"<{root.tag}>", FileError)
+    macro = next((c for c in root.children if c.tag.startswith("xacro:")), None)
+    if macro is not None:
+        macro.fault(f"{what}", f"the macro <{macro.tag}>; run xacro on the file first", FileError)
+    return root
+
+
+def _by_name(elements: Iterable[_Element]) -> dict[str, _Element]:
+    named: dict[str, _Element] = {}
+    for element in elements:
+        name = element.text("name")
+        if name in named:
+            element.fault(f"each name of a {element.tag} once", f"{name!r} again, first in line {named[name].line}")
+        named[name] = element
+    return named
+
+
+# -- URDF ---------------------------------------------------------------------------------------
+
+
+def read_urdf(path: str | os.PathLike[str]) -> Description:
+    """Read a URDF file.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is no XML or no URDF.
+    InputError
+        If the links and joints are no tree, or a joint is not well defined.
+    GeometryError
+        If a shape has no size, or a negative one.
+    UnknownNameError
+        If a joint names a link or a joint that does not exist.
+    """
+    root = _read_xml(path, "a URDF")
+    links = _by_name(root.all("link"))
+    if not links:
+        root.fault("at least one <link>", "none")
+    joints = {name: _joint(e, links) for name, e in _by_name(root.all("joint")).items()}
+    joints = {name: _without_chain(joint, joints, root.path) for name, joint in joints.items()}
+    joint_above: dict[str, Joint] = {}
+    for joint in joints.values():
+        before = joint_above.setdefault(joint.child, joint)
+        if before is not joint:
+            raise InputError(
+                f"{root.path}, line {joint.line}: expected a tree, found link {joint.child!r} below two joints, "
+                f"{before.name!r} and {joint.name!r}"
+            )
+    order = _parents_first(root, list(links), joint_above)
+    return Description(
+        name=root.attributes.get("name", root.path.stem),
+        path=root.path,
+        shapes={name: tuple(_shape(e) for e in links[name].all("collision")) for name in order},
+        joints=joints,
+        joint_above=joint_above,
+    )
+
+
+def _parents_first(root: _Element, links: list[str], joint_above: dict[str, Joint]) -> list[str]:
+    """Order links depth first from the one root."""
+    tops = [name for name in links if name not in joint_above]
+    if len(tops) > 1:
+        root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {', '.join(tops)}")
+    below: dict[str, list[str]] = {name: [] for name in links}
+    for name in links:
+        if name in joint_above:
+            below[joint_above[name].parent].append(name)
+    order, waiting = [], tops
+    while waiting:
+        name = waiting.pop()
+        order.append(name)
+        waiting.extend(reversed(below[name]))
+    if len(order) < len(links):
+        lost = [name for name in links if name not in set(order)]
+        root.fault("a tree", f"a cycle: {', '.join(lost)} do not hang on a root")
+    return order
+
+
+def _joint(element: _Element, links: Collection[str]) -> Joint:
+    name, kind = element.text("name"), element.text("type")
+    if kind not in VALUES:
+        element.fault(f"a joint type among {', '.join(VALUES)}", f"{kind!r} of joint {name!r}")
+    ends = []
+    for end in ("parent", "child"):
+        link = element.the(end).text("link")
+        if link not in links:
+            element.fault(
+                f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
+            )
+        ends.append(link)
+    lower, upper = _limits(element, kind)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=ends[0],
+        child=ends[1],
+        origin=_origin(element),
+        axis=_axis(element, kind),
+        lower=lower,
+        upper=upper,
+        mimic=_mimic(element, kind),
+        line=element.line,
+    )
+
+
+def _axis(joint: _Element, kind: str) -> Floats:
+    """Axis of a joint, as a unit vector.
+
+    Where a URDF gives none it is x, but z for a planar joint: so do MoveIt and pinocchio.
+    """
+    element = joint.first("axis")
+    if kind in ("fixed", "floating"):
+        return np.array([1.0, 0.0, 0.0])
+    if element is None:
+        return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
+    axis = np.array(element.finite("xyz", 3, "1 0 0"))
+    largest = np.abs(axis).max()
+    if largest == 0:
+        element.fault(f"an axis of length above 0 for joint {joint.text('name')!r}", "0 0 0")
+    axis /= largest
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _limits(joint: _Element, kind: str) -> tuple[float, float]:
+    """Limits of the values [rad or m]."""
+    if kind not in ("revolute", "prismatic"):
+        return -math.inf, math.inf
+    element = joint.first("limit")
+    if element is None:
+        joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
+    (lower,), (upper,) = element.numbers("lower", 1, "0"), element.numbers("upper", 1, "0")
+    if lower > upper:
+        element.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
+    return lower, upper
+
+
+def _mimic(joint: _Element, kind: str) -> Mimic | None:
+    element = joint.first("mimic")
+    if element is None:
+        return None
+    if VALUES[kind] != ("",):
+        element.fault("a <mimic> in a joint of one value only", f"one in the {kind} joint {joint.text('name')!r}")
+    return Mimic(element.text("joint"), element.finite("multiplier", 1, "1")[0], element.finite("offset", 1, "0")[0])
+
+
+def _without_chain(joint: Joint, joints: dict[str, Joint], path: Path) -> Joint:
+    """Let a joint mimic the one at the end of its chain."""
+    if joint.mimic is None:
+        return joint
+    multiplier, offset, seen, at = 1.0, 0.0, [joint.name], joint
+    while at.mimic is not None:
+        offset += multiplier * at.mimic.offset
+        multiplier *= at.mimic.multiplier
+        where = f"{path}, line {at.line}: expected"
+        if at.mimic.joint not in joints:
+            raise UnknownNameError(
+                f"{where} a joint of this robot for {at.name!r} to mimic, found {at.mimic.joint!r}; {known(joints)}"
+            )
+        at = joints[at.mimic.joint]
+        if at.name in seen:
+            raise InputError(f"{where} a joint with a value of its own to mimic, found a ring: {', '.join(seen)}")
+        seen.append(at.name)
+    if VALUES[at.kind] != ("",):
+        raise InputError(
+            f"{path}, line {joint.line}: expected a joint of one value for {joint.name!r} to mimic, "
+            f"found {at.name!r}, which is {at.kind}"
+        )
+    return Joint(**{**vars(joint), "mimic": Mimic(at.name, multiplier, offset)})
+
+
+def _origin(element: _Element) -> Floats:
+    """Pose of an <origin>: fixed-axis roll, pitch, yaw [rad], then translation [m]."""
+    T = np.eye(4)
+    origin = element.first("origin")
+    if origin is None:
+        return T
+    T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
+    roll, pitch, yaw = origin.finite("rpy", 3, "0 0 0")
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in (roll, pitch, yaw))
+    T[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return T
+
+
+def _shape(collision: _Element) -> Shape:
+    geometry = collision.the("geometry")
+    known = [c for c in geometry.children if c.tag == "mesh" or c.tag in SIZES]
+    if len(known) != 1 or len(geometry.children) != 1:
+        found = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
+        geometry.fault(f"one shape among mesh, {', '.join(SIZES)} in <geometry>", found)
+    element = known[0]
+    origin = _origin(collision)
+    if element.tag == "mesh":
+        text = element.attributes.get("scale", "1 1 1")
+        count = 1 if len(text.split()) == 1 else 3
+        scale = np.broadcast_to(element.finite("scale", count, text), 3)
+        if not scale.all():
+            element.fault("a scale without a 0", repr(text), GeometryError)
+        return Shape("mesh", (), element.text("filename"), scale, origin, element.line)
+    sizes = [size for attribute, count in SIZES[element.tag] for size in element.finite(attribute, count)]
+    if min(sizes) <= 0:
+        element.fault(f"sizes above 0 for a {element.tag}", " ".join(f"{s:g}" for s in sizes), GeometryError)
+    return Shape(element.tag, tuple(sizes), "", np.ones(3), origin, element.line)
+
+
+# -- SRDF ---------------------------------------------------------------------------------------
+
+
+class _Names:
+    """Looks names up in the URDF, and keeps count: an SRDF of another robot finds few."""
+
+    def __init__(self, robot: Description, without_values: Collection[str]) -> None:
+        self.robot = robot
+        self.without_values = without_values
+        self.known: set[tuple[str, str]] = set()
+        self.unknown: dict[tuple[str, str], _Element] = {}
+
+    def link(self, element: _Element, attribute: str) -> str | None:
+        return self._of("link", element, attribute, self.robot.shapes)
+
+    def joint(self, element: _Element) -> str | None:
+        if element.text("name") in self.without_values:
+            return None
+        return self._of("joint", element, "name", self.robot.joints)
+
+    def _of(self, kind: str, element: _Element, attribute: str, valid: Collection[str]) -> str | None:
+        name = element.text(attribute)
+        if name in valid:
+            self.known.add((kind, name))
+            return name
+        self.unknown.setdefault((kind, name), element)
+        return None
+
+    def settle(self, path: Path) -> None:
+        """Refuse the SRDF of another robot; say which names of a bigger variant of this one are left out."""
+        if not self.unknown:
+            return
+        could = min(len(self.known) + len(self.unknown), len(self.robot.shapes) + len(self.robot.joints))
+        found = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
+        if len(self.unknown) > 8:
+            found += f" and {len(self.unknown) - 8} more"
+        if len(self.known) < LEAST_IN_COMMON * could:
+            raise UnknownNameError(
+                f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
+                f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
+            )
+        warnings.warn(
+            f"{path}: left out what names links and joints that {self.robot.path} does not have: {found}", stacklevel=5
+        )
+
+
+def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
+    """Read an SRDF file for a robot.
+
+    Read are groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
+    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` puts the base somewhere), and
+    what programs add of their own (grippers, rotors, ...) is left alone.
+
+    Raises
+    ------
+    FileError, InputError
+        As `read_urdf`.
+    UnknownNameError
+        If most of the links and joints that it names are not this robot's, or a group does not exist.
+
+    Warns
+    -----
+    UserWarning
+        If some are not: an SRDF is often shared with a bigger variant of the robot.
+    """
+    root = _read_xml(path, "an SRDF")
+    names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
+    disabled = _disabled_pairs(root, names)
+    groups = _groups(root, names)
+    states = _states(root, names, groups)
+    names.settle(root.path)
+    return Semantics(groups, states, disabled)
+
+
+def _disabled_pairs(root: _Element, names: _Names) -> frozenset[tuple[str, str]]:
+    disabled: set[tuple[str, str]] = set()
+    for element in root.all("disable_default_collisions"):
+        link = names.link(element, "link")
+        if link is not None:
+            disabled |= {_sorted_pair(link, other) for other in names.robot.shapes if other != link}
+    for tag, change in (("enable_collisions", disabled.discard), ("disable_collisions", disabled.add)):
+        for element in root.all(tag):
+            a, b = names.link(element, "link1"), names.link(element, "link2")
+            if a is not None and b is not None and a != b:
+                change(_sorted_pair(a, b))
+    return frozenset(disabled)
+
+
+def _sorted_pair(a: str, b: str) -> tuple[str, str]:
+    return (a, b) if a < b else (b, a)
+
+
+def _groups(root: _Element, names: _Names) -> dict[str, tuple[str, ...]]:
+    elements = _by_name(root.all("group"))
+    driven = names.robot.driven
+
+    def members(group: str, within: tuple[str, ...]) -> set[str]:
+        if group in within:
+            elements[group].fault("groups that do not contain themselves", " in ".join((*within, group)))
+        found: set[str | None] = set()
+        for e in elements[group].children:
+            if e.tag == "joint":
+                found.add(names.joint(e))
+            elif e.tag == "link":
+                above = names.robot.joint_above.get(names.link(e, "name") or "")
+                found.add(above.name if above else None)
+            elif e.tag == "chain":
+                found |= _chain(names.robot, names.link(e, "base_link"), names.link(e, "tip_link"))
+            elif e.tag == "group":
+                if e.text("name") not in elements:
+                    e.fault("a group of this file", f"{e.text('name')!r}; {known(elements)}", UnknownNameError)
+                found |= members(e.text("name"), (*within, group))
+        return {name for name in found if name is not None}
+
+    inside = {name: members(name, ()) for name in elements}
+    return {name: tuple(j for j in driven if j in inside[name]) for name in elements}
+
+
+def _chain(robot: Description, base: str | None, tip: str | None) -> set[str]:
+    """Joints between two links."""
+    if base is None or tip is None:
+        return set()
+    above = []
+    for link in (base, tip):
+        joints = []
+        while link in robot.joint_above:
+            joints.append(robot.joint_above[link].name)
+            link = robot.joint_above[link].parent
+        above.append(set(joints))
+    return above[0] ^ above[1]
+
+
+def _states(
+    root: _Element, names: _Names, groups: dict[str, Any]
+) -> dict[str, tuple[str, dict[str, float | tuple[float, ...]]]]:
+    states: dict[str, tuple[str, dict[str, float | tuple[float, ...]]]] = {}
+    driven = set(names.robot.driven)
+    for element in root.all("group_state"):
+        name, group = element.text("name"), element.text("group")
+        if group not in groups:
+            element.fault("a group of this file", f"{group!r}; {known(groups)}", UnknownNameError)
+        values: dict[str, float | tuple[float, ...]] = {}
+        for e in element.all("joint"):
+            joint = names.joint(e)
+            if joint not in driven:  # unknown, or without a value of its own: fixed, mimicking, virtual
+                continue
+            kind = names.robot.joints[joint].kind
+            numbers = e.finite("value", len(VALUES[kind]))
+            if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
+                numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
+            values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        # The name of a state is its own within its group only.
+        states[f"{group}/{name}" if name in states else name] = (group, values)
+    return states
+
+
+def known(names: Iterable[str]) -> str:
+    """Names for people."""
+    listed = ", ".join(sorted(names))
+    return f"known are {listed}" if listed else "there are none"

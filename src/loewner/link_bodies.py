@@ -1,0 +1,186 @@
+"""From the collision shapes of a URDF to bodies in the frames of their links; fits of meshes are kept on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import loewner._kernels._jit as compiled
+from loewner import bodies, meshes
+from loewner._check import Floats
+from loewner.bodies import Body, Progress
+from loewner.descriptions import Description, Shape
+from loewner.errors import FileError, GeometryError
+
+# Beside the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
+CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
+
+# A glTF file keeps its points in other files, so that its own bytes do not tell its content.
+NOT_CACHED = (".gltf",)
+
+_PRIMITIVES: dict[str, Callable[..., Body]] = {
+    "box": lambda *size: Body.box(size),
+    "sphere": Body.sphere,
+    "cylinder": Body.cylinder,
+    "capsule": Body.capsule,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """What `Body.from_mesh` needs of a mesh."""
+
+    vertices: Floats
+    faces: meshes.Triangles
+
+
+def link_bodies(
+    robot: Description,
+    package_dirs: Iterable[str | os.PathLike[str]],
+    *,
+    decompose: bool,
+    tol: float,
+    cache: bool,
+    progress: Progress | None,
+) -> dict[str, Body]:
+    """Make one body for each link that has collision shapes, in the frame of the link.
+
+    Parameters
+    ----------
+    robot : Description
+    package_dirs : iterable of path
+        Folders of packages, or packages themselves.
+    decompose, tol
+        As `Body.from_mesh`.
+    cache : bool
+        Whether to keep the fits of meshes on disk, and to use those kept there.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each shape.
+
+    Raises
+    ------
+    FileError
+        If a mesh cannot be found or read; the message names the link and where it was looked for.
+    GeometryError
+        If a mesh is flat or empty.
+    """
+    folders = list(package_dirs)
+    total, done, made = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}
+    for link, shapes in robot.shapes.items():
+        parts = []
+        for shape in shapes:
+            parts.append(_body(shape, link, robot.path, folders, decompose=decompose, tol=tol, cache=cache))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        if parts:
+            made[link] = parts[0] if len(parts) == 1 else _union(parts)
+    return made
+
+
+def _body(
+    shape: Shape,
+    link: str,
+    urdf: Path,
+    folders: list[str | os.PathLike[str]],
+    *,
+    decompose: bool,
+    tol: float,
+    cache: bool,
+) -> Body:
+    if shape.kind != "mesh":
+        body = _PRIMITIVES[shape.kind](*shape.sizes)
+        return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
+    file = _mesh_file(shape, link, urdf, folders)
+    try:
+        if not cache or file.suffix.lower() in NOT_CACHED:
+            return _mesh_body(file, shape, decompose, tol)
+        kept = CACHE_FOLDER / f"{_key(file, shape, decompose, tol)}.npz"
+        with suppress(FileError):  # none there yet, or a damaged one
+            return Body.load(kept)
+        body = _mesh_body(file, shape, decompose, tol)
+        with suppress(OSError):  # no place for a cache is no error
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            body.save(kept)
+        return body
+    except (FileError, GeometryError) as error:
+        text = str(error) if str(file) in str(error) else f"{file}: {error}"
+        raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {text}") from None
+
+
+def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
+    """Fit a mesh where it stands in its link."""
+    vertices, triangles = meshes.load(file)
+    placed = (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3]
+    if shape.scale.prod() < 0:  # mirrored: inside out, but for this
+        triangles = triangles[:, ::-1]
+    return Body.from_mesh(_Mesh(placed, triangles), decompose=decompose, tol=tol)
+
+
+def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
+    """Hash of all that decides a fit: what is in the file, where it stands, how it is fitted, and by which code."""
+    code = (compiled.CACHE_FOLDER.name, bodies.VERSION, file.suffix.lower())
+    digest = hashlib.sha256(repr((code, decompose, tol)).encode())
+    digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
+    digest.update(file.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _union(parts: list[Body]) -> Body:
+    """One body of all shapes of a link, with what their meshes leave uncovered."""
+    body = Body.union(parts)
+    known = [part.covering for part in parts if part.covering is not None]
+    if known:
+        body.covering = meshes.Covering(
+            kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
+            exact=all(c.exact for c in known),
+            max_uncovered=max(c.max_uncovered for c in known),
+            excess_volume=float("nan"),
+            samples=sum(c.samples for c in known),
+        )
+    return body
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def _mesh_file(shape: Shape, link: str, urdf: Path, folders: list[str | os.PathLike[str]]) -> Path:
+    """Find the file that a URDF means."""
+    looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
+    for path in looked:
+        if path.is_file():
+            return path
+    raise FileError(
+        f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found no such file; "
+        f"looked at {', '.join(map(str, looked)) or 'no place'}. package_dirs= names the folders of packages"
+    )
+
+
+def _candidates(name: str, urdf: Path, folders: list[str | os.PathLike[str]]) -> Iterator[Path]:
+    """Places where a mesh may be: the packages given, those of ROS, then folder by folder up from the URDF."""
+    scheme, separator, rest = name.rpartition("://")
+    home = urdf.resolve().parent
+    given = [Path(folder) for folder in folders]
+    if separator and scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        for folder in (*given, *_ros_folders(), home, *home.parents):
+            yield folder / package / inside
+            if folder.name == package:
+                yield folder / inside
+    elif not separator or scheme == "file":
+        for folder in (home, *given):
+            yield folder / rest  # an absolute path stays what it is
+
+
+def _ros_folders() -> Iterator[Path]:
+    """Folders of packages that a sourced ROS workspace names."""
+    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for entry in os.environ.get(variable, "").split(os.pathsep):
+            if entry:
+                yield Path(entry) / below

@@ -1,0 +1,405 @@
+"""Robots: links on joints, with their bodies, and where the links are in many configurations."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import kinematics
+from loewner._threads import over_blocks, share
+from loewner.bodies import Body, Progress
+from loewner.descriptions import VALUES, Description, Joint, Semantics, known, read_srdf, read_urdf
+from loewner.errors import InputError, UnknownNameError
+from loewner.link_bodies import link_bodies
+
+# How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
+QUATERNION_TOLERANCE = 1e-6
+
+# Configurations a thread takes at a time, at least: about 0.1 ms of work.
+LEAST_SHARE = 1024
+
+_KINDS = {
+    "fixed": kinematics.FIXED,
+    "revolute": kinematics.REVOLUTE,
+    "continuous": kinematics.REVOLUTE,
+    "prismatic": kinematics.PRISMATIC,
+    "planar": kinematics.PLANAR,
+    "floating": kinematics.FLOATING,
+}
+
+Tree = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]
+State = tuple[str, dict[str, float | tuple[float, ...]]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot:
+    """A tree of links on joints; read one by `from_urdf`.
+
+    Attributes
+    ----------
+    name : str
+    link_names : tuple of str
+        Parents before children; the index is the row of `forward_kinematics`.
+    joint_names : tuple of str
+        Joints that have values of their own (movable, and not mimicking another one), in the order of the URDF.
+    configuration_names : tuple of str
+        What the entries of a configuration mean. A joint of one value (rad or m) gives its name; a planar joint j
+        has "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion
+        "j/qw", "j/qx", "j/qy", "j/qz".
+    lower, upper : ndarray, shape (dof,)
+        Limits; infinite where there are none. Configurations outside are allowed everywhere.
+    bodies : dict
+        Link name to `Body`, in the frame of the link, for links with collision geometry.
+    groups : dict
+        Group name to joint names, from the SRDF.
+    states : dict
+        State name to (group, {joint: value}), from the SRDF; a value of several is a tuple in the order of
+        `configuration_names`. Where several groups have a state of one name, the second is "group/name".
+    disabled_pairs : frozenset
+        Sorted pairs of links that the SRDF exempts from checking.
+    adjacent_pairs : frozenset
+        Sorted pairs of links with bodies that a joint joins, directly or through links without bodies.
+    tree : tuple of ndarray
+        What kernels take; described in `loewner._kernels.kinematics`.
+    """
+
+    name: str
+    link_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    configuration_names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    bodies: dict[str, Body]
+    groups: dict[str, tuple[str, ...]]
+    states: dict[str, State]
+    disabled_pairs: frozenset[tuple[str, str]]
+    adjacent_pairs: frozenset[tuple[str, str]]
+    tree: Tree
+    _columns: dict[str, slice] = field(repr=False)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        srdf: str | os.PathLike[str] | None = None,
+        package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
+        decompose: bool = False,
+        tol: float = 1e-4,
+        cache: bool = True,
+        progress: Progress | None = None,
+    ) -> Robot:
+        """Read a robot.
+
+        Parameters
+        ----------
+        path : path
+            URDF file, xacro expanded.
+        srdf : path, optional
+            Groups, states and disabled pairs.
+        package_dirs : path or iterable of paths
+            Folders of packages (or packages) for ``package://`` and ``model://``. Also searched are those that ROS
+            names in the environment, and the folders above the URDF.
+        decompose : bool
+            False: each collision mesh is its convex hull, which contains it. True: meshes that are not convex are
+            split into convex pieces (`Body.from_mesh`), once: see `cache`.
+        tol : float
+            Certified log-volume gap of all fits.
+        cache : bool
+            Keep the bodies of meshes on disk, by content, so that the next time they are read only.
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each collision shape.
+
+        Raises
+        ------
+        FileError
+            If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
+        InputError
+            If the links are no tree, or a joint is not well defined; GeometryError if a shape is flat or has no size.
+        UnknownNameError
+            If a joint names what does not exist, or the SRDF is another robot's.
+        MissingExtraError
+            If a mesh is to be read without trimesh.
+
+        Warns
+        -----
+        UserWarning
+            If the SRDF names some links or joints that the robot does not have.
+        """
+        tol = _check.positive_scalar(tol, "tol")
+        robot = read_urdf(path)
+        semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
+        folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
+        columns, dof = _columns(robot)
+        kinds = {name: robot.joints[name].kind for name in columns}
+        lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
+        for name, column in columns.items():
+            lower[column], upper[column] = robot.joints[name].lower, robot.joints[name].upper
+            if kinds[name] == "floating":
+                lower[column.start + 3 : column.stop], upper[column.start + 3 : column.stop] = -1.0, 1.0
+        lower.setflags(write=False)
+        upper.setflags(write=False)
+        return cls(
+            name=robot.name,
+            link_names=tuple(robot.shapes),
+            joint_names=tuple(columns),
+            configuration_names=tuple(
+                f"{name}/{value}" if value else name for name in columns for value in VALUES[kinds[name]]
+            ),
+            lower=lower,
+            upper=upper,
+            bodies=bodies,
+            groups=semantics.groups,
+            states=semantics.states,
+            disabled_pairs=semantics.disabled_pairs,
+            adjacent_pairs=_adjacent_pairs(robot),
+            tree=_tree(robot, columns),
+            _columns=columns,
+        )
+
+    @property
+    def dof(self) -> int:
+        """Entries of a configuration."""
+        return len(self.configuration_names)
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
+            f"{len(self.joint_names)} joints, dof {self.dof})"
+        )
+
+    def placed(self, T_world_base: ArrayLike) -> Robot:
+        """The same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
+
+        Of a robot that is placed already, the new pose is that of the frame which the old one was given in.
+        """
+        T = _check.poses(T_world_base, "T_world_base")
+        if T.shape != (4, 4):
+            raise InputError(f"T_world_base: expected shape (4, 4), found {_check.shape_text(T.shape)}")
+        constants = self.tree[5].copy()
+        on_base = np.flatnonzero(self.tree[0] < 0)
+        R, t = T[:3, :3], T[:3, 3]
+        for first in (kinematics.ROTATION, kinematics.SINE, kinematics.COSINE):
+            block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
+            constants[on_base, first : first + 9] = (R @ block).reshape(-1, 9)
+        for first in (kinematics.TRANSLATION, kinematics.ACROSS, kinematics.ALONG):
+            constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
+        constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
+        return replace(self, tree=(*self.tree[:5], constants))
+
+    def forward_kinematics(self, Q: ArrayLike) -> Floats:
+        """Poses of all links.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+            Configurations, entries as `configuration_names`.
+
+        Returns
+        -------
+        ndarray, shape (..., links, 4, 4)
+            T_world_link, rigid up to rounding.
+
+        Raises
+        ------
+        InputError
+            If the width is not dof, an entry is not finite, or a quaternion is not of norm 1.
+        """
+        checked = self.checked(Q)
+        batch, links = checked.shape[:-1], len(self.link_names)
+        count = int(np.prod(batch))
+        _check.fits_memory(count * links * 128, f"{count} configurations of {links} links")
+        flat = checked.reshape(count, self.dof)
+        out = np.empty((count, links, 4, 4))
+        for _ in over_blocks(
+            lambda i, j: kinematics.forward(self.tree, flat, i, j, out), count, share(count, LEAST_SHARE)
+        ):
+            pass
+        return out.reshape(*batch, links, 4, 4)
+
+    def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
+        """Configurations as kernels take them: C-order float64, finite, quaternions of norm 1.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+        name : str
+            What the caller calls it, for messages.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            `Q` itself where it can be.
+        """
+        array = _check.float_array(Q, name)
+        if array.ndim == 0 or array.shape[-1] != self.dof:
+            raise InputError(
+                f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
+                f"found {_check.shape_text(array.shape)}"
+            )
+        if not np.isfinite(array).all():
+            *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            where = f"{name}[{', '.join(map(str, row))}]" if row else name
+            found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
+            raise InputError(f"{where}: expected finite numbers, found {found}")
+        for joint, at in self._columns.items():
+            if at.stop - at.start == len(VALUES["floating"]):
+                norm = np.linalg.norm(array[..., at.start + 3 : at.stop], axis=-1)
+                if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
+                    worst = norm.flat[np.abs(norm - 1).argmax()]
+                    raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
+        return array if array.flags.carray else array.copy()  # read-only: to Numba another type
+
+    def configuration(self, values: Mapping[str, Any] | str | None = None) -> Floats:
+        """One configuration, by names.
+
+        Parameters
+        ----------
+        values : dict or str, optional
+            Values by joint name or configuration name, or the name of a state. All other joints are at 0 (a
+            quaternion at the identity), whether or not their limits allow that.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+
+        Raises
+        ------
+        UnknownNameError
+            With the valid names.
+        """
+        if isinstance(values, str):
+            if values not in self.states:
+                raise UnknownNameError(f"expected the name of a state, found {values!r}; {known(self.states)}")
+            values = self.states[values][1]
+        q = np.zeros(self.dof)
+        for at in self._columns.values():
+            if at.stop - at.start == len(VALUES["floating"]):
+                q[at.start + 3] = 1.0
+        single = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)}
+        for name, value in (values or {}).items():
+            at = self._columns.get(name) or single.get(name)
+            if at is None:
+                raise UnknownNameError(
+                    f"expected the name of a joint, found {name!r}; {known({*self.joint_names, *single})}"
+                )
+            given = np.atleast_1d(_check.float_array(value, name))
+            q[at] = _check.finite_array(given, name, (at.stop - at.start,))
+        return self.checked(q, "values")
+
+    def random_configurations(self, n: int, seed: int = 0) -> Floats:
+        """Draw n configurations uniformly within the limits, shape (n, dof).
+
+        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform.
+        """
+        rng = np.random.default_rng(seed)
+        lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
+        upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(np.pi, lower + 2 * np.pi))
+        Q = rng.uniform(lower, upper, (n, self.dof))
+        for at in self._columns.values():
+            if at.stop - at.start == len(VALUES["floating"]):
+                quaternion = rng.normal(size=(n, 4))
+                Q[:, at.start + 3 : at.stop] = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        return Q
+
+
+# -- from the description -----------------------------------------------------------------------
+
+
+def _columns(robot: Description) -> tuple[dict[str, slice], int]:
+    """Columns of each driven joint, and their number."""
+    columns, at = {}, 0
+    for name in robot.driven:
+        columns[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
+        at = columns[name].stop
+    return columns, at
+
+
+def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
+    """Pairs of links with shapes that a path over links without shapes joins.
+
+    As MoveIt's setup assistant sees it: links without shapes are taken out, and their neighbours joined.
+    """
+    # Links without shapes that hang together, by their topmost one, and the links with shapes around each.
+    top = {name: name for name in robot.shapes}
+    around: dict[str, set[str]] = {}
+    pairs = set()
+    for link, shapes in robot.shapes.items():
+        if link not in robot.joint_above:
+            continue
+        parent = robot.joint_above[link].parent
+        if not shapes and not robot.shapes[parent]:
+            top[link] = top[parent]
+        elif not shapes:
+            around.setdefault(link, set()).add(parent)
+        elif not robot.shapes[parent]:
+            around.setdefault(top[parent], set()).add(link)
+        else:
+            pairs.add((min(link, parent), max(link, parent)))
+    for links in around.values():
+        pairs.update(combinations(sorted(links), 2))
+    return frozenset(pairs)
+
+
+def _tree(robot: Description, columns: dict[str, slice]) -> Tree:
+    """Flatten the robot for kernels; see `loewner._kernels.kinematics`."""
+    count = len(robot.shapes)
+    parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    multiplier, offset = np.ones(count), np.zeros(count)
+    constants = np.zeros((count, kinematics.CONSTANTS))
+    # For each link the first link of the rigid thing that it is part of, and its pose in there.
+    frames: dict[str, tuple[int, Floats]] = {}
+    for i, name in enumerate(robot.shapes):
+        joint = robot.joint_above.get(name)
+        if joint is None:
+            above, T = -1, np.eye(4)
+        else:
+            above, T_above_parent = frames[joint.parent]
+            T = T_above_parent @ joint.origin
+        parent[i] = above
+        if joint is None or joint.kind == "fixed":
+            constants[i, : kinematics.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
+            frames[name] = above, T
+            continue
+        mimic = joint.mimic
+        kind[i] = _KINDS[joint.kind]
+        column[i] = columns[mimic.joint if mimic else joint.name].start
+        if mimic:
+            multiplier[i], offset[i] = mimic.multiplier, mimic.offset
+        constants[i] = _joint_constants(joint, T)
+        frames[name] = i, np.eye(4)
+    return parent, kind, column, multiplier, offset, constants
+
+
+def _joint_constants(joint: Joint, T: Floats) -> Floats:
+    """Constants of a movable joint whose own frame is at T."""
+    R, axis = T[:3, :3], joint.axis
+    rotation, sine, cosine, across, along = R, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    if joint.kind in ("revolute", "continuous", "planar"):  # Rodrigues: n nᵀ + sin q [n]× + cos q (1 - n nᵀ)
+        x, y, z = axis
+        onto = np.outer(axis, axis)
+        rotation, cosine = R @ onto, R @ (np.eye(3) - onto)
+        sine = R @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if joint.kind == "prismatic":
+        across = R @ axis
+    if joint.kind == "planar":
+        across, along = (R @ _from_z(axis))[:, :2].T
+    return np.concatenate([rotation.ravel(), T[:3, 3], sine.ravel(), cosine.ravel(), across, along])
+
+
+def _from_z(axis: Floats) -> Floats:
+    """Shortest rotation that takes the z axis to a unit vector."""
+    x, y, z = axis
+    if z < 0 and x * x + y * y < 1e-24:  # half a turn, about any axis across: x
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

@@ -1,0 +1,491 @@
+"""Scenes: named bodies in the world, what hangs on a robot's links, what may touch, and the margins kept.
+
+A `Scene` is what changes between two questions: bodies are added, moved, grasped and put down by name. The bodies
+themselves never change, so all of this costs dictionary entries; nothing is fitted again. A scene knows no robot.
+Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`Scene.foreign_names`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _check, crowds, queries
+from loewner._check import Floats
+from loewner.bodies import Bodies, Body, Ints
+from loewner.errors import InputError, PoseError
+from loewner.queries import Distance
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Two named bodies that touch, overlap, or come within the margin they have to keep.
+
+    Attributes
+    ----------
+    name_a, name_b : str
+        Names of bodies of a scene, or of links of a robot.
+    distance : float
+        Metres; negative is the depth of the deepest two pieces. It is positive only for two that are within their
+        margin (or apart by rounding alone: touching is colliding).
+    witness_a, witness_b : ndarray, shape (3,)
+        Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
+    normal : ndarray, shape (3,)
+        Unit vector from a to b.
+    """
+
+    name_a: str
+    name_b: str
+    distance: float
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+
+    @classmethod
+    def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
+        """One contact per pair of names, from exact distances of as many pairs."""
+        rows = zip(names, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
+        return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """How a body hangs on a robot.
+
+    Attributes
+    ----------
+    link : str
+        The link that carries it.
+    T_link_body : ndarray, shape (4, 4)
+        Where it sits in the frame of the link; translation in metres.
+    touch_links : tuple of str
+        Links that it may touch while it hangs there: those asked for and the one that carries it, sorted.
+    """
+
+    link: str
+    T_link_body: Floats
+    touch_links: tuple[str, ...]
+
+
+class Scene:
+    """Named bodies with poses, attachments to links, allowed pairs and margins.
+
+    Parameters
+    ----------
+    margin : float
+        Metres that all pairs keep that have no margin of their own (see `margin_of`).
+
+    Notes
+    -----
+    A scene is iterated over by name, in the order in which the bodies were added. Its own queries (`pairs`, `collide`,
+    `distance`) are about the bodies that stand in the world; where a body that is attached to a link is, only a
+    robot's configuration tells.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+    >>> T = np.eye(4)
+    >>> T[2, 3] = 0.3
+    >>> scene.add("ball", Body.sphere(0.1), T)
+    >>> scene.collide()
+    False
+    >>> T[2, 3] = 0.1
+    >>> scene.move("ball", T)
+    >>> [(contact.name_a, contact.name_b, round(contact.distance, 9)) for contact in scene.pairs()]
+    [('table', 'ball', -0.05)]
+    """
+
+    def __init__(self, *, margin: float = 0.0) -> None:
+        self._margin = _check.positive_scalar(margin, "margin", zero=True)
+        self._bodies: dict[str, Body] = {}
+        self._poses: dict[str, Floats] = {}
+        self._attachments: dict[str, Attachment] = {}
+        self._allowed: set[Pair] = set()
+        self._margins: dict[tuple[str, ...], float] = {}
+        self._version = self._structure_version = 0
+        self._packed: tuple[int, Bodies] | None = None
+
+    def __repr__(self) -> str:
+        return f"Scene({len(self)} bodies, {len(self._attachments)} of them attached)"
+
+    # -- what is in it ------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self._bodies)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._bodies
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._bodies)
+
+    def __getitem__(self, name: str) -> Body:
+        return self._bodies[self._known(name)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies, in the order in which they were added."""
+        return tuple(self._bodies)
+
+    @property
+    def static_names(self) -> tuple[str, ...]:
+        """Names of the bodies that stand in the world, in the same order: all but the attached ones."""
+        return tuple(name for name in self._bodies if name not in self._attachments)
+
+    @property
+    def static_bodies(self) -> Bodies:
+        """The bodies of `static_names`, packed; the same object until `structure_version` grows."""
+        if self._packed is None or self._packed[0] != self._structure_version:
+            packed = Bodies(self._bodies[name] for name in self.static_names)
+            self._packed = self._structure_version, packed
+        return self._packed[1]
+
+    @property
+    def static_poses(self) -> Floats:
+        """Poses in the world of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
+        return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
+
+    @property
+    def attachments(self) -> dict[str, Attachment]:
+        """How each attached body hangs on the robot, by name of the body."""
+        return {name: self._attachments[name] for name in self._bodies if name in self._attachments}
+
+    @property
+    def version(self) -> int:
+        """A number that grows with every change, so that whoever prepared something from the scene notices."""
+        return self._version
+
+    @property
+    def structure_version(self) -> int:
+        """The same, but for changes by `move`, which leave everything else that was prepared as it is."""
+        return self._structure_version
+
+    def pose(self, name: str) -> Floats:
+        """Pose in the world of a body, shape (4, 4), as a new array.
+
+        Raises
+        ------
+        InputError
+            If the body is attached to a link.
+        """
+        return self._poses[self._placed(name)].copy()
+
+    def copy(self) -> Scene:
+        """Return another scene with the same bodies, which changes on its own from now on."""
+        other = Scene(margin=self._margin)
+        other._bodies = dict(self._bodies)
+        other._poses = dict(self._poses)
+        other._attachments = dict(self._attachments)
+        other._allowed = set(self._allowed)
+        other._margins = dict(self._margins)
+        return other
+
+    # -- changes ------------------------------------------------------------------------------
+
+    def add(self, name: str, body: Body, T_world_body: ArrayLike | None = None, *, margin: float | None = None) -> None:
+        """Put a body into the world.
+
+        Parameters
+        ----------
+        name : str
+            Not yet the name of another body.
+        body : Body
+        T_world_body : array_like, shape (4, 4), or None
+            Translation in metres. None is the identity.
+        margin : float, optional
+            Metres that this body keeps (see `margin_of`).
+
+        Raises
+        ------
+        InputError
+            If the name is taken or no text, `body` no body, or the margin negative or not finite.
+        PoseError
+            If the pose is no rigid motion.
+        """
+        _check_name(name, "name")
+        if name in self._bodies:
+            raise InputError(f"name: expected a new name, found {name!r}, which the scene has already; remove it first")
+        if not isinstance(body, Body):
+            raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
+        T = _pose(T_world_body, f"T_world_body of {name!r}")
+        keep = None if margin is None else _check.positive_scalar(margin, f"margin of {name!r}", zero=True)
+        self._bodies[name] = body
+        self._poses[name] = T
+        if keep is not None:
+            self._margins[(name,)] = keep
+        self._changed()
+
+    def remove(self, name: str) -> None:
+        """Take a body out, and with it all margins and allowed pairs that name it."""
+        del self._bodies[self._known(name)]
+        self._poses.pop(name, None)
+        self._attachments.pop(name, None)
+        # A body that later comes under the same name must not inherit leave to touch.
+        self._allowed = {pair for pair in self._allowed if name not in pair}
+        self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
+        self._changed()
+
+    def move(self, name: str | Mapping[str, ArrayLike | None], T_world_body: ArrayLike | None = None) -> None:
+        """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.
+
+        Parameters
+        ----------
+        name : str, or mapping from names to poses
+            If any name or pose of a mapping is wrong, nothing is moved.
+        T_world_body : array_like, shape (4, 4), or None
+            The new pose; translation in metres. None is the identity.
+
+        Raises
+        ------
+        InputError
+            If a body is attached to a link: it moves with the link until it is detached.
+        """
+        if isinstance(name, Mapping):
+            if T_world_body is not None:
+                raise InputError("T_world_body: expected none beside a mapping from names to poses, found one")
+            moves = name
+        else:
+            moves = {name: T_world_body}
+        checked = {self._placed(key): _pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        self._poses.update(checked)
+        self._version += 1
+
+    def attach(
+        self, name: str, link: str, T_link_body: ArrayLike | None = None, *, touch_links: Iterable[str] = ()
+    ) -> None:
+        """Hang a body on a link, with which it moves from now on: a grasped object.
+
+        Parameters
+        ----------
+        name : str
+            A body of the scene. One that is attached already is handed over.
+        link : str
+            Name of a link. It is checked when the scene is paired with a robot.
+        T_link_body : array_like, shape (4, 4), or None
+            Where the body sits in the frame of the link; translation in metres. None is the identity.
+        touch_links : iterable of str
+            Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+        """
+        self._known(name)
+        _check_name(link, "link")
+        if isinstance(touch_links, str):
+            raise InputError(f"touch_links: expected several names of links, found one text, {touch_links!r}")
+        touching = {link, *touch_links}
+        for touched in touching:
+            _check_name(touched, "touch_links")
+        T = _pose(T_link_body, f"T_link_body of {name!r}")
+        T.setflags(write=False)
+        self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
+        self._poses.pop(name, None)
+        self._changed()
+
+    def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
+        """Put an attached body back into the world.
+
+        Parameters
+        ----------
+        name : str
+        T_world_body : array_like, shape (4, 4), or None
+            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was.
+
+        Raises
+        ------
+        InputError
+            If the body is not attached.
+        """
+        if self._known(name) not in self._attachments:
+            raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
+        self._poses[name] = _pose(T_world_body, f"T_world_body of {name!r}")
+        del self._attachments[name]
+        self._changed()
+
+    # -- rules --------------------------------------------------------------------------------
+
+    @property
+    def allowed(self) -> frozenset[Pair]:
+        """Pairs whose contact is allowed, each sorted by name."""
+        return frozenset(self._allowed)
+
+    def allow(self, a: str, b: str) -> None:
+        """Allow two to touch: from now on no query counts their contact.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies, present or to come, or of links.
+        """
+        self._allowed.add(_pair(a, b))
+        self._changed()
+
+    def forbid(self, a: str, b: str) -> None:
+        """Take back what `allow` allowed.
+
+        Raises
+        ------
+        UnknownNameError
+            If the pair was not allowed. A slip in a name would otherwise leave another pair allowed, unnoticed.
+        """
+        pair = _pair(a, b)
+        if pair not in self._allowed:
+            raise _check.unknown_name(
+                "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
+            )
+        self._allowed.remove(pair)
+        self._changed()
+
+    @property
+    def margin(self) -> float:
+        """Metres that all pairs keep that have no margin of their own."""
+        return self._margin
+
+    @property
+    def margins(self) -> dict[tuple[str, ...], float]:
+        """The margins of single bodies or links, under ``(name,)``, and of pairs, under sorted ``(a, b)``."""
+        return dict(self._margins)
+
+    def set_margin(self, margin: float | None, a: str | None = None, b: str | None = None) -> None:
+        """Set the margin of a pair, of one body or link, or of the whole scene.
+
+        Parameters
+        ----------
+        margin : float or None
+            Metres. None takes the margin of the pair, body or link away again.
+        a, b : str, optional
+            Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
+        """
+        keep = None if margin is None else _check.positive_scalar(margin, "margin", zero=True)
+        if a is None:
+            if b is not None:
+                raise InputError(f"a: expected a name beside b = {b!r}, found None")
+            if keep is None:
+                raise InputError("margin: expected a number of metres for the whole scene, found None")
+            self._margin = keep
+        else:
+            names = (_check_name(a, "a"),) if b is None else _pair(a, b)
+            if keep is None:
+                self._margins.pop(names, None)
+            else:
+                self._margins[names] = keep
+        self._changed()
+
+    def margin_of(self, a: str, b: str) -> float:
+        """Metres that two bodies or links keep.
+
+        The pair's own margin if it has one; else the larger of those that the two have; else the scene's.
+        """
+        pair = _pair(a, b)
+        if pair in self._margins:
+            return self._margins[pair]
+        return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
+
+    @property
+    def foreign_names(self) -> frozenset[str]:
+        """Names in attachments, allowed pairs and margins that are no bodies here: they must be links of the robot."""
+        named = {name for names in (*self._allowed, *self._margins) for name in names}
+        for attachment in self._attachments.values():
+            named.update(attachment.touch_links)
+        return frozenset(named.difference(self._bodies))
+
+    # -- queries ------------------------------------------------------------------------------
+
+    def pairs(self) -> tuple[Contact, ...]:
+        """All pairs of bodies in the world that touch, overlap or come within their margin, but for allowed ones.
+
+        Returns
+        -------
+        tuple of Contact
+            In the order in which the bodies were added, each pair once. Pairs that are not there are allowed, or
+            proven free.
+
+        Raises
+        ------
+        ConvergenceError
+            If the exact search could not settle a pair. It never answers "free" instead.
+        """
+        first, second = self._meeting().T
+        bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
+        found = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
+        return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
+
+    def collide(self) -> bool:
+        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details."""
+        return len(self._meeting()) > 0
+
+    def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
+        """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
+
+        See `loewner.distance`.
+        """
+        return queries.distance(self[a], self.pose(a), self[b], self.pose(b), exact=exact)
+
+    def _meeting(self) -> Ints:
+        """Pairs of bodies in the world that count as colliding, as places in `static_names`, shape (m, 2)."""
+        bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
+        # The broad phase has one margin for all; the largest loses no pair, and what it adds is dropped below.
+        widest = max([self._margin, *self._margins.values()])
+        found = crowds.overlapping_pairs(bodies, poses, margin=widest)
+        if self._allowed:
+            found = found[[_pair(names[i], names[j]) not in self._allowed for i, j in found]]
+        if not self._margins:
+            return found
+        margins = np.array([self.margin_of(names[i], names[j]) for i, j in found])
+        meet = np.ones(len(found), dtype=bool)
+        for margin in np.unique(margins[margins < widest]):
+            at = np.flatnonzero(margins == margin)
+            first, second = found[at].T
+            meet[at] = queries.collide(bodies[first], poses[first], bodies[second], poses[second], margin=margin)
+        return found[meet]
+
+    # -- names --------------------------------------------------------------------------------
+
+    def _changed(self) -> None:
+        self._version += 1
+        self._structure_version += 1
+
+    def _known(self, name: Any) -> str:
+        if not isinstance(name, str) or name not in self._bodies:
+            raise _check.unknown_name("body", name, self._bodies)
+        return name
+
+    def _placed(self, name: Any) -> str:
+        if self._known(name) in self._attachments:
+            link = self._attachments[name].link
+            raise InputError(
+                f"{name!r}: expected a body that stands in the world, found one attached to link {link!r}; detach it, "
+                "or attach it anew to place it otherwise on a link"
+            )
+        return str(name)
+
+
+def _check_name(name: Any, what: str) -> str:
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{what}: expected a name, found {name!r}")
+    return name
+
+
+def _pair(a: Any, b: Any) -> Pair:
+    """Two different names, sorted."""
+    _check_name(a, "a")
+    _check_name(b, "b")
+    if a == b:
+        raise InputError(f"a, b: expected two names, found {a!r} twice")
+    return (a, b) if a < b else (b, a)
+
+
+def _text(pair: Pair) -> str:
+    return f"({pair[0]}, {pair[1]})"
+
+
+def _pose(T: ArrayLike | None, name: str) -> Floats:
+    """One rigid motion, as an array of our own."""
+    checked = _check.poses(T, name)
+    if checked.shape != (4, 4):
+        raise PoseError(f"{name}: expected shape (4, 4), found {_check.shape_text(checked.shape)}")
+    return checked.copy()

@@ -1,0 +1,321 @@
+"""Scenes: what the names stand for, which rules hold, and that queries by name agree with queries by body."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loewner
+from families import random_poses
+from loewner import Body, Contact, InputError, PoseError, Scene, UnknownNameError
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def at(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A unit box, and balls of radius 0.5 whose surfaces are 0.1 and 0.4 from it along x."""
+    scene = Scene()
+    scene.add("box", Body.box([1, 1, 1]))
+    scene.add("near", Body.sphere(0.5), at(1.1))
+    scene.add("far", Body.sphere(0.5), at(-1.4))
+    return scene
+
+
+def met(scene: Scene) -> list[tuple[str, str]]:
+    return [(contact.name_a, contact.name_b) for contact in scene.pairs()]
+
+
+def clutter(rng: np.random.Generator, n: int) -> Scene:
+    """Bodies of several kinds, close together, with margins and allowed pairs."""
+    makers = (
+        lambda: Body.box(rng.uniform(0.1, 0.5, 3)),
+        lambda: Body.sphere(rng.uniform(0.1, 0.3)),
+        lambda: Body.cylinder(0.1, rng.uniform(0.1, 0.6)),
+        lambda: Body.from_points(rng.uniform(-0.3, 0.3, (12, 3))),
+        lambda: Body.union([Body.sphere(0.1), Body.box([0.6, 0.1, 0.1])]),
+    )
+    scene = Scene(margin=float(rng.choice([0.0, 0.05])))
+    poses = random_poses(rng, n)
+    poses[:, :3, 3] = rng.uniform(-0.8, 0.8, (n, 3))
+    for k, T in enumerate(poses):
+        margin = float(rng.uniform(0, 0.2)) if rng.random() < 0.3 else None
+        scene.add(f"b{k}", makers[k % len(makers)](), T, margin=margin)
+    for _ in range(n):
+        a, b = (f"b{k}" for k in rng.choice(n, 2, replace=False))
+        if rng.random() < 0.5:
+            scene.allow(a, b)
+        else:
+            scene.set_margin(float(rng.uniform(0, 0.3)), a, b)
+    return scene
+
+
+@given(SEEDS)
+def test_pairs_are_those_that_collide_one_by_one(seed):
+    """A pair is reported exactly if it is not allowed and `collide` with its own margin says so."""
+    scene = clutter(np.random.default_rng(seed), 9)
+    names = scene.names
+    expected = [
+        (a, b)
+        for i, a in enumerate(names)
+        for b in names[i + 1 :]
+        if tuple(sorted((a, b))) not in scene.allowed
+        and loewner.collide(scene[a], scene.pose(a), scene[b], scene.pose(b), margin=scene.margin_of(a, b))
+    ]
+    assert met(scene) == expected
+    assert scene.collide() == bool(expected)
+
+
+@given(SEEDS)
+def test_contacts_are_consistent(seed):
+    """witness_b - witness_a = distance * normal, the normal is a unit vector, the distance that of the two bodies."""
+    scene = clutter(np.random.default_rng(seed), 7)
+    for c in scene.pairs():
+        assert isinstance(c, Contact)
+        np.testing.assert_allclose(c.witness_b - c.witness_a, c.distance * c.normal, atol=1e-9)
+        assert abs(np.linalg.norm(c.normal) - 1) < 1e-9
+        assert c.distance == scene.distance(c.name_a, c.name_b, exact=True).distance
+        assert c.distance <= scene.margin_of(c.name_a, c.name_b) + 1e-12
+
+
+@given(SEEDS, st.floats(0, 0.5))
+def test_larger_margin_loses_no_pair(seed, more):
+    """Margin monotone: what meets within a margin meets within a larger one."""
+    scene = clutter(np.random.default_rng(seed), 7)
+    before = set(met(scene))
+    larger = scene.copy()
+    larger.set_margin(scene.margin + more)
+    for names, margin in scene.margins.items():
+        larger.set_margin(margin + more, *names)
+    assert before <= set(met(larger))
+
+
+def test_touching_is_a_contact():
+    """A box that stands on another, face to face, is reported, though its distance may round to above zero."""
+    scene = Scene()
+    scene.add("table", Body.box([1, 1, 0.1]), at(z=0.35))
+    scene.add("can", Body.box([0.1, 0.1, 0.3]), at(z=0.55))
+    assert met(scene) == [("table", "can")]
+    assert abs(scene.pairs()[0].distance) < 1e-12
+
+
+def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
+    assert met(scene) == []
+    scene.set_margin(0.2)
+    assert met(scene) == [("box", "near")]
+    scene.set_margin(0.5, "far")
+    assert scene.margin_of("far", "box") == 0.5
+    assert met(scene) == [("box", "near"), ("box", "far")]
+    scene.set_margin(0.05, "box")
+    assert (scene.margin_of("box", "near"), scene.margin_of("box", "far")) == (0.05, 0.5)
+    assert met(scene) == [("box", "far")]
+    scene.set_margin(0.15, "near", "box")
+    assert met(scene) == [("box", "near"), ("box", "far")]
+    scene.set_margin(None, "box", "near")
+    scene.set_margin(None, "far")
+    assert scene.margins == {("box",): 0.05}
+    assert met(scene) == []
+
+
+def test_added_margin_is_that_of_the_body(scene):
+    scene.add("shy", Body.sphere(0.5), at(z=1.3), margin=0.35)
+    assert met(scene) == [("box", "shy")]
+
+
+def test_allow_and_forbid(scene):
+    scene.move("near", at(0.5))
+    assert met(scene) == [("box", "near")]
+    scene.allow("near", "box")
+    assert scene.allowed == {("box", "near")}
+    assert met(scene) == []
+    assert not scene.collide()
+    with pytest.raises(UnknownNameError, match=r"\(box, near\); found '\(bux, near\)' \(did you mean"):
+        scene.forbid("near", "bux")
+    scene.forbid("box", "near")
+    assert met(scene) == [("box", "near")]
+
+
+def test_removed_name_takes_its_rules_along(scene):
+    """Another body under an old name may touch nothing, and keeps the scene's margin."""
+    scene.allow("box", "near")
+    scene.allow("box", "hand")
+    scene.set_margin(0.3, "near")
+    scene.set_margin(0.3, "near", "far")
+    scene.remove("near")
+    assert scene.names == ("box", "far")
+    assert scene.margins == {}
+    assert scene.allowed == {("box", "hand")}
+    scene.add("near", Body.sphere(0.5), at(0.9))
+    assert met(scene) == [("box", "near")]
+
+
+def test_attached_bodies_leave_the_world(scene):
+    scene.move("near", at(0.5))
+    assert scene.collide()
+    scene.attach("near", "hand", at(z=0.1), touch_links=["right_finger", "left_finger"])
+    assert scene.static_names == ("box", "far")
+    assert scene.names == ("box", "near", "far")
+    assert not scene.collide()
+    held = scene.attachments["near"]
+    assert (held.link, held.touch_links) == ("hand", ("hand", "left_finger", "right_finger"))
+    np.testing.assert_array_equal(held.T_link_body, at(z=0.1))
+    assert scene.foreign_names == {"hand", "left_finger", "right_finger"}
+    for ask in (
+        lambda: scene.move("near", at(1)),
+        lambda: scene.pose("near"),
+        lambda: scene.distance("box", "near"),
+        lambda: scene.move({"far": at(5), "near": at(1)}),
+    ):
+        with pytest.raises(InputError, match="'near': expected a body that stands in the world.*'hand'"):
+            ask()
+    np.testing.assert_array_equal(scene.pose("far"), at(-1.4))
+    scene.attach("near", "other_hand")
+    assert scene.attachments["near"].touch_links == ("other_hand",)
+    scene.detach("near", at(0.6))
+    assert scene.attachments == {}
+    assert met(scene) == [("box", "near")]
+    with pytest.raises(InputError, match="'near': expected an attached body"):
+        scene.detach("near", at())
+
+
+def test_names_in_rules_that_are_no_bodies_are_foreign(scene):
+    scene.allow("box", "base")
+    scene.set_margin(0.1, "hand")
+    scene.set_margin(0.1, "near", "far")
+    assert scene.foreign_names == {"base", "hand"}
+
+
+def test_many_bodies_move_at_once_or_not_at_all(scene):
+    with pytest.raises(UnknownNameError, match="did you mean 'far'"):
+        scene.move({"near": at(0.5), "fra": at()})
+    with pytest.raises(PoseError, match="T_world_body of 'far'"):
+        scene.move({"near": at(0.5), "far": np.zeros((4, 4))})
+    np.testing.assert_array_equal(scene.pose("near"), at(1.1))
+    scene.move({"near": at(0.5), "far": None})
+    np.testing.assert_array_equal(scene.static_poses, [at(), at(0.5), at()])
+
+
+def test_versions_tell_of_every_change(scene):
+    """`version` grows with each change; `structure_version` with each but those by `move`."""
+    changes = (
+        lambda: scene.add("new", Body.sphere(1.0), at(9)),
+        lambda: scene.attach("new", "hand"),
+        lambda: scene.detach("new", at(9)),
+        lambda: scene.allow("new", "box"),
+        lambda: scene.forbid("new", "box"),
+        lambda: scene.set_margin(0.1),
+        lambda: scene.set_margin(0.1, "new"),
+        lambda: scene.remove("new"),
+    )
+    for change in changes:
+        before = scene.version, scene.structure_version
+        change()
+        assert (scene.version, scene.structure_version) > before
+        assert scene.structure_version > before[1]
+    packed, before = scene.static_bodies, (scene.version, scene.structure_version)
+    scene.move("box", at(0.1))
+    assert scene.version > before[0]
+    assert scene.structure_version == before[1]
+    assert scene.static_bodies is packed
+
+
+def test_failed_changes_change_nothing(scene):
+    before = scene.version
+    for change in (
+        lambda: scene.add("box", Body.sphere(1.0)),
+        lambda: scene.add("new", Body.sphere(1.0), margin=-1),
+        lambda: scene.attach("near", "hand", np.zeros((4, 4))),
+        lambda: scene.set_margin(float("nan"), "near"),
+        lambda: scene.remove("new"),
+    ):
+        with pytest.raises(loewner.LoewnerError):
+            change()
+    assert scene.version == before
+    assert scene.static_names == ("box", "near", "far")
+    assert scene.margins == {}
+
+
+def test_copies_part_ways(scene):
+    scene.allow("box", "near")
+    other = scene.copy()
+    other.remove("near")
+    other.move("far", at(7))
+    other.attach("box", "hand")
+    assert scene.static_names == ("box", "near", "far")
+    assert scene.allowed == {("box", "near")}
+    np.testing.assert_array_equal(scene.pose("far"), at(-1.4))
+
+
+def test_poses_are_the_scenes_own(scene):
+    """Neither what was handed in nor what is handed out is a way into the scene."""
+    T = at(0.3)
+    scene.move("near", T)
+    T[0, 3] = 5
+    scene.pose("near")[0, 3] = 6
+    np.testing.assert_array_equal(scene.pose("near"), at(0.3))
+
+
+def test_scene_is_a_collection_of_names(scene):
+    assert len(scene) == 3
+    assert list(scene) == ["box", "near", "far"]
+    assert "near" in scene
+    assert "nearer" not in scene
+    assert isinstance(scene["box"], Body)
+
+
+def test_empty_scenes_answer():
+    scene = Scene()
+    assert scene.pairs() == ()
+    assert not scene.collide()
+    scene.add("one", Body.sphere(1.0))
+    assert scene.pairs() == ()
+    scene.attach("one", "hand")
+    assert scene.static_poses.shape == (0, 4, 4)
+    assert scene.pairs() == ()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        (lambda s: Scene(margin=-1), InputError, "margin: expected a finite number >= 0, found -1"),
+        (lambda s: s.add("box", Body.sphere(1.0)), InputError, "expected a new name, found 'box'"),
+        (lambda s: s.add("", Body.sphere(1.0)), InputError, "name: expected a name, found ''"),
+        (lambda s: s.add(3, Body.sphere(1.0)), InputError, "name: expected a name, found 3"),
+        (lambda s: s.add("x", np.eye(4)), InputError, "body of 'x': expected loewner.Body, found ndarray"),
+        (lambda s: s.add("x", Body.sphere(1.0), np.eye(3)), PoseError, "T_world_body of 'x': expected shape"),
+        (lambda s: s.add("x", Body.sphere(1.0), np.eye(4)[None]), PoseError, r"expected shape \(4, 4\), found \(1,"),
+        (lambda s: s.add("x", Body.sphere(1.0), np.full((4, 4), np.nan)), PoseError, "found NaN or inf"),
+        (lambda s: s.remove("bxo"), UnknownNameError, "one of box, near, far; found 'bxo' .did you mean 'box'"),
+        (lambda s: s["nothing at all"], UnknownNameError, "one of box, near, far; found 'nothing at all'$"),
+        (lambda s: s.pose(["box"]), UnknownNameError, "body: expected one of"),
+        (lambda s: s.move({"box": None}, np.eye(4)), InputError, "beside a mapping"),
+        (lambda s: s.attach("bxo", "hand"), UnknownNameError, "did you mean 'box'"),
+        (lambda s: s.attach("box", None), InputError, "link: expected a name, found None"),
+        (lambda s: s.attach("box", "hand", touch_links="finger"), InputError, "found one text, 'finger'"),
+        (lambda s: s.attach("box", "hand", touch_links=[1]), InputError, "touch_links: expected a name, found 1"),
+        (lambda s: s.allow("box", "box"), InputError, "found 'box' twice"),
+        (lambda s: s.allow("box", 3), InputError, "b: expected a name, found 3"),
+        (lambda s: s.set_margin("wide"), InputError, "margin: expected a number, found 'wide'"),
+        (lambda s: s.set_margin(None), InputError, "whole scene, found None"),
+        (lambda s: s.set_margin(1.0, b="box"), InputError, "beside b = 'box'"),
+        (lambda s: s.distance("box", "nir"), UnknownNameError, "found 'nir'"),
+    ],
+)
+def test_bad_input_is_named(scene, wrong, error, message):
+    with pytest.raises(error, match=message):
+        wrong(scene)
+
+
+def test_long_lists_of_names_are_cut():
+    scene = Scene()
+    ball = Body.sphere(1.0)
+    for k in range(200):
+        scene.add(f"ball{k}", ball)
+    with pytest.raises(UnknownNameError, match=r"ball0, .*ball29, and 170 more; found 'bal150' \(did you mean"):
+        scene.remove("bal150")
