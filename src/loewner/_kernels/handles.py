@@ -62,3 +62,46 @@ def arrays_of(handle):
         carray(_integers(t[7, 0]), (t[7, 1],)),
         carray(_integers(t[8, 0]), (t[8, 1],)),
     )
+
+
+@inline
+def checking_of(handle):
+    """What `states` checks, from the handle of its arrays.
+
+    Returns
+    -------
+    tree : tuple of six ndarray
+        See `kinematics`.
+    link : ndarray of int64, shape (moving bodies,)
+    ball : ndarray, shape (moving bodies, 5)
+        Center and radius of a ball about each, in its frame, and the reach: how far the ball goes from the origin.
+    pairs : ndarray of int64, shape (pairs, 2)
+        Bodies, the first of which moves.
+    margins : ndarray, shape (pairs,)
+    order : ndarray of int64, shape (pairs,)
+        In which pairs are taken.
+    standing : ndarray of float32, shape (standing bodies, BOUNDS)
+    standing_rows : ndarray of float32, shape (their pieces, HOT)
+        Ellipsoids in world coordinates.
+    standing_poses : ndarray, shape (standing bodies, 16)
+    """
+    t = carray(_integers(handle), (14, ENTRIES))
+    tree = (
+        carray(_integers(t[0, 0]), (t[0, 1],)),
+        carray(_integers(t[1, 0]), (t[1, 1],)),
+        carray(_integers(t[2, 0]), (t[2, 1],)),
+        carray(_floats(t[3, 0]), (t[3, 1],)),
+        carray(_floats(t[4, 0]), (t[4, 1],)),
+        carray(_floats(t[5, 0]), (t[5, 1], t[5, 2])),
+    )
+    return (
+        tree,
+        carray(_integers(t[6, 0]), (t[6, 1],)),
+        carray(_floats(t[7, 0]), (t[7, 1], t[7, 2])),
+        carray(_integers(t[8, 0]), (t[8, 1], t[8, 2])),
+        carray(_floats(t[9, 0]), (t[9, 1],)),
+        carray(_integers(t[10, 0]), (t[10, 1],)),
+        carray(_singles(t[11, 0]), (t[11, 1], t[11, 2])),
+        carray(_singles(t[12, 0]), (t[12, 1], t[12, 2])),
+        carray(_floats(t[13, 0]), (t[13, 1], t[13, 2])),
+    )

@@ -454,3 +454,57 @@ def _asking(count):
 
 
 ask, ask_single = _asking(LANES), _asking(SINGLE_LANES)
+
+
+@intrinsic
+def load_single(typingctx, array, offset):
+    """Read sixteen floats from a flat array of float32 from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(address, single.llvm.as_pointer()), align=4)
+
+    return signature(single, array, types.int64), generate
+
+
+@intrinsic
+def store_rounded(typingctx, array, offset, x):
+    """Write eight doubles to a flat array of float32 from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        value = builder.fptrunc(args[2], ir.VectorType(ir.FloatType(), LANES))
+        builder.store(value, builder.bitcast(address, value.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return signature(types.void, array, types.int64, x), generate
+
+
+@intrinsic
+def store_rounded_columns(typingctx, table, width, rows, at, column, eight):
+    """Write eight vectors to eight consecutive columns of eight rows of a table of float32."""
+
+    def generate(context, builder, sig, args):
+        table, width, rows, at, column, eight = args
+        small = ir.VectorType(ir.FloatType(), LANES)
+        vectors = [builder.fptrunc(x, small) for x in cgutils.unpack_tuple(builder, eight, LANES)]
+        for lane, row in enumerate(_columns_of(builder, vectors)):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            number = builder.load(_address(context, builder, sig.args[2], rows, place))
+            first = builder.add(builder.mul(number, width), column)
+            address = _address(context, builder, sig.args[0], table, first)
+            builder.store(row, builder.bitcast(address, small.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, table, integer, rows, integer, integer, types.UniTuple(vector, LANES)), generate
+
+
+@intrinsic
+def lowest(typingctx, x):
+    """Number of the lowest bit set of an integer other than 0."""
+
+    def generate(context, builder, sig, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return signature(types.int64, types.int64), generate

@@ -1,0 +1,482 @@
+"""Is a robot at a configuration free: blocks of configurations, side by side through all pairs of bodies.
+
+The work of a block, cheapest first:
+
+place
+    the links by forward kinematics; of each moving piece the ellipsoids in world coordinates, so that no pair has to
+    turn them again.
+cull
+    bounding spheres and boxes of each pair of bodies, sixteen configurations at a time.
+certify
+    the ellipsoids of the piece pairs that are left, by `lanes`, whatever configurations they belong to.
+search
+    what is then open, exactly, pair by pair.
+
+A configuration that was found colliding takes no further part. Pairs are taken in an order that the caller chooses:
+those that hit most often first.
+
+Rows of the block: S configurations, S a multiple of sixteen. Body b that moves has its pose at configuration s in row
+b S + s, piece p its ellipsoids in row p S + s; those that stand still follow, one row each.
+"""
+
+import numpy as np
+
+from loewner._kernels import lanes, trees
+from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.contact import SHAPE_ROUNDINGS, rotated
+from loewner._kernels.exact import exact_piece_pair
+from loewner._kernels.handles import arrays_of, checking_of
+from loewner._kernels.kinematics import POSE, place_links, room
+from loewner._kernels.lanes import (
+    BLOCK,
+    LISTS,
+    OUT_NORMAL,
+    PAIR,
+    PIECE_A,
+    PIECE_B,
+    POSE_A,
+    POSE_B,
+    POSITION_ERROR,
+    ROWS,
+    SINGLE_ROUNDOFF,
+    UNSURE,
+)
+from loewner._kernels.pair_search import scratch
+from loewner._kernels.shapes import HOT, INNER_CENTER, INNER_SHAPE, OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, REACH
+from loewner._kernels.vectors import (
+    LANES,
+    SINGLE_LANES,
+    bits,
+    load,
+    load_single,
+    lowest,
+    magnitude,
+    root,
+    spread,
+    store_columns,
+    store_rounded,
+    store_rounded_columns,
+)
+from loewner._kernels.verdicts import (
+    AMBIGUOUS,
+    BY_INNER,
+    BY_OUTER,
+    BY_SEARCH,
+    BY_SPHERE,
+    COLLIDING,
+    EXACT,
+    FREE,
+    OPEN,
+)
+
+MOST = 64  # configurations in a block
+
+# What a body's row of bounds holds: center, how far a sphere about it must be from another one, half widths.
+X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z, BOUNDS = 0, 1, 2, 3, 4, 5, 6, 8
+
+# Lengths and bounds are rounded up by this factor before they go to single precision.
+UP = 1.0 + 2.0**-22
+
+# What centers may be off by after rounding to single precision, relative to the lengths that they are made of; and a
+# length far below all others that keeps squares from underflowing.
+OFF, LEAST = POSITION_ERROR * SINGLE_ROUNDOFF, 1e-15
+
+# Piece pairs that may wait for the exact search, and the columns of their list.
+WAITING = 2048
+PAIR_NUMBER, STATE, A, B, T_A, T_B, ENTRIES = 0, 1, 2, 3, 4, 5, 6
+
+# Piece pairs are listed for the certificate by their rows in the block; and here by their pieces.
+BY_PIECE_A, BY_PIECE_B = 0, 1
+
+
+@inline
+def _turned(R, x, y, z):
+    return (
+        R[0] * x + R[1] * y + R[2] * z,
+        R[3] * x + R[4] * y + R[5] * z,
+        R[6] * x + R[7] * y + R[8] * z,
+    )
+
+
+@inline
+def _place_piece(hot, p, R, t, S, at, numbers, rows):
+    """Write the ellipsoids of piece p at eight configurations; returns center, radius, reach and squared half widths."""
+    ox, oy, oz = _turned(R, hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])
+    ix, iy, iz = _turned(R, hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])
+    ox, oy, oz, ix, iy, iz = ox + t[0], oy + t[1], oz + t[2], ix + t[0], iy + t[1], iz + t[2]
+    k = OUTER_SHAPE
+    P = rotated(
+        R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8],
+        hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5],
+    )  # fmt: skip
+    k = INNER_SHAPE
+    Q = rotated(
+        R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8],
+        hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5],
+    )  # fmt: skip
+    reach = (magnitude(t[0]) + magnitude(t[1]) + magnitude(t[2]) + hot[p, REACH]) * UP
+    radius = hot[p, OUTER_RADIUS] * UP
+    first, second = (ox, oy, oz, spread(radius), ix, iy, iz, reach), OUTER_SHAPE + 6
+    third = INNER_SHAPE + 6
+    for lane in range(LANES):
+        numbers[lane] = p * S + at + lane
+    zero = np.int64(0)
+    store_rounded_columns(rows, HOT, numbers, zero, zero, first)
+    store_rounded_columns(
+        rows, HOT, numbers, zero, OUTER_SHAPE,
+        (P[0], P[1], P[2], P[3], P[4], P[5], spread(hot[p, second]), spread(hot[p, second + 1])),
+    )  # fmt: skip
+    store_rounded_columns(
+        rows, HOT, numbers, zero, INNER_SHAPE,
+        (Q[0], Q[1], Q[2], Q[3], Q[4], Q[5], spread(hot[p, third] * UP), spread(0.0)),
+    )  # fmt: skip
+    slack = SHAPE_ROUNDINGS * (P[0] + P[3] + P[5])
+    return ox, oy, oz, radius, reach, P[0] + slack, P[3] + slack, P[5] + slack
+
+
+@inline
+def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T, rows, bounds):
+    """Place all that moves at the configurations first .. last; the block is filled up with repeats of the last."""
+    zero, one = spread(0.0), spread(1.0)
+    nought = np.int64(0)
+    for at in range(0, S, LANES):
+        for lane in range(LANES):
+            numbers[lane] = min(first + at + lane, last)
+        place_links(tree, Q, numbers, nought, W)
+        for body in range(link.size):
+            k = link[body] * (POSE * LANES)
+            R = (
+                load(W, k), load(W, k + LANES), load(W, k + 2 * LANES),
+                load(W, k + 3 * LANES), load(W, k + 4 * LANES), load(W, k + 5 * LANES),
+                load(W, k + 6 * LANES), load(W, k + 7 * LANES), load(W, k + 8 * LANES),
+            )  # fmt: skip
+            t = load(W, k + 9 * LANES), load(W, k + 10 * LANES), load(W, k + 11 * LANES)
+            for lane in range(LANES):
+                numbers[lane] = body * S + at + lane
+            store_columns(T, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
+            store_columns(T, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one))
+            p = piece_start[body]
+            x, y, z, radius, reach, xx, yy, zz = _place_piece(hot, p, R, t, S, at, numbers, rows)
+            off = OFF * reach + LEAST
+            wide = off + radius
+            half_x, half_y, half_z = off + UP * root(xx), off + UP * root(yy), off + UP * root(zz)
+            if piece_start[body + 1] - p > 1:
+                for other in range(p + 1, piece_start[body + 1]):
+                    _place_piece(hot, other, R, t, S, at, numbers, rows)
+                x, y, z = _turned(R, ball[body, 0], ball[body, 1], ball[body, 2])
+                x, y, z = x + t[0], y + t[1], z + t[2]
+                reach = (magnitude(t[0]) + magnitude(t[1]) + magnitude(t[2]) + ball[body, 4]) * UP
+                wide = (OFF * reach + LEAST) + ball[body, 3] * UP
+                half_x, half_y, half_z = wide, wide, wide
+            k = body * BOUNDS * S + at
+            store_rounded(bounds, k + X * S, x)
+            store_rounded(bounds, k + Y * S, y)
+            store_rounded(bounds, k + Z * S, z)
+            store_rounded(bounds, k + WIDE * S, wide * UP)
+            store_rounded(bounds, k + HALF_X * S, half_x * UP)
+            store_rounded(bounds, k + HALF_Y * S, half_y * UP)
+            store_rounded(bounds, k + HALF_Z * S, half_z * UP)
+
+
+@inline
+def _near(a, b, keep, live):
+    """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`."""
+    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    far = (a[3] + b[3]) + keep
+    far = far * np.float32(UP)
+    clear = (x * x + y * y + z * z) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
+    live = live & ~bits(clear)
+    if live != 0:
+        up = np.float32(UP)
+        clear = magnitude(x) > ((a[4] + b[4]) + keep) * up
+        clear = clear | (magnitude(y) > ((a[5] + b[5]) + keep) * up)
+        clear = clear | (magnitude(z) > ((a[6] + b[6]) + keep) * up)
+        live = live & ~bits(clear)
+    return live
+
+
+@inline
+def _bounds_at(bounds, at, S):
+    return (
+        load_single(bounds, at), load_single(bounds, at + S), load_single(bounds, at + 2 * S),
+        load_single(bounds, at + 3 * S), load_single(bounds, at + 4 * S), load_single(bounds, at + 5 * S),
+        load_single(bounds, at + 6 * S),
+    )  # fmt: skip
+
+
+@inline
+def _still(standing, k):
+    """Bounds of a body that stands still, at all configurations."""
+    return (
+        spread(standing[k, 0]), spread(standing[k, 1]), spread(standing[k, 2]), spread(standing[k, 3]),
+        spread(standing[k, 4]), spread(standing[k, 5]), spread(standing[k, 6]),
+    )  # fmt: skip
+
+
+@inline
+def _put(L, G, count, code, i, j, S, moving_pieces, pose_a, pose_b):
+    """List pieces i and j, the first of which moves."""
+    s = code % S
+    L[PAIR * BLOCK + count] = code
+    L[PIECE_A * BLOCK + count] = i * S + s
+    L[PIECE_B * BLOCK + count] = j * S + s if j < moving_pieces else moving_pieces * (S - 1) + j
+    L[POSE_A * BLOCK + count] = pose_a
+    L[POSE_B * BLOCK + count] = pose_b
+    G[BY_PIECE_A * BLOCK + count] = i
+    G[BY_PIECE_B * BLOCK + count] = j
+
+
+@inline
+def _fill(count, L):
+    """Repeat the last listed pair up to whole vectors."""
+    for lane in range(count, (count + SINGLE_LANES - 1) // SINGLE_LANES * SINGLE_LANES):
+        for row in range(PIECE_A, POSE_B + 1):
+            L[row * BLOCK + lane] = L[row * BLOCK + count - 1]
+
+
+@inline
+def _hit(s, tier, live, verdicts, tiers):
+    """A configuration that collides takes no further part."""
+    live[s // SINGLE_LANES] &= ~(np.int64(1) << (s % SINGLE_LANES))
+    verdicts[s] = COLLIDING
+    tiers[s] = tier
+
+
+@inline
+def _leave(s, verdicts, tiers):
+    verdicts[s] = AMBIGUOUS
+    tiers[s] = OPEN
+
+
+@njit()
+def _improve(held, a, T, L, tier, V, live, verdicts, tiers, hits, waiting):
+    """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
+    for first in range(0, held, BLOCK):
+        count = min(BLOCK, held - first)
+        for lane in range(count):
+            entry = waiting[first + lane]
+            L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane] = entry[A], entry[B]
+            L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane] = entry[T_A], entry[T_B]
+        _fill(count, L)
+        if not lanes.certify_best(count, 0.0, a[4], T, True, a[4], T, True, L, tier, V):
+            tier[:count] = OPEN
+        for lane in range(count):
+            s = waiting[first + lane, STATE]
+            if verdicts[s] == COLLIDING:
+                continue
+            if tier[lane] == BY_INNER:
+                _hit(s, BY_INNER, live, verdicts, tiers)
+                hits[waiting[first + lane, PAIR_NUMBER]] += 1
+            elif tier[lane] == OPEN:
+                _leave(s, verdicts, tiers)
+            elif tiers[s] < BY_OUTER:
+                tiers[s] = BY_OUTER
+
+
+@njit()
+def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, result):
+    """Settle the pairs that wait by the exact searches."""
+    table, layout, points, T = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(T)
+    W, result = borrowed(W), borrowed(result)
+    for n in range(held):
+        s = waiting[n, STATE]
+        if verdicts[s] == COLLIDING:
+            continue
+        i, j, ka, kb = waiting[n, A], waiting[n, B], waiting[n, T_A], waiting[n, T_B]
+        size = table[i, REACH] + table[j, REACH]
+        for r in range(3):
+            size += abs(T[kb, r, 3] - T[ka, r, 3])
+        p = waiting[n, PAIR_NUMBER]
+        verdict, _ = exact_piece_pair(
+            table, layout, points, i, T, ka, table, layout, points, j, T, kb, margins[p], size, N[n, 0], N[n, 1],
+            N[n, 2], W, result,
+        )  # fmt: skip
+        if verdict == COLLIDING:
+            _hit(s, BY_SEARCH, live, verdicts, tiers)
+            hits[p] += 1
+        elif verdict == AMBIGUOUS:
+            _leave(s, verdicts, tiers)
+        elif tiers[s] < BY_SEARCH:
+            tiers[s] = BY_SEARCH
+
+
+@njit()
+def _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result):
+    """Settle the pairs that wait; none are left."""
+    if mode == EXACT:
+        _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, P, result)
+    else:
+        _improve(held, a, T, L, tier, V, live, verdicts, tiers, hits, waiting)
+    return np.int64(0)
+
+
+@njit()
+def _certify(
+    mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held, P, result
+):  # fmt: skip
+    """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
+    if held > WAITING - BLOCK:
+        held = _settle_waiting(
+            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
+        )
+    hot, rows, T, L, G, tier, V = (
+        borrowed(a[4]), borrowed(rows), borrowed(T), borrowed(L), borrowed(G), borrowed(tier), borrowed(V),
+    )  # fmt: skip
+    _fill(count, L)
+    done = False
+    if keep == 0.0 and len(a[5]) > 0:
+        done = lanes.single_certify(count, False, rows, T, False, rows, T, False, L, tier, V)
+    if not done:
+        for lane in range(count):
+            L[PIECE_A * BLOCK + lane] = G[BY_PIECE_A * BLOCK + lane]
+            L[PIECE_B * BLOCK + lane] = G[BY_PIECE_B * BLOCK + lane]
+        _fill(count, L)
+        if not lanes.certify_best(count, keep, hot, T, True, hot, T, True, L, tier, V):
+            tier[:count] = OPEN  # a link that is bent by overflow: nothing is proven about it
+    for lane in range(count):
+        code = L[PAIR * BLOCK + lane]
+        s = code % S
+        if verdicts[s] == COLLIDING:
+            continue
+        if tier[lane] == BY_INNER:
+            _hit(s, BY_INNER, live, verdicts, tiers)
+            hits[code // S] += 1
+        elif tier[lane] == BY_OUTER:
+            tiers[s] = max(tiers[s], BY_OUTER)
+        elif tier[lane] != BY_SPHERE and (mode == EXACT or tier[lane] == UNSURE):
+            waiting[held, PAIR_NUMBER] = code // S
+            waiting[held, STATE] = s
+            waiting[held, A], waiting[held, B] = G[BY_PIECE_A * BLOCK + lane], G[BY_PIECE_B * BLOCK + lane]
+            waiting[held, T_A], waiting[held, T_B] = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
+            for row in range(3):
+                N[held, row] = V[(OUT_NORMAL + row) * BLOCK + lane]
+            held += 1
+        elif tier[lane] == OPEN:
+            _leave(s, verdicts, tiers)
+    return held
+
+
+@njit()
+def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
+    """Settle the configurations start .. stop.
+
+    Parameters
+    ----------
+    mode : int
+        CERTIFY or EXACT.
+    Q : ndarray, shape (N, dof)
+    pack : int
+        Handle of the packed bodies, see `handles`: those that move, each in the frame of its link, then the others.
+    problem : int
+        Handle of the rest, see `handles.checking_of`.
+    out : ndarray of int8, shape (N,)
+        Receives verdicts; AMBIGUOUS in mode EXACT means that the search did not settle a configuration.
+    tiers_out : ndarray of int8, shape (N,)
+        Receives the tier that settled a configuration: the costliest any pair needed if it is free, the one that
+        found the collision otherwise.
+    hits : ndarray of int64, shape (pairs,)
+        Collisions found are added here, by pair.
+    """
+    a = arrays_of(pack)
+    tree, link, ball, pairs, margins, order, standing, standing_rows, standing_poses = checking_of(problem)
+    moving, still = link.size, len(standing)
+    piece_start = a[3]
+    moving_pieces = piece_start[moving]
+    S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
+    numbers = np.empty(LANES, np.int64)
+    W = np.empty(room(len(tree[0]), Q.shape[1]))
+    T = np.empty((moving * S + still, 4, 4))
+    rows = np.empty((moving_pieces * S + len(standing_rows), HOT), np.float32)
+    bounds = np.empty(moving * BOUNDS * S, np.float32)
+    for k in range(still):
+        for entry in range(16):
+            T[moving * S + k, entry // 4, entry % 4] = standing_poses[k, entry]
+    rows[moving_pieces * S :] = standing_rows
+
+    L = np.empty(LISTS * BLOCK, np.int64)
+    G = np.empty(2 * BLOCK, np.int64)
+    tier = np.empty(BLOCK, np.int8)
+    V = np.empty(ROWS * BLOCK)
+    live = np.empty(MOST // SINGLE_LANES, np.int64)
+    verdicts = np.empty(MOST, np.int8)
+    tiers = np.empty(MOST, np.int8)
+    waiting = np.empty((WAITING, ENTRIES), np.int64)
+    N = np.empty((WAITING, 3))
+    steps = np.empty(trees.STEPS, np.int64)
+    walk = np.empty(trees.NUMBERS)
+    found_a = np.empty(BLOCK, np.int64)
+    found_b = np.empty(BLOCK, np.int64)
+    P = scratch()
+    result = np.empty(9)
+    for first in range(start, stop, S):
+        last = min(first + S, stop) - 1
+        _place(tree, Q, first, last, S, link, ball, piece_start, a[4], W, numbers, T, rows, bounds)
+        for group in range(S // SINGLE_LANES):
+            rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
+            live[group] = (np.int64(1) << rest) - 1
+        verdicts[:] = FREE
+        tiers[:] = BY_SPHERE
+        count = np.int64(0)
+        held = np.int64(0)
+        keep = 0.0
+        for number in range(len(order)):
+            p = order[number]
+            one, other = pairs[p, 0], pairs[p, 1]
+            if margins[p] != keep:
+                # The lists are of one margin.
+                if count > 0:
+                    held = _certify(
+                        mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting,
+                        N, held, P, result,
+                    )  # fmt: skip
+                    count = np.int64(0)
+                keep = margins[p]
+            up = np.float32(keep * UP)
+            i, j = piece_start[one], piece_start[other]
+            simple = piece_start[one + 1] - i == 1 and piece_start[other + 1] - j == 1
+            for group in range(S // SINGLE_LANES):
+                if live[group] == 0:
+                    continue
+                at = group * SINGLE_LANES
+                here = _bounds_at(bounds, one * BOUNDS * S + at, S)
+                if other < moving:
+                    near = _near(here, _bounds_at(bounds, other * BOUNDS * S + at, S), up, live[group])
+                else:
+                    near = _near(here, _still(standing, other - moving), up, live[group])
+                while near != 0:
+                    s = at + lowest(near)
+                    near &= near - 1
+                    pose_a = one * S + s
+                    pose_b = other * S + s if other < moving else moving * (S - 1) + other
+                    code = p * S + s
+                    if simple:
+                        _put(L, G, count, code, i, j, S, moving_pieces, pose_a, pose_b)
+                        count += 1
+                    else:
+                        trees.begin(a, one, T, pose_a, a, other, T, pose_b, steps, walk)
+                    more = not simple
+                    while more or count == BLOCK:
+                        if count == BLOCK:
+                            held = _certify(
+                                mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits,
+                                waiting, N, held, P, result,
+                            )  # fmt: skip
+                            count = np.int64(0)
+                        if more and verdicts[s] != COLLIDING:
+                            found = trees.more(a, a, other, keep, steps, walk, found_a[: BLOCK - count], found_b)
+                            for c in range(found):
+                                _put(L, G, count + c, code, found_a[c], found_b[c], S, moving_pieces, pose_a, pose_b)
+                            count += found
+                            more = found > 0
+                        else:
+                            more = False
+        if count > 0:
+            held = _certify(
+                mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held,
+                P, result,
+            )  # fmt: skip
+        if held > 0:
+            _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result)
+        for s in range(last + 1 - first):
+            out[first + s] = verdicts[s]
+            tiers_out[first + s] = tiers[s]
