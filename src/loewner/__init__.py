@@ -18,6 +18,7 @@ from loewner.fits import Fit, mvce, mvie
 from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.robots import Robot
 
 __version__ = "0.1.0"
 
@@ -38,6 +39,7 @@ __all__ = [
     "Piece",
     "Polytope",
     "PoseError",
+    "Robot",
     "UnknownNameError",
     "Verdict",
     "classify",
