@@ -18,6 +18,7 @@ from loewner.fits import Fit, mvce, mvie
 from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.robots import Robot
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
 
@@ -43,6 +44,7 @@ __all__ = [
     "Polytope",
     "PoseError",
     "Problem",
+    "Robot",
     "Scene",
     "UnknownNameError",
     "Verdict",

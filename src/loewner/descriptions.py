@@ -10,7 +10,7 @@ import math
 import os
 import warnings
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 from xml.parsers import expat
@@ -42,7 +42,7 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
 UNDECLARED_BASE = "root_joint"
 
 # An SRDF that knows less than this share of the names it could know was written for another robot.
-LEAST_IN_COMMON = 0.5
+LEAST_IN_COMMON = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,13 +253,20 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     GeometryError
         If a shape has no size, or a negative one.
     UnknownNameError
-        If a joint names a link or a joint that does not exist.
+        If a joint names a link that does not exist.
+
+    Warns
+    -----
+    UserWarning
+        If a joint mimics one that does not exist.
     """
     root = _read_xml(path, "a URDF")
     links = _by_name(root.all("link"))
     if not links:
         root.fault("at least one <link>", "none")
     joints = {name: _joint(e, links) for name, e in _by_name(root.all("joint")).items()}
+    for name, joint in joints.items():
+        joints[name] = _with_known_mimic(joint, joints, root.path)
     joints = {name: _without_chain(joint, joints, root.path) for name, joint in joints.items()}
     joint_above: dict[str, Joint] = {}
     for joint in joints.values():
@@ -359,11 +366,23 @@ def _limits(joint: _Element, kind: str) -> tuple[float, float]:
 
 def _mimic(joint: _Element, kind: str) -> Mimic | None:
     element = joint.first("mimic")
-    if element is None:
+    if element is None or kind == "fixed":  # a gripper welded shut in a reduced model may keep its <mimic>
         return None
     if VALUES[kind] != ("",):
         element.fault("a <mimic> in a joint of one value only", f"one in the {kind} joint {joint.text('name')!r}")
     return Mimic(element.text("joint"), element.finite("multiplier", 1, "1")[0], element.finite("offset", 1, "0")[0])
+
+
+def _with_known_mimic(joint: Joint, joints: Collection[str], path: Path) -> Joint:
+    """Give a joint that mimics one which does not exist a value of its own, as MoveIt and pinocchio do, and say so."""
+    if joint.mimic is None or joint.mimic.joint in joints:
+        return joint
+    warnings.warn(
+        f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "
+        f"{joint.mimic.joint!r}; it gets a value of its own. {known(joints)}",
+        stacklevel=4,
+    )
+    return replace(joint, mimic=None)
 
 
 def _without_chain(joint: Joint, joints: dict[str, Joint], path: Path) -> Joint:
@@ -374,21 +393,19 @@ def _without_chain(joint: Joint, joints: dict[str, Joint], path: Path) -> Joint:
     while at.mimic is not None:
         offset += multiplier * at.mimic.offset
         multiplier *= at.mimic.multiplier
-        where = f"{path}, line {at.line}: expected"
-        if at.mimic.joint not in joints:
-            raise UnknownNameError(
-                f"{where} a joint of this robot for {at.name!r} to mimic, found {at.mimic.joint!r}; {known(joints)}"
-            )
         at = joints[at.mimic.joint]
         if at.name in seen:
-            raise InputError(f"{where} a joint with a value of its own to mimic, found a ring: {', '.join(seen)}")
+            raise InputError(
+                f"{path}, line {joint.line}: expected {joint.name!r} to mimic a joint with a value of its own, "
+                f"found a ring: {', '.join(seen)}"
+            )
         seen.append(at.name)
     if VALUES[at.kind] != ("",):
         raise InputError(
             f"{path}, line {joint.line}: expected a joint of one value for {joint.name!r} to mimic, "
             f"found {at.name!r}, which is {at.kind}"
         )
-    return Joint(**{**vars(joint), "mimic": Mimic(at.name, multiplier, offset)})
+    return replace(joint, mimic=Mimic(at.name, multiplier, offset))
 
 
 def _origin(element: _Element) -> Floats:
@@ -449,6 +466,14 @@ class _Names:
             return None
         return self._of("joint", element, "name", self.robot.joints)
 
+    def group(self, element: _Element, attribute: str, groups: Collection[str]) -> str | None:
+        """Name of a group, if there is such a one in this file."""
+        name = element.text(attribute)
+        if name in groups:
+            return name
+        self.unknown.setdefault(("group", name), element)
+        return None
+
     def _of(self, kind: str, element: _Element, attribute: str, valid: Collection[str]) -> str | None:
         name = element.text(attribute)
         if name in valid:
@@ -461,7 +486,8 @@ class _Names:
         """Refuse the SRDF of another robot; say which names of a bigger variant of this one are left out."""
         if not self.unknown:
             return
-        could = min(len(self.known) + len(self.unknown), len(self.robot.shapes) + len(self.robot.joints))
+        foreign = [key for key in self.unknown if key[0] != "group"]
+        could = min(len(self.known) + len(foreign), len(self.robot.shapes) + len(self.robot.joints))
         found = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
         if len(self.unknown) > 8:
             found += f" and {len(self.unknown) - 8} more"
@@ -471,7 +497,7 @@ class _Names:
                 f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
             )
         warnings.warn(
-            f"{path}: left out what names links and joints that {self.robot.path} does not have: {found}", stacklevel=5
+            f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}", stacklevel=4
         )
 
 
@@ -487,12 +513,13 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     FileError, InputError
         As `read_urdf`.
     UnknownNameError
-        If most of the links and joints that it names are not this robot's, or a group does not exist.
+        If next to none of the links and joints that it names are this robot's.
 
     Warns
     -----
     UserWarning
-        If some are not: an SRDF is often shared with a bigger variant of the robot.
+        If some are not (an SRDF is often shared with a bigger variant of the robot), or a group is named that is
+        nowhere in the file.
     """
     root = _read_xml(path, "an SRDF")
     names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
@@ -538,9 +565,10 @@ def _groups(root: _Element, names: _Names) -> dict[str, tuple[str, ...]]:
             elif e.tag == "chain":
                 found |= _chain(names.robot, names.link(e, "base_link"), names.link(e, "tip_link"))
             elif e.tag == "group":
-                if e.text("name") not in elements:
-                    e.fault("a group of this file", f"{e.text('name')!r}; {known(elements)}", UnknownNameError)
-                found |= members(e.text("name"), (*within, group))
+                inner = names.group(e, "name", elements)
+                if inner is None:
+                    continue
+                found |= members(inner, (*within, group))
         return {name for name in found if name is not None}
 
     inside = {name: members(name, ()) for name in elements}
@@ -567,9 +595,9 @@ def _states(
     states: dict[str, tuple[str, dict[str, float | tuple[float, ...]]]] = {}
     driven = set(names.robot.driven)
     for element in root.all("group_state"):
-        name, group = element.text("name"), element.text("group")
-        if group not in groups:
-            element.fault("a group of this file", f"{group!r}; {known(groups)}", UnknownNameError)
+        # A state outside all groups is a state of the whole robot to some programs.
+        name = element.text("name")
+        group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
         values: dict[str, float | tuple[float, ...]] = {}
         for e in element.all("joint"):
             joint = names.joint(e)

@@ -285,13 +285,11 @@ class Robot:
         for at in self._columns.values():
             if at.stop - at.start == len(VALUES["floating"]):
                 q[at.start + 3] = 1.0
-        single = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)}
+        places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
         for name, value in (values or {}).items():
-            at = self._columns.get(name) or single.get(name)
-            if at is None:
-                raise UnknownNameError(
-                    f"expected the name of a joint, found {name!r}; {known({*self.joint_names, *single})}"
-                )
+            if name not in places:
+                raise UnknownNameError(f"expected the name of a joint, found {name!r}; {known(places)}")
+            at = places[name]
             given = np.atleast_1d(_check.float_array(value, name))
             q[at] = _check.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")

@@ -1,0 +1,724 @@
+"""Robots: read whole or refused with a reason; links where the joints put them; bodies where the shapes are."""
+
+import os
+import pickle
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import loewner
+from loewner import FileError, GeometryError, InputError, PoseError, Robot, UnknownNameError, link_bodies
+from loewner._kernels import kinematics
+from loewner._kernels._jit import njit
+from loewner._kernels.trigonometry import sine_cosine
+from loewner._kernels.vectors import load, store
+from robot_oracle import disagreement, robots_folder
+
+
+def links(names):
+    return "".join(f'<link name="{name}"/>' for name in names)
+
+
+LINKS = links("abcdef")
+
+
+def joint(name, kind, parent, child, inside='<axis xyz="0 0 1"/><limit lower="-2" upper="2"/>'):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 -0.2 0.3" rpy="0.4 0.5 -0.6"/>{inside}</joint>'
+    )
+
+
+def urdf(folder: Path, inside: str, name: str = "robot.urdf") -> Path:
+    path = folder / name
+    path.write_text(f'<?xml version="1.0"?>\n<robot name="r">\n{inside}\n</robot>\n')
+    return path
+
+
+def read(folder: Path, inside: str, **options) -> Robot:
+    return Robot.from_urdf(urdf(folder, inside), **options)
+
+
+def shape(text: str, origin: str = "") -> str:
+    return f"<collision>{origin}<geometry>{text}</geometry></collision>"
+
+
+def rotation(axis, angle):
+    """Rodrigues' formula, as in the textbook."""
+    axis = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    K = np.cross(np.eye(3), axis)
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+ORIGIN = np.eye(4)
+ORIGIN[:3, :3] = rotation([0, 0, 1], -0.6) @ rotation([0, 1, 0], 0.5) @ rotation([1, 0, 0], 0.4)
+ORIGIN[:3, 3] = 0.1, -0.2, 0.3
+
+
+# -- sine and cosine ----------------------------------------------------------------------------
+
+
+@njit()
+def _sines_cosines(x, s, c):
+    for i in range(0, x.size, 8):
+        sine, cosine = sine_cosine(load(x, i))
+        store(s, i, sine)
+        store(c, i, cosine)
+
+
+def sines_cosines(x):
+    s, c = np.empty_like(x), np.empty_like(x)
+    _sines_cosines(x, s, c)
+    return s, c
+
+
+@pytest.mark.parametrize("largest", [1.0, 10.0, 1e5, 1e6, 1e12])
+def test_sine_and_cosine_to_two_units_in_the_last_place(largest, rng):
+    """Beside NumPy's, over small and huge angles, and next to multiples of a quarter turn."""
+    near = np.round(rng.uniform(-largest, largest, 4000)) * (np.pi / 2)
+    near = near[np.abs(near) <= largest][: len(near[np.abs(near) <= largest]) // 8 * 8]
+    x = np.concatenate([rng.uniform(-largest, largest, 40_000), near, np.nextafter(near, 0)])
+    s, c = sines_cosines(x)
+    assert (np.abs(s - np.sin(x)) <= 2 * np.spacing(np.abs(np.sin(x)))).all()
+    assert (np.abs(c - np.cos(x)) <= 2 * np.spacing(np.abs(np.cos(x)))).all()
+
+
+def test_sine_and_cosine_of_no_angle():
+    """NaN and infinity give NaN, and leave the other lanes alone."""
+    s, c = sines_cosines(np.array([0.0, np.nan, 1.0, np.inf, -1.0, -np.inf, 2.0, 3.0]))
+    assert np.isnan(s[[1, 3, 5]]).all()
+    assert np.isnan(c[[1, 3, 5]]).all()
+    np.testing.assert_allclose(s[[0, 2, 4, 6, 7]], np.sin([0, 1, -1, 2, 3]), rtol=1e-15)
+
+
+# -- joints -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic", "planar", "floating", "fixed"])
+def test_each_kind_of_joint_moves_as_the_textbook_says(kind, tmp_path, rng):
+    """The child is at origin * motion(q), by formulas written out here."""
+    axis = np.array([1.0, 2.0, -2.0])
+    robot = read(
+        tmp_path, links("ab") + joint("j", kind, "a", "b", '<axis xyz="1 2 -2"/><limit lower="-1" upper="3"/>')
+    )
+    Q = robot.random_configurations(21)
+    found = robot.forward_kinematics(Q)
+    np.testing.assert_array_equal(found[:, 0], np.broadcast_to(np.eye(4), (21, 4, 4)))
+    for q, T in zip(Q, found[:, 1], strict=True):
+        motion = np.eye(4)
+        if kind in ("revolute", "continuous"):
+            motion[:3, :3] = rotation(axis, q[0])
+        elif kind == "prismatic":
+            motion[:3, 3] = q[0] * axis / 3
+        elif kind == "planar":
+            motion[:3, :3] = rotation(axis, q[2])
+            turn = rotation(np.cross([0, 0, 1], axis), np.arccos(-2 / 3))
+            motion[:3, 3] = turn @ [q[0], q[1], 0]
+            assert abs(motion[:3, 3] @ axis) < 1e-12
+        elif kind == "floating":
+            w, v = q[3], q[4:]
+            motion[:3, :3] = rotation(v, 2 * np.arctan2(np.linalg.norm(v), w))
+            motion[:3, 3] = q[:3]
+        np.testing.assert_allclose(T, ORIGIN @ motion, atol=1e-14)
+
+
+def test_names_and_limits_say_what_the_columns_are(tmp_path):
+    """One name and one limit a column; quaternions as w, x, y, z; order of the file, not of the tree."""
+    robot = read(
+        tmp_path,
+        LINKS
+        + joint("last", "revolute", "d", "e")
+        + joint("base", "floating", "a", "b", "")
+        + joint("disc", "planar", "b", "c", "")
+        + joint("wheel", "continuous", "c", "d", "")
+        + joint("tip", "fixed", "e", "f", ""),
+    )
+    assert robot.link_names == tuple("abcdef")
+    assert robot.joint_names == ("last", "base", "disc", "wheel")
+    base = [f"base/{v}" for v in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    assert robot.configuration_names == ("last", *base, "disc/x", "disc/y", "disc/theta", "wheel")
+    assert robot.dof == 12
+    np.testing.assert_array_equal(robot.lower, [-2, *[-np.inf] * 3, *[-1] * 4, *[-np.inf] * 4])
+    np.testing.assert_array_equal(robot.upper, -robot.lower)
+    q = robot.configuration({"wheel": 1.0, "base": [1, 2, 3, 0, 1, 0, 0], "disc/theta": -1})
+    np.testing.assert_array_equal(q, [0, 1, 2, 3, 0, 1, 0, 0, 0, 0, -1, 1])
+    np.testing.assert_array_equal(robot.configuration(), np.eye(12)[4])
+
+
+def test_mimicking_joints_have_no_columns_and_follow(tmp_path):
+    """multiplier * value + offset, along a chain of two as well."""
+    robot = read(
+        tmp_path,
+        links("abc")
+        + joint("second", "revolute", "b", "c", '<limit/><mimic joint="first" multiplier="-2" offset="0.5"/>')
+        + joint("first", "prismatic", "a", "b", '<limit lower="0" upper="1"/><mimic joint="lead" offset="0.25"/>')
+        + '<link name="z"/>'
+        + joint("lead", "continuous", "a", "z", ""),
+    )
+    assert robot.joint_names == ("lead",)
+    T = robot.forward_kinematics([0.3])
+    slid, turned = np.eye(4), np.eye(4)
+    slid[0, 3] = 0.55
+    turned[:3, :3] = rotation([1, 0, 0], -2 * 0.55 + 0.5)
+    at = {name: T[i] for i, name in enumerate(robot.link_names)}
+    np.testing.assert_allclose(at["b"], ORIGIN @ slid, atol=1e-15)
+    np.testing.assert_allclose(at["c"], at["b"] @ ORIGIN @ turned, atol=1e-15)
+
+
+def arm(folder, **options):
+    """Six links on revolute, fixed, prismatic, floating and continuous joints."""
+    return read(
+        folder,
+        LINKS
+        + joint("one", "revolute", "a", "b")
+        + joint("two", "fixed", "b", "c")
+        + joint("three", "prismatic", "c", "d")
+        + joint("four", "floating", "c", "e")
+        + joint("five", "continuous", "e", "f"),
+        **options,
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 16, 3001])
+def test_a_configuration_gives_the_same_poses_in_any_company(count, tmp_path):
+    """Bit for bit, wherever it stands in a batch of any size, and on any number of threads."""
+    robot = arm(tmp_path)
+    Q = robot.random_configurations(count)
+    together = robot.forward_kinematics(Q)
+    assert together.shape == (count, 6, 4, 4)
+    for k in {0, count // 2, count - 1} & set(range(count)):
+        np.testing.assert_array_equal(robot.forward_kinematics(Q[k]), together[k])
+
+
+def test_poses_are_rigid(tmp_path):
+    """To rounding; and they pass where poses are checked."""
+    robot = arm(tmp_path)
+    T = robot.forward_kinematics(robot.random_configurations(500))
+    R = T[..., :3, :3]
+    np.testing.assert_allclose(R.swapaxes(-1, -2) @ R, np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
+    loewner._check.poses(T, "T")
+
+
+def test_shapes_of_batches_and_odd_layouts(tmp_path):
+    """Leading axes are kept; integers, strides and read-only arrays are taken."""
+    robot = arm(tmp_path)
+    Q = robot.random_configurations(12)
+    expected = robot.forward_kinematics(Q)
+    np.testing.assert_array_equal(robot.forward_kinematics(Q.reshape(3, 4, -1)), expected.reshape(3, 4, 6, 4, 4))
+    np.testing.assert_array_equal(robot.forward_kinematics(np.asfortranarray(Q)), expected)
+    Q.setflags(write=False)
+    np.testing.assert_array_equal(robot.forward_kinematics(Q), expected)
+
+
+def test_placed_moves_the_whole_robot(tmp_path):
+    """All links by the same motion; the robot itself stays."""
+    robot = arm(tmp_path)
+    Q = robot.random_configurations(9)
+    before = robot.forward_kinematics(Q)
+    T = ORIGIN @ ORIGIN
+    np.testing.assert_allclose(robot.placed(T).forward_kinematics(Q), T @ before, atol=1e-14)
+    np.testing.assert_array_equal(robot.forward_kinematics(Q), before)
+    with pytest.raises(PoseError):
+        robot.placed(np.diag([2.0, 1, 1, 1]))
+
+
+def test_a_robot_without_joints(tmp_path):
+    """No columns, one link at the origin."""
+    robot = read(tmp_path, '<link name="a"/>')
+    assert (robot.dof, robot.joint_names, robot.bodies) == (0, (), {})
+    np.testing.assert_array_equal(robot.forward_kinematics(np.empty((3, 0))), np.broadcast_to(np.eye(4), (3, 1, 4, 4)))
+
+
+def test_random_configurations_lie_within_the_limits(tmp_path):
+    """And come again with the same seed."""
+    robot = arm(tmp_path)
+    Q = robot.random_configurations(2000, 3)
+    assert (robot.lower <= Q).all()
+    assert (robot.upper >= Q).all()
+    assert np.ptp(Q[:, 0]) > 3.9
+    np.testing.assert_array_equal(Q, robot.random_configurations(2000, 3))
+    assert not (robot.random_configurations(2000, 4) == Q).any()
+
+
+@pytest.mark.parametrize(
+    ("Q", "words"),
+    [
+        (np.zeros((5, 11)), [r"\(\.\.\., 10\)", "one, three, four/x", r"\(5, 11\)"]),
+        (np.zeros(3), [r"\(\.\.\., 10\)"]),
+        (1.0, [r"\(\.\.\., 10\)"]),
+        (np.full((2, 10), np.nan), [r"Q\[0\]", "nan for one"]),
+        (np.full(10, np.inf), ["inf for one"]),
+        (np.zeros((2, 10)), ["norm 1 for four", "norm 0"]),
+        ([["x"] * 10], ["real numbers"]),
+    ],
+)
+def test_bad_configurations_are_refused(Q, words, tmp_path):
+    """With the width expected and its names, the entry that is not finite, or the quaternion that is none."""
+    robot = arm(tmp_path)
+    with pytest.raises(InputError) as caught:
+        robot.forward_kinematics(Q)
+    for word in words:
+        caught.match(word)
+
+
+def test_configurations_outside_the_limits_are_allowed(tmp_path):
+    """Limits are for samplers; geometry has none."""
+    robot = read(tmp_path, links("ab") + joint("j", "revolute", "a", "b"))
+    T = robot.forward_kinematics([[0.5], [0.5 + 2 * np.pi * 1e3], [0.5 + 2 * np.pi * 1e9]])
+    np.testing.assert_allclose(T[1], T[0], atol=1e-12)
+    np.testing.assert_allclose(T[2], T[0], atol=1e-5)
+
+
+def test_robots_can_be_pickled(tmp_path):
+    """For worker processes."""
+    robot = arm(tmp_path)
+    again = pickle.loads(pickle.dumps(robot))
+    q = robot.random_configurations(3)
+    np.testing.assert_array_equal(again.forward_kinematics(q), robot.forward_kinematics(q))
+
+
+# -- bodies -------------------------------------------------------------------------------------
+
+
+def block(folder, name="block.stl", size=(1, 2, 3), at=(5, 0, 0)):
+    """A box as a mesh file, off the origin."""
+    trimesh.creation.box(size).apply_translation(at).export(folder / name)
+    return folder / name
+
+
+def bounds(body):
+    """Corners of the bounding box, from supports of polytopes and centres and axes of the others."""
+    low, high = [], []
+    for piece in body.pieces:
+        points = piece.vertices
+        assert points is not None
+        low.append(points.min(axis=0))
+        high.append(points.max(axis=0))
+    return np.array([np.min(low, axis=0), np.max(high, axis=0)])
+
+
+def test_primitives_stand_where_the_urdf_puts_them(tmp_path):
+    """Kind, size and place of each; several shapes of a link are one body."""
+    origin = '<origin xyz="1 2 3" rpy="1.5707963267948966 0 0"/>'
+    shapes = [
+        shape('<box size="0.2 0.4 0.6"/>', origin),
+        shape('<sphere radius="0.5"/>', origin),
+        shape('<cylinder radius="0.5" length="2"/>', origin),
+        shape('<capsule radius="0.5" length="2"/>', origin),
+    ]
+    robot = read(tmp_path, f'<link name="a">{"".join(shapes)}</link>')
+    body = robot.bodies["a"]
+    assert [piece.kind for piece in body.pieces] == ["polytope", "sphere", "cylinder", "capsule"]
+    np.testing.assert_allclose(body.inner.center, np.tile([1, 2, 3], (4, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        bounds(loewner.Body.from_points(body.pieces[0].vertices)), [[0.9, 1.7, 2.8], [1.1, 2.3, 3.2]]
+    )
+    # The cylinder's axis, z, points to -y; half its length is 1, and the outer ellipsoid is √3 as long.
+    outer = body.outer.shape_matrix[2]
+    np.testing.assert_allclose(np.sqrt(np.diag(outer)), [0.5 * np.sqrt(1.5), np.sqrt(3), 0.5 * np.sqrt(1.5)], rtol=1e-9)
+
+
+def test_meshes_are_scaled_mirrored_and_placed(tmp_path):
+    """Scale along the mesh's own axes first, then the origin."""
+    block(tmp_path)
+    robot = read(
+        tmp_path,
+        '<link name="a">'
+        + shape(
+            '<mesh filename="block.stl" scale="-0.1 0.1 0.2"/>', '<origin xyz="0 0 1" rpy="0 0 3.141592653589793"/>'
+        )
+        + "</link>",
+    )
+    np.testing.assert_allclose(bounds(robot.bodies["a"]), [[0.45, -0.1, 0.7], [0.55, 0.1, 1.3]], atol=1e-7)
+    assert robot.bodies["a"].covering.exact
+
+
+def l_shape(folder):
+    """Two boxes that make an L, as one mesh of two closed parts, which overlap."""
+    parts = [trimesh.creation.box((2, 1, 1)), trimesh.creation.box((1, 2, 1)).apply_translation([0.5, 0.5, 0])]
+    trimesh.util.concatenate(parts).export(folder / "l.stl")
+
+
+def test_hull_by_default_and_pieces_on_request(tmp_path):
+    """The hull holds all sub-meshes; decomposing keeps the notch."""
+    l_shape(tmp_path)
+    path = urdf(tmp_path, f'<link name="a">{shape("""<mesh filename="l.stl"/>""")}</link>')
+    hull = Robot.from_urdf(path).bodies["a"]
+    assert len(hull.pieces) == 1
+    np.testing.assert_allclose(bounds(hull), [[-1, -0.5, -0.5], [1, 1.5, 0.5]], atol=1e-7)
+    parts = Robot.from_urdf(path, decompose=True).bodies["a"]
+    assert len(parts.pieces) == 2
+    probe, at = loewner.Body.sphere(0.01), np.eye(4)
+    at[:3, 3] = -0.1, 0.6, 0
+    assert loewner.collide(hull, None, probe, at)
+    assert not loewner.collide(parts, None, probe, at)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "package_dirs"),
+    [
+        ("block.stl", "desc/urdf", []),
+        ("../meshes/block.stl", "desc/meshes", []),
+        ("package://desc/meshes/block.stl", "desc/meshes", []),
+        ("model://desc/meshes/block.stl", "desc/meshes", []),
+        ("package://other/block.stl", "elsewhere/other", ["elsewhere"]),
+        ("package://other/block.stl", "elsewhere/other", ["elsewhere/other"]),
+        ("file://{root}/far/block.stl", "far", []),
+        ("{root}/far/block.stl", "far", []),
+        ("block.stl", "elsewhere", ["elsewhere"]),
+    ],
+)
+def test_meshes_are_found(name, place, package_dirs, tmp_path):
+    """Relative, package, model and file names; packages given, or above the URDF."""
+    for folder in (place, "desc/urdf"):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+    block(tmp_path / place)
+    mesh = shape(f'<mesh filename="{name.format(root=tmp_path)}"/>')
+    path = urdf(tmp_path / "desc/urdf", f'<link name="a">{mesh}</link>')
+    robot = Robot.from_urdf(path, package_dirs=[tmp_path / folder for folder in package_dirs])
+    np.testing.assert_allclose(bounds(robot.bodies["a"]), [[4.5, -1, -1.5], [5.5, 1, 1.5]])
+
+
+def test_ros_packages_are_found(tmp_path, monkeypatch):
+    """Where a sourced workspace says they are."""
+    (tmp_path / "ws/share/thing").mkdir(parents=True)
+    (tmp_path / "home").mkdir()
+    block(tmp_path / "ws/share/thing")
+    path = urdf(tmp_path / "home", f'<link name="a">{shape("""<mesh filename="package://thing/block.stl"/>""")}</link>')
+    with pytest.raises(FileError):
+        Robot.from_urdf(path)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ws"))
+    assert set(Robot.from_urdf(path).bodies) == {"a"}
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """An empty folder for fits."""
+    monkeypatch.setattr(link_bodies, "CACHE_FOLDER", tmp_path / "kept")
+    return tmp_path / "kept"
+
+
+def test_fits_are_kept_by_content(kept, tmp_path, monkeypatch):
+    """The same mesh is fitted once; another mesh, scale, place or tolerance anew; a damaged entry too."""
+    fitted = []
+    fit = link_bodies._mesh_body
+    monkeypatch.setattr(link_bodies, "_mesh_body", lambda *a: fitted.append(a) or fit(*a))
+
+    def made(scale="1", **options):
+        text = shape(f'<mesh filename="block.stl" scale="{scale}"/>')
+        robot = read(tmp_path, f'<link name="a">{text}</link>', **options)
+        return len(fitted), bounds(robot.bodies["a"])[1, 0]
+
+    block(tmp_path)
+    assert made() == (1, 5.5)
+    assert made() == (1, 5.5)
+    assert made("2") == (2, 11.0)
+    assert made(tol=1e-3) == (3, 5.5)
+    block(tmp_path, size=(2, 2, 2))
+    assert made() == (4, 6.0)
+    assert made() == (4, 6.0)
+    entries = sorted(kept.iterdir())
+    assert len(entries) == 4
+    for entry in entries:
+        entry.write_bytes(entry.read_bytes()[:-200])
+    assert made() == (5, 6.0)
+    assert made() == (5, 6.0)
+    assert made(cache=False) == (6, 6.0)
+
+
+def test_no_place_for_fits_is_no_error(tmp_path, monkeypatch):
+    """The robot is read all the same."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(link_bodies, "CACHE_FOLDER", tmp_path / "file" / "below")
+    block(tmp_path)
+    assert read(tmp_path, f'<link name="a">{shape("""<mesh filename="block.stl"/>""")}</link>').bodies
+
+
+def test_progress_is_told(tmp_path):
+    """Once a shape."""
+    told = []
+    two = shape('<sphere radius="1"/>') + shape('<box size="1 1 1"/>')
+    read(tmp_path, f'<link name="a">{two}</link>', progress=lambda *at: told.append(at))
+    assert told == [(1, 2), (2, 2)]
+
+
+# -- bad descriptions ---------------------------------------------------------------------------
+
+TWO = links("ab")
+
+
+@pytest.mark.parametrize(
+    ("inside", "kind", "words"),
+    [
+        ("", InputError, ["line 2", "at least one <link>"]),
+        ("<link/>", InputError, ["line 3", "'name' of <link>"]),
+        (TWO, InputError, ["one root", "a, b"]),
+        (TWO + '<link name="a"/>', InputError, ["'a' again, first in line 3"]),
+        (TWO + joint("j", "fixed", "a", "b") + joint("j", "fixed", "a", "b"), InputError, ["'j' again"]),
+        (TWO + joint("j", "fixed", "a", "b") + joint("k", "fixed", "b", "a"), InputError, ["cycle: a, b"]),
+        (
+            links("abc") + joint("j", "fixed", "a", "c") + joint("k", "fixed", "b", "c"),
+            InputError,
+            ["'c' below two", "'k'"],
+        ),
+        (links("abc") + joint("j", "fixed", "b", "c") + joint("k", "fixed", "c", "b"), InputError, ["cycle: b, c"]),
+        (TWO + joint("j", "fixed", "a", "x"), UnknownNameError, ["child of joint 'j', found 'x'; known are a, b"]),
+        (TWO + joint("j", "ball", "a", "b"), InputError, ["revolute", "'ball' of joint 'j'"]),
+        (TWO + '<joint name="j" type="fixed"><parent link="a"/></joint>', InputError, ["a <child> in <joint>"]),
+        (TWO + joint("j", "revolute", "a", "b", ""), InputError, ["<limit> of the revolute joint 'j'"]),
+        (TWO + joint("j", "prismatic", "a", "b", ""), InputError, ["<limit> of the prismatic joint 'j'"]),
+        (
+            TWO + joint("j", "revolute", "a", "b", '<limit lower="2" upper="1"/>'),
+            InputError,
+            ["lower <= upper", "2 > 1"],
+        ),
+        (TWO + joint("j", "revolute", "a", "b", '<limit lower="x"/>'), InputError, ["1 number as 'lower'", "'x'"]),
+        (TWO + joint("j", "revolute", "a", "b", '<limit lower="nan"/>'), InputError, ["1 number as 'lower'", "'nan'"]),
+        (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 0 0"/>'), InputError, ["axis", "joint 'j'"]),
+        (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 1"/>'), InputError, ["3 numbers as 'xyz'", "'0 1'"]),
+        (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 inf 0"/>'), InputError, ["finite numbers as 'xyz'"]),
+        (TWO + joint("j", "continuous", "a", "b", '<mimic joint="j"/>'), InputError, ["'j' to mimic", "ring: j"]),
+        (
+            TWO + joint("j", "floating", "a", "b", '<mimic joint="k"/>'),
+            InputError,
+            ["one value only", "floating joint 'j'"],
+        ),
+        (
+            links("abc")
+            + joint("j", "floating", "a", "b", "")
+            + joint("k", "continuous", "b", "c", '<mimic joint="j"/>'),
+            InputError,
+            ["one value for 'k' to mimic", "'j', which is floating"],
+        ),
+        (f'<link name="a">{shape("")}</link>', InputError, ["one shape among mesh, box", "none"]),
+        (f'<link name="a">{shape("<torus/>")}</link>', InputError, ["one shape among", "<torus>"]),
+        ('<link name="a"><collision/></link>', InputError, ["<geometry> in <collision>"]),
+        (f'<link name="a">{shape("<box/>")}</link>', InputError, ["'size' of <box>"]),
+        (
+            """<link name="a">{}</link>""".format(shape('<box size="1 -1 1"/>')),
+            GeometryError,
+            ["line 3", "above 0", "1 -1 1"],
+        ),
+        ("""<link name="a">{}</link>""".format(shape('<sphere radius="0"/>')), GeometryError, ["above 0 for a sphere"]),
+        (
+            """<link name="a">{}</link>""".format(shape('<cylinder radius="1"/>')),
+            InputError,
+            ["'length' of <cylinder>"],
+        ),
+        (
+            """<link name="a">{}</link>""".format(shape('<mesh filename="m.stl" scale="1 0 1"/>')),
+            GeometryError,
+            ["scale without a 0"],
+        ),
+        ("""<link name="a">{}</link>""".format(shape("<mesh/>")), InputError, ["'filename' of <mesh>"]),
+        (
+            """<link name="lost">{}</link>""".format(shape('<mesh filename="package://p/m.stl"/>')),
+            FileError,
+            ["line 3", "'package://p/m.stl' of link 'lost'", "looked at .*p/m.stl", "package_dirs"],
+        ),
+        ("<xacro:macro/>", FileError, ["line 3", "run xacro"]),
+        ("<link name='a'>", FileError, ["line 4", "broken XML"]),
+    ],
+)
+def test_bad_urdf_is_refused(inside, kind, words, tmp_path):
+    """With the file, the line, what was expected and what was found."""
+    with pytest.raises(kind) as caught:
+        read(tmp_path, inside)
+    caught.match("robot.urdf")
+    for word in words:
+        caught.match(word)
+
+
+def test_files_that_are_no_urdf(tmp_path):
+    """A folder, nothing, no XML, another XML."""
+    with pytest.raises(FileError, match="no such file"):
+        Robot.from_urdf(tmp_path / "none.urdf")
+    with pytest.raises(FileError, match="directory"):
+        Robot.from_urdf(tmp_path)
+    (tmp_path / "empty.urdf").write_text("")
+    with pytest.raises(FileError, match="line 1.*broken XML"):
+        Robot.from_urdf(tmp_path / "empty.urdf")
+    (tmp_path / "world.sdf").write_text("<sdf/>")
+    with pytest.raises(FileError, match="root element <robot>, found <sdf>"):
+        Robot.from_urdf(tmp_path / "world.sdf")
+
+
+def test_flat_and_broken_meshes_name_their_link(tmp_path):
+    """Link, file and reason."""
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]).export(tmp_path / "flat.stl")
+    with pytest.raises(GeometryError, match="robot.urdf, line 3, link 'plate': .*flat.stl"):
+        read(tmp_path, f'<link name="plate">{shape("""<mesh filename="flat.stl"/>""")}</link>')
+    (tmp_path / "cut.stl").write_bytes(block(tmp_path).read_bytes()[:-7])
+    with pytest.raises(FileError, match="line 3, link 'plate': .*cut.stl"):
+        read(tmp_path, f'<link name="plate">{shape("""<mesh filename="cut.stl"/>""")}</link>')
+
+
+def test_mimicking_nobody_is_told(tmp_path):
+    """The joint gets a value of its own, as in MoveIt and pinocchio."""
+    with pytest.warns(UserWarning, match="for 'j' to mimic, found 'k'; it gets a value of its own. known are j"):
+        robot = read(tmp_path, TWO + joint("j", "continuous", "a", "b", '<mimic joint="k"/>'))
+    assert robot.joint_names == ("j",)
+
+
+# -- SRDF ---------------------------------------------------------------------------------------
+
+TREE = LINKS.replace('<link name="c"/>', f'<link name="c">{shape("""<sphere radius="1"/>""")}</link>') + "".join(
+    [
+        joint("ab", "revolute", "a", "b"),
+        joint("bc", "fixed", "b", "c"),
+        joint("cd", "continuous", "c", "d"),
+        joint("be", "floating", "b", "e"),
+        joint("ef", "revolute", "e", "f"),
+    ]
+)
+
+
+def with_srdf(folder, inside):
+    (folder / "robot.srdf").write_text(f'<robot name="r">\n{inside}\n</robot>')
+    return read(folder, TREE, srdf=folder / "robot.srdf")
+
+
+def test_srdf_groups_states_and_pairs(tmp_path):
+    """Joints, links, chains (up and down again) and groups of groups; values by joint; pairs sorted."""
+    robot = with_srdf(
+        tmp_path,
+        """<group name="all"><group name="chain"/><joint name="ab"/><joint name="base"/></group>
+        <group name="chain"><chain base_link="d" tip_link="f"/></group>
+        <group name="links"><link name="d"/><link name="a"/><link name="c"/></group>
+        <group_state name="home" group="all"><joint name="ab" value="0.5"/><joint name="bc" value="3"/>
+          <joint name="be" value="1 2 3 0.6 0 0 0.8"/><joint name="base" value="0 0 0"/></group_state>
+        <group_state name="home" group="links"><joint name="cd" value="-1"/></group_state>
+        <virtual_joint name="base" type="planar" parent_frame="world" child_link="a"/>
+        <disable_collisions link1="d" link2="b" reason="Never"/>
+        <disable_default_collisions link="f"/><enable_collisions link1="f" link2="a"/>
+        <gripper name="left"/>""",
+    )
+    assert robot.groups == {"all": ("ab", "cd", "be", "ef"), "chain": ("cd", "be", "ef"), "links": ("cd",)}
+    be = (1.0, 2.0, 3.0, 0.8, 0.6, 0.0, 0.0)
+    assert robot.states == {"home": ("all", {"ab": 0.5, "be": be}), "links/home": ("links", {"cd": -1.0})}
+    np.testing.assert_array_equal(robot.configuration("home"), [0.5, 0, *be, 0])
+    assert robot.disabled_pairs == {("b", "d"), *(tuple(sorted(("f", x))) for x in "bcde")}
+
+
+def test_srdf_for_another_robot_is_refused(tmp_path):
+    """Valid names are listed."""
+    with pytest.raises(
+        UnknownNameError, match="another robot, with link 'p' .line 2.*links: known are a, b.*joints: .*ab"
+    ):
+        with_srdf(tmp_path, '<disable_collisions link1="p" link2="q"/>')
+
+
+def test_srdf_for_a_bigger_variant_is_told(tmp_path):
+    """What it knows is taken, what it does not know is said."""
+    with pytest.warns(UserWarning, match=r"left out.*link 'q' \(line 3\), group 'hand' \(line 4\)"):
+        robot = with_srdf(
+            tmp_path,
+            """<disable_collisions link1="a" link2="b"/>
+            <disable_collisions link1="a" link2="q"/>
+            <group name="all"><joint name="ab"/><group name="hand"/></group>""",
+        )
+    assert robot.disabled_pairs == {("a", "b")}
+    assert robot.groups == {"all": ("ab",)}
+
+
+@pytest.mark.parametrize(
+    ("inside", "words"),
+    [
+        ('<group name="g"><group name="h"/></group><group name="h"><group name="g"/></group>', "g in h in g"),
+        ('<group name="g"/><group name="g"/>', "'g' again"),
+        ('<group name="g"/><group_state name="s" group="g"><joint name="ab" value="x"/></group_state>', "'value'.*'x'"),
+        ('<group name="g"/><group_state name="s" group="g"><joint name="be" value="1"/></group_state>', "7 numbers"),
+        ('<disable_collisions link1="a"/>', "'link2'"),
+    ],
+)
+def test_bad_srdf_is_refused(inside, words, tmp_path):
+    """With line and reason."""
+    with pytest.raises(InputError, match="robot.srdf, line 2: expected .*" + words):
+        with_srdf(tmp_path, inside)
+
+
+def test_unknown_names_of_a_configuration(tmp_path):
+    """Valid ones are listed."""
+    robot = with_srdf(tmp_path, '<group name="g"/><group_state name="home" group="g"/>')
+    with pytest.raises(UnknownNameError, match="found 'hom'; known are home"):
+        robot.configuration("hom")
+    with pytest.raises(UnknownNameError, match="found 'x'; known are ab, be, be/qw"):
+        robot.configuration({"x": 1})
+    with pytest.raises(InputError, match=r"be: expected shape \(7,\), found \(1,\)"):
+        robot.configuration({"be": 1})
+
+
+def test_adjacent_pairs_reach_through_links_without_bodies(tmp_path):
+    """Parent and child; what hangs on one bodiless link; through two of them in a row; and no others."""
+    solid = shape('<sphere radius="1"/>')
+    links = "".join(f'<link name="{x}">{solid if x in "acdfg" else ""}</link>' for x in "abcdefg")
+    joints = [("a", "b"), ("b", "c"), ("b", "e"), ("e", "f"), ("c", "d"), ("f", "g")]
+    robot = read(tmp_path, links + "".join(joint(x + y, "fixed", x, y) for x, y in joints))
+    assert robot.adjacent_pairs == {("a", "c"), ("a", "f"), ("c", "f"), ("c", "d"), ("f", "g")}
+
+
+# -- beside pinocchio ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["panda_description/urdf/panda", "talos_data/robots/talos_full_v2_box", "pr2_description/urdf/pr2"]
+)
+def test_links_are_where_pinocchio_sees_them(name):
+    """To 1e-9, with continuous, prismatic and mimicking joints among them."""
+    path = robots_folder() / f"{name}.urdf"
+    assert disagreement(without_bodies(path), path, 50) < 1e-9
+
+
+def without_bodies(path: Path) -> Robot:
+    """A robot whose meshes are left alone: only where its links are is asked."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("loewner.robots.link_bodies", lambda *a, **k: {})
+        return Robot.from_urdf(path)
+
+
+def test_every_joint_kind_agrees_with_pinocchio(tmp_path):
+    """Planar and floating joints as well, which no robot above has."""
+    path = urdf(
+        tmp_path,
+        LINKS
+        + joint("j", "floating", "a", "b", "")
+        + joint("k", "planar", "b", "c", "")
+        + joint("l", "prismatic", "c", "d", '<axis xyz="1 2 3"/><limit lower="-1" upper="1" effort="1" velocity="1"/>')
+        + joint("m", "revolute", "d", "e", '<axis xyz="3 -2 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>')
+        + joint("n", "continuous", "d", "f", ""),
+    )
+    assert disagreement(Robot.from_urdf(path), path, 50) < 1e-12
+
+
+def test_panda_with_its_srdf():
+    """Its groups, pairs and bodies, as a reader of the two files would list them."""
+    folder = robots_folder() / "panda_description"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot = Robot.from_urdf(folder / "urdf/panda.urdf", srdf=folder / "srdf/panda.srdf")
+    assert robot.joint_names == (*(f"panda_joint{k}" for k in range(1, 8)), "panda_finger_joint1")
+    assert robot.groups["hand"] == ("panda_finger_joint1",)
+    assert ("panda_hand", "panda_link7") in robot.adjacent_pairs & robot.disabled_pairs
+    assert set(robot.link_names) - set(robot.bodies) == {"panda_link8", "panda_hand_tcp"} & set(robot.link_names)
+    T = robot.forward_kinematics(robot.configuration())
+    np.testing.assert_allclose(T[robot.link_names.index("panda_link8"), :3, 3], [0.088, 0, 0.926], atol=1e-9)
+
+
+def test_reading_urdf_needs_no_optional_package(tmp_path):
+    """Primitives are read without trimesh, lxml and the others."""
+    path = urdf(tmp_path, f'<link name="a">{shape("""<box size="1 1 1"/>""")}</link>')
+    code = f"import loewner, sys; loewner.Robot.from_urdf({str(path)!r}); print(*sys.modules)"
+    environment = os.environ | {"LOEWNER_QUIET": "1"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert {"trimesh", "lxml", "coacd", "networkx"}.isdisjoint(done.stdout.split())
+
+
+def test_kernels_and_descriptions_agree_on_widths():
+    """Columns of a joint, by kind, are told twice: to kernels and to people."""
+    for kind, values in loewner.descriptions.VALUES.items():
+        assert kinematics.WIDTH[loewner.robots._KINDS[kind]] == len(values)
