@@ -6,7 +6,7 @@ import sys
 
 import loewner
 
-OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "yaml")
+OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx")
 
 
 def modules_after(code: str) -> set[str]:
@@ -19,6 +19,11 @@ def modules_after(code: str) -> set[str]:
 def test_import_is_light():
     """No optional package is imported by `import loewner`."""
     assert modules_after("import loewner").isdisjoint(OPTIONAL)
+
+
+def test_import_needs_no_yaml():
+    """`import loewner` works without PyYAML. (Numba imports it by itself where it is there.)"""
+    assert "loewner" in modules_after("import sys; sys.modules['yaml'] = None; import loewner; del sys.modules['yaml']")
 
 
 def test_command_line_is_light_until_it_prints_tables():
