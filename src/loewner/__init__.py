@@ -1,6 +1,7 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
 from loewner.bodies import Bodies, Body, Piece
+from loewner.checkers import CollisionChecker, Settled, StateDistance
 from loewner.crowds import overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
@@ -28,6 +29,7 @@ __all__ = [
     "Attachment",
     "Bodies",
     "Body",
+    "CollisionChecker",
     "Contact",
     "ConvergenceError",
     "Covering",
@@ -46,6 +48,8 @@ __all__ = [
     "Problem",
     "Robot",
     "Scene",
+    "Settled",
+    "StateDistance",
     "UnknownNameError",
     "Verdict",
     "classify",

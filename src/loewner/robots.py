@@ -309,6 +309,64 @@ class Robot:
                 Q[:, at.start + 3 : at.stop] = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
         return Q
 
+    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Floats:
+        """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
+
+        Parameters
+        ----------
+        Q0, Q1 : array_like, shape (..., dof)
+            Broadcast together.
+
+        Returns
+        -------
+        ndarray, shape (...)
+        """
+        difference = self.checked(Q1, "Q1") - self.checked(Q0, "Q0")
+        squares = np.square(difference)
+        for quaternion in self._quaternions:
+            # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
+            a, b = np.broadcast_arrays(np.asarray(Q0, float)[..., quaternion], np.asarray(Q1, float)[..., quaternion])
+            chord = np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+            squares[..., quaternion] = 0.0
+            squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
+        return np.asarray(np.sqrt(squares.sum(axis=-1)))
+
+    def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
+        """Configurations on the way: values run straight, orientations along the shorter arc.
+
+        Parameters
+        ----------
+        Q0, Q1 : array_like, shape (..., dof)
+        t : array_like, shape (...)
+            0 is Q0, 1 is Q1; broadcast with the configurations.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+        """
+        a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
+        at = _check.finite_array(t, "t", ("...",))[..., None]
+        Q = a + at * (b - a)
+        for quaternion in self._quaternions:
+            p, q = a[..., quaternion], b[..., quaternion]
+            cosine = (p * q).sum(axis=-1, keepdims=True)
+            q, cosine = np.where(cosine < 0, -q, q), np.minimum(np.abs(cosine), 1.0)
+            angle = np.arccos(cosine)
+            # For a small angle the chord is the arc.
+            sine = np.maximum(np.sin(angle), 1e-12)
+            straight = angle < 1e-6
+            of_p = np.where(straight, 1 - at, np.sin((1 - at) * angle) / sine)
+            of_q = np.where(straight, at, np.sin(at * angle) / sine)
+            mixed = of_p * p + of_q * q
+            Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+        return np.ascontiguousarray(Q)
+
+    @property
+    def _quaternions(self) -> list[slice]:
+        """Columns of the orientations of floating joints."""
+        width = len(VALUES["floating"])
+        return [slice(at.start + 3, at.stop) for at in self._columns.values() if at.stop - at.start == width]
+
 
 # -- from the description -----------------------------------------------------------------------
 

@@ -100,7 +100,7 @@ def _turned(R, x, y, z):
 
 @inline
 def _place_piece(hot, p, R, t, S, at, numbers, rows):
-    """Write the ellipsoids of piece p at eight configurations; returns center, radius, reach and squared half widths."""
+    """Write the ellipsoids of piece p at eight configurations; returns center, reach and squared half widths."""
     ox, oy, oz = _turned(R, hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])
     ix, iy, iz = _turned(R, hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])
     ox, oy, oz, ix, iy, iz = ox + t[0], oy + t[1], oz + t[2], ix + t[0], iy + t[1], iz + t[2]
@@ -131,7 +131,7 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
         (Q[0], Q[1], Q[2], Q[3], Q[4], Q[5], spread(hot[p, third] * UP), spread(0.0)),
     )  # fmt: skip
     slack = SHAPE_ROUNDINGS * (P[0] + P[3] + P[5])
-    return ox, oy, oz, radius, reach, P[0] + slack, P[3] + slack, P[5] + slack
+    return ox, oy, oz, reach, P[0] + slack, P[3] + slack, P[5] + slack
 
 
 @inline
@@ -156,9 +156,9 @@ def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T,
             store_columns(T, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
             store_columns(T, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one))
             p = piece_start[body]
-            x, y, z, radius, reach, xx, yy, zz = _place_piece(hot, p, R, t, S, at, numbers, rows)
+            x, y, z, reach, xx, yy, zz = _place_piece(hot, p, R, t, S, at, numbers, rows)
             off = OFF * reach + LEAST
-            wide = off + radius
+            wide = off + ball[body, 3] * UP
             half_x, half_y, half_z = off + UP * root(xx), off + UP * root(yy), off + UP * root(zz)
             if piece_start[body + 1] - p > 1:
                 for other in range(p + 1, piece_start[body + 1]):
@@ -166,7 +166,7 @@ def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T,
                 x, y, z = _turned(R, ball[body, 0], ball[body, 1], ball[body, 2])
                 x, y, z = x + t[0], y + t[1], z + t[2]
                 reach = (magnitude(t[0]) + magnitude(t[1]) + magnitude(t[2]) + ball[body, 4]) * UP
-                wide = (OFF * reach + LEAST) + ball[body, 3] * UP
+                wide = wide + OFF * reach
                 half_x, half_y, half_z = wide, wide, wide
             k = body * BOUNDS * S + at
             store_rounded(bounds, k + X * S, x)
