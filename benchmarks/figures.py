@@ -37,13 +37,22 @@ def vertices(rows: Sequence[Row], path: Path) -> None:
 
 def batches(rows: Sequence[Row], path: Path) -> None:
     """Cost of a pair against the size of the batch."""
+    _against_size(rows, path, "pair", "Coal from Python, boolean")
+
+
+def robot_batches(rows: Sequence[Row], path: Path) -> None:
+    """Cost of a configuration of a robot against the size of the batch."""
+    _against_size(rows, path, "configuration", f"{rows[0].rival}, boolean")
+
+
+def _against_size(rows: Sequence[Row], path: Path, item: str, rival: str) -> None:
     figure, ax = plt.subplots(figsize=(5.5, 3.8))
     for query, color in (("classify", BLUE), ("collide", ORANGE)):
-        _line(ax, [r for r in rows if r.us == query], color, f"loewner {query}")
-    coal = next((r.theirs for r in rows if r.theirs), None)
-    if coal:
-        ax.axhline(1e9 * coal.cpu, color=GREY, linestyle="--", label="Coal from Python, boolean")
-    ax.set(xscale="log", yscale="log", xlabel="pairs per call", ylabel="processor time per pair (ns)")
+        _line(ax, [r for r in rows if r.us == query and r.ours], color, f"loewner {query}")
+    theirs = next((r.theirs for r in rows if r.theirs), None)
+    if theirs:
+        ax.axhline(1e9 * theirs.cpu, color=GREY, linestyle="--", label=rival)
+    ax.set(xscale="log", yscale="log", xlabel=f"{item}s per call", ylabel=f"processor time per {item} (ns)")
     ax.grid(alpha=0.3)
     ax.legend(frameon=False)
     _save(figure, path)
