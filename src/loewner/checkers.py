@@ -40,6 +40,8 @@ STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
 
+_OPEN = int(Verdict.AMBIGUOUS)
+
 
 @dataclass(frozen=True, eq=False)
 class StateDistance:
@@ -72,15 +74,16 @@ class Settled:
 
     Attributes
     ----------
-    free_by_bounds, free_by_ellipsoids, free_by_search : int
-        Free, with the costliest test that any pair needed: bounding spheres and boxes, outer ellipsoids, or the exact
-        search.
+    free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
+        Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
+        the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
     """
 
     free_by_bounds: int
     free_by_ellipsoids: int
+    free_by_planes: int
     free_by_search: int
     colliding_by_ellipsoids: int
     colliding_by_search: int
@@ -93,7 +96,7 @@ class Settled:
     @property
     def free(self) -> int:
         """Configurations without contact."""
-        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_search
+        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_planes + self.free_by_search
 
     @property
     def colliding(self) -> int:
@@ -114,10 +117,7 @@ class _Prepared:
     margins: Floats
     arrays: tuple[Any, ...]
     table: NDArray[np.int64]
-
-    @property
-    def handle(self) -> int:
-        return int(self.table.ctypes.data)
+    handle: int = 0
 
 
 class CollisionChecker:
@@ -244,10 +244,14 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         """
         out, tiers = self._settle(verdicts.EXACT, self.robot.checked(Q))
-        free, hit = np.bincount(tiers[out == Verdict.FREE], minlength=5), np.bincount(tiers[out == 1], minlength=5)
+        free, hit = (np.bincount(tiers[out == verdict], minlength=verdicts.TIERS).tolist() for verdict in (0, 1))
         return Settled(
-            *(int(free[tier]) for tier in (verdicts.BY_SPHERE, verdicts.BY_OUTER, verdicts.BY_SEARCH)),
-            *(int(hit[tier]) for tier in (verdicts.BY_INNER, verdicts.BY_SEARCH)),
+            free_by_bounds=free[verdicts.BY_SPHERE],
+            free_by_ellipsoids=free[verdicts.BY_OUTER],
+            free_by_planes=free[verdicts.BY_GAP],
+            free_by_search=free[verdicts.BY_SEARCH],
+            colliding_by_ellipsoids=hit[verdicts.BY_INNER],
+            colliding_by_search=hit[verdicts.BY_SEARCH],
         )
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> Any:
@@ -360,7 +364,8 @@ class CollisionChecker:
         """Verdict and tier of every configuration."""
         ready = self._ready()
         flat = Q.reshape(-1, self.robot.dof)
-        out, tiers = np.empty(len(flat), dtype=np.int8), np.empty(len(flat), dtype=np.int8)
+        total = len(flat)
+        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
         def run(first: int, last: int) -> NDArray[np.int64]:
@@ -368,13 +373,13 @@ class CollisionChecker:
             states.check_states(mode, first, last, flat, pack, ready.handle, out, tiers, hits)
             return hits
 
-        if len(flat) <= LEAST_SHARE:
-            hits = run(0, len(flat))
+        if total <= LEAST_SHARE:
+            hits = run(0, total)
         else:
-            hits = np.sum(list(over_blocks(run, len(flat), share(len(flat), LEAST_SHARE))), axis=0)
-        self._learn(ready, hits, len(flat))
-        if mode == verdicts.EXACT:
-            for k in np.flatnonzero(out == Verdict.AMBIGUOUS):
+            hits = np.sum(list(over_blocks(run, total, share(total, LEAST_SHARE))), axis=0)
+        self._learn(ready, hits, total)
+        if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
+            for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
 
@@ -399,8 +404,8 @@ class CollisionChecker:
 
     def _learn(self, ready: _Prepared, hits: NDArray[np.int64], count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
-        if len(hits) != len(self._hits):
-            return
+        if count == 1 or len(hits) != len(self._hits):
+            return  # a look at single ones would cost more than it can spare
         self._hits += hits
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
@@ -563,16 +568,18 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     arrays = (
         *ready.arrays[:11], standing.astype(np.float32), _rounded_up(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
     )  # fmt: skip
-    return replace(
-        ready, version=scene.version, structure_version=scene.structure_version, arrays=arrays,
-        table=handles.table_of(arrays),
-    )  # fmt: skip
+    return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
 
 
 def _ordered(ready: _Prepared, hits: NDArray[np.int64]) -> _Prepared:
     """The same with the pairs that hit most often first."""
     arrays = (*ready.arrays[:10], np.argsort(-hits, kind="stable"), *ready.arrays[11:])
-    return replace(ready, arrays=arrays, table=handles.table_of(arrays))
+    return _with_arrays(ready, arrays)
+
+
+def _with_arrays(ready: _Prepared, arrays: tuple[Any, ...]) -> _Prepared:
+    table = handles.table_of(arrays)
+    return replace(ready, arrays=arrays, table=table, handle=table.ctypes.data)
 
 
 def _placed_row(hot: Floats, T: Floats) -> Floats:

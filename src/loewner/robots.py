@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -246,7 +247,9 @@ class Robot:
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        if not np.isfinite(array).all():
+        # One product is quicker than a look at each entry, and finite unless one of them is huge.
+        quick = array.ndim == 1 and math.isfinite(array.dot(array))
+        if not (quick or np.isfinite(array).all()):
             *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
             where = f"{name}[{', '.join(map(str, row))}]" if row else name
             found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
