@@ -566,7 +566,7 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
         ball = max((_far_from(packed, p, T, center) for p in range(start[k], start[k + 1])), default=0.0)
         standing[k, :7] = *center, (min(ball, float(np.linalg.norm(half))) + off) * STRETCH, *(half * STRETCH)
     arrays = (
-        *ready.arrays[:11], standing.astype(np.float32), _rounded_up(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
+        *ready.arrays[:11], _single(standing), _single(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
     )  # fmt: skip
     return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
 
@@ -595,14 +595,14 @@ def _placed_row(hot: Floats, T: Floats) -> Floats:
         Q = R @ (Q + np.triu(Q, 1).T) @ R.T
         row[at : at + 6] = Q[upper]
     row[shapes.REACH] += np.abs(t).sum()
+    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
     return row
 
 
-def _rounded_up(rows: Floats) -> NDArray[np.float32]:
-    """Rows in single precision, with bounds rounded to their side."""
-    up = rows.copy()
-    up[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
-    return np.minimum(up, np.finfo(np.float32).max).astype(np.float32)
+def _single(rows: Floats) -> NDArray[np.float32]:
+    """The same in single precision; what is too large is infinite there, and certifies nothing."""
+    with np.errstate(over="ignore"):
+        return rows.astype(np.float32)
 
 
 def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
