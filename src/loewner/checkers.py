@@ -34,6 +34,9 @@ FIRST_LOOK = 256
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
 
+# What a motion may be divided into; more is a slip in a unit.
+MOST_STEPS = 2**24
+
 # Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 
@@ -276,6 +279,8 @@ class CollisionChecker:
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
+        if a.ndim == 1 and b.ndim == 1:
+            return self._valid_edge(a, b, _parts(self.robot.distances(a, b), step))
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
@@ -283,19 +288,12 @@ class CollisionChecker:
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape, dof = a.shape[:-1], self.robot.dof
         a, b = a.reshape(-1, dof), b.reshape(-1, dof)
-        lengths = self.robot.distances(a, b)
-        if lengths.max(initial=0.0) / step > 2**24:
-            raise InputError(
-                f"resolution: expected steps that divide the longest motion ({lengths.max():g}) into at most 2^24, "
-                f"found {step:g}"
-            )
-        parts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+        parts = _parts(self.robot.distances(a, b), step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in _rounds(parts, valid):
-            Q = self.robot.between(a[edge], b[edge], at)
-            out, _ = self._settle(verdicts.EXACT, Q)
+            out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
-        return bool(valid[0]) if shape == () else valid.reshape(shape)
+        return valid.reshape(shape)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -382,6 +380,15 @@ class CollisionChecker:
             for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
+
+    def _valid_edge(self, a: Floats, b: Floats, parts: Ints) -> bool:
+        """The same for one motion, by the shortest way."""
+        fractions = _coarse_first(int(parts))
+        for k in range(0, len(fractions), AT_LEAST):
+            out, _ = self._settle(verdicts.EXACT, self.robot.between(a, b, fractions[k : k + AT_LEAST]))
+            if out.any():
+                return False
+        return True
 
     def _settle_with_care(self, ready: _Prepared, q: Floats) -> int:
         """One configuration that the fast searches left open, pair by pair."""
@@ -632,6 +639,16 @@ def _corners(packed: Packed, p: int, T: Floats) -> Floats:
 
 
 # -- motions ----------------------------------------------------------------------------------
+
+
+def _parts(lengths: Floats, step: float) -> Ints:
+    """How many steps motions are divided into."""
+    longest = float(lengths.max(initial=0.0))
+    if longest / step > MOST_STEPS:
+        raise InputError(
+            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+        )
+    return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
 
 def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
