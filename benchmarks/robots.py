@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -170,15 +170,9 @@ def _through(call: Callable[[Array], Any], parts: list[Array]) -> None:
 
 def shares(checker: CollisionChecker, Q: Array) -> str:
     """What settled the configurations."""
-    s = checker.tiers(Q)
-    found = {
-        "free by bounds": s.free_by_bounds,
-        "by outer ellipsoids": s.free_by_ellipsoids,
-        "by search": s.free_by_search,
-        "colliding by inner ellipsoids": s.colliding_by_ellipsoids,
-        "or search": s.colliding_by_search,
-    }
-    return ", ".join(f"{name} {count / s.total:.1%}" for name, count in found.items())
+    settled = checker.tiers(Q)
+    counts = asdict(settled).items()
+    return ", ".join(f"{name.replace('_', ' ')} {count / settled.total:.1%}" for name, count in counts)
 
 
 def differing(rival: Pinocchio, X: Array, ours: Array, theirs: Array, about: str) -> tuple[int, str]:
