@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     with threads_set_to(1):
         tasks = [Task.of(problem, arm.robot) for problem in problems]
         write_validity(validity(tasks, arm), results / "mbm-validity.csv")
-        chosen = [task for task in tasks if task.valid and task.problem.index % options.every == 0]
+        chosen = [task for task in tasks if task.solvable and task.problem.index % options.every == 0]
         rows = planning(chosen, arm)
         report.show("planning: RRT-Connect, time spent checking motions, per motion", rows)
         report.write(results / "mbm-planning.csv", rows, facts)
@@ -107,8 +107,19 @@ class Task:
         return cls(problem, checker, Q[0], Q[1:], bool(free[0]), free[1:])
 
     @property
-    def valid(self) -> bool:
-        return self.start_free and bool(self.goal_free.any())
+    def usable_goals(self) -> Array:
+        """Goals that are free and within the limits; OMPL waits for ever for one that is outside."""
+        return self.goals[self.goal_free & _within(self.checker.robot, self.goals)]
+
+    @property
+    def solvable(self) -> bool:
+        """Whether both ends are sound."""
+        inside = bool(_within(self.checker.robot, self.start))
+        return self.start_free and inside and len(self.usable_goals) > 0
+
+
+def _within(robot: Robot, Q: Array) -> Array:
+    return ((robot.lower <= Q) & (robot.upper >= Q)).all(axis=-1)
 
 
 def by_group(tasks: Sequence[Task]) -> dict[str, list[Task]]:
@@ -123,7 +134,15 @@ def by_group(tasks: Sequence[Task]) -> dict[str, list[Task]]:
 
 @dataclass(frozen=True)
 class Validity:
-    """How many problems of a group have what it takes; `differing`: ends that pinocchio judges otherwise."""
+    """How many problems of a group have what it takes.
+
+    Attributes
+    ----------
+    solvable : int
+        Start and a goal are free and within the limits of the joints.
+    differing : int or None
+        Starts and goals that pinocchio judges otherwise.
+    """
 
     group: str
     problems: int
@@ -142,7 +161,7 @@ def validity(tasks: Sequence[Task], arm: Sample) -> list[Validity]:
                 len(mine),
                 sum(t.start_free for t in mine),
                 sum(bool(t.goal_free.any()) for t in mine),
-                sum(t.valid for t in mine),
+                sum(t.solvable for t in mine),
                 differing_ends(mine, arm),
             )
         )
@@ -166,8 +185,8 @@ def write_validity(rows: Sequence[Validity], path: Path) -> None:
     for row in rows:
         judged = "pinocchio not asked" if row.differing is None else f"{row.differing} judged otherwise by pinocchio"
         print(
-            f"{row.group:18}{row.problems:4} problems, {row.free_start:4} starts free, {row.free_goal:4} goals free; "
-            f"{judged}"
+            f"{row.group:18}{row.problems:4} problems, {row.free_start:4} starts free, {row.free_goal:4} goals free, "
+            f"{row.solvable:4} with both and within limits; {judged}"
         )
     print(f"solvable: {sum(row.solvable for row in rows)} of {sum(row.problems for row in rows)}\n", flush=True)
 
@@ -318,7 +337,7 @@ def plan(task: Task, judge: Judge, seed: int, asked: list[Array]) -> bool:
     information.setup()
     definition, goals = base.ProblemDefinition(information), base.GoalStates(information)
     state = information.allocState()
-    for q, add in [(task.start, definition.addStartState), *((q, goals.addState) for q in task.goals[task.goal_free])]:
+    for q, add in [(task.start, definition.addStartState), *((q, goals.addState) for q in task.usable_goals)]:
         state[0:width] = q[columns].tolist()
         add(state)
     definition.setGoal(goals)
@@ -341,14 +360,14 @@ def settled(tasks: Sequence[Task], planned: Sequence[Task]) -> list[dict[str, An
         return Q
 
     def line(task: Task) -> Array:
-        return task.checker.robot.between(task.start, task.goals[task.goal_free][0], np.linspace(0, 1, LINE))
+        return task.checker.robot.between(task.start, task.usable_goals[0], np.linspace(0, 1, LINE))
 
     def motions(task: Task) -> Array:
         return np.concatenate([on_the_way(task.checker.robot, a, b) for a, b in task.seen])
 
     sources: dict[str, tuple[Callable[[Task], Array], Iterable[Task]]] = {
         "uniform": (uniform, tasks),
-        "straight line": (line, [task for task in tasks if task.valid]),
+        "straight line": (line, [task for task in tasks if task.solvable]),
         "planner": (motions, [task for task in planned if task.seen]),
     }
     rows = []

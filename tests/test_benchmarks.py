@@ -228,7 +228,7 @@ def test_touching_configurations_are_set_apart():
 
 @pytest.fixture
 def problems(tmp_path: Path) -> Path:
-    """Two problems for Panda: one with a pole in the way, one whose start is inside a box."""
+    """Problems for Panda: one with a pole in the way, one whose start is inside a box, one with a goal out of reach."""
     start, goal = [0.0, -0.785, 0, -2.356, 0, 1.571, 0.785], [1.2, -0.785, 0, -2.356, 0, 1.571, 0.785]
 
     def place(x: float, y: float, z: float) -> dict[str, list[float]]:
@@ -240,6 +240,7 @@ def problems(tmp_path: Path) -> Path:
     listed = [
         {**shared, "index": 1, "cylinder": [pole], "box": []},
         {**shared, "index": 2, "cylinder": [], "box": [box]},
+        {**shared, "index": 3, "cylinder": [], "box": [], "goals": [[3.0, *goal[1:]]]},
     ]
     path = tmp_path / "problems.json"
     joints = [f"panda_joint{k}" for k in range(1, 8)]
@@ -258,7 +259,7 @@ def test_planning_problems_are_judged_and_planned(arm: robot_samples.Sample, pro
             return list(csv.DictReader(file))
 
     (judged,) = read("mbm-validity.csv")
-    assert [judged[k] for k in ("problems", "free_start", "free_goal", "solvable", "differing")] == list("21210")
+    assert [judged[k] for k in ("problems", "free_start", "free_goal", "solvable", "differing")] == list("32310")
     planned = read("mbm-planning.csv")
     assert [row["case"] for row in planned] == ["pole", "pole", "all groups", "all groups"]
     assert all(row["differing"] == "0" and "1 of 1 problems solved" in row["note"] for row in planned)
