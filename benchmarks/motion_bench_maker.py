@@ -25,7 +25,7 @@ import figures
 import report
 from clock import Cost, threads_set_to
 from loewner import CollisionChecker, Robot, read_motion_bench_maker
-from loewner.checkers import _coarse_first, _parts
+from loewner.checkers import _coarse_first
 from loewner.scene_files import Problem
 from report import REQUIRED, Row
 from rivals import Missing
@@ -233,7 +233,8 @@ class Judge:
 
 def on_the_way(robot: Robot, a: Array, b: Array) -> Array:
     """What `valid_edges` checks."""
-    return robot.between(a, b, _coarse_first(int(_parts(robot.distances(a, b), RESOLUTION))))
+    parts = max(1, int(np.ceil(robot.distances(a, b) / RESOLUTION)))
+    return robot.between(a, b, _coarse_first(parts))
 
 
 @dataclass
