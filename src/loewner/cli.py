@@ -90,6 +90,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_mesh_options(check)
     check.set_defaults(run=_check)
 
+    compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
+    compiling.set_defaults(run=_compile)
+
     paper = commands.add_parser("paper", help="the paper's experiment, its tables", epilog=PAPER_EXAMPLES, **raw)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
@@ -105,6 +108,19 @@ def _add_mesh_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
+
+
+# -- loewner compile ----------------------------------------------------------------------------
+
+
+def _compile(options: argparse.Namespace) -> int:
+    from loewner.compilation import compile_kernels
+
+    with _progress() as bar:
+        task = bar.add_task("compiling", total=None)
+        folder = compile_kernels(lambda done, total: bar.update(task, completed=done, total=total))
+    print(f"compiled into {folder}")
+    return 0
 
 
 # -- loewner fit --------------------------------------------------------------------------------

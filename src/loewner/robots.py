@@ -349,7 +349,7 @@ class Robot:
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
-        Q = a + at * (b - a)
+        Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions:
             p, q = a[..., quaternion], b[..., quaternion]
             cosine = (p * q).sum(axis=-1, keepdims=True)
