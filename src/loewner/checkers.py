@@ -45,6 +45,7 @@ STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 AT_ONCE = 50_000
 
 _OPEN = int(Verdict.AMBIGUOUS)
+_NO_FRACTIONS = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +121,8 @@ class _Prepared:
     pairs: Ints
     margins: Floats
     arrays: tuple[Any, ...]
+    # Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
+    hits: NDArray[np.int64]
     table: NDArray[np.int64]
     handle: int = 0
 
@@ -174,7 +177,6 @@ class CollisionChecker:
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | _link_pairs(allowed, robot)
         self._prepared: _Prepared | None = None
-        self._hits: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __repr__(self) -> str:
@@ -275,8 +277,8 @@ class CollisionChecker:
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        if a.ndim == 1 and b.ndim == 1:
-            return self._valid_edge(a, b, self._parts(a, b, step))
+        if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
+            return self._valid_edge(a, b, step)
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
@@ -289,7 +291,7 @@ class CollisionChecker:
         for edge, at in _rounds(parts, valid):
             out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
-        return valid.reshape(shape)
+        return valid.reshape(shape) if shape else bool(valid[0])
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -362,40 +364,49 @@ class CollisionChecker:
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
-        def run(first: int, last: int) -> NDArray[np.int64]:
-            hits = np.zeros(len(ready.pairs), dtype=np.int64)
-            states.check_states(mode, first, last, flat, pack, ready.handle, out, tiers, hits)
-            return hits
+        def run(first: int, last: int) -> None:
+            states.check_states(mode, first, last, flat, _NO_FRACTIONS, pack, ready.handle, out, tiers, ready.hits)
 
         if total <= LEAST_SHARE:
-            hits = run(0, total)
+            run(0, total)
         else:
-            hits = np.sum(list(over_blocks(run, total, share(total, LEAST_SHARE))), axis=0)
-        self._learn(ready, hits, total)
+            for _ in over_blocks(run, total, share(total, LEAST_SHARE)):
+                pass
+        self._learn(ready, total)
         if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
 
-    def _parts(self, a: Floats, b: Floats, step: float) -> Ints:
+    def _parts(self, a: Floats, b: Floats, step: float) -> Any:
         """How many steps motions are divided into."""
-        with np.errstate(over="ignore"):  # told below
-            lengths = self.robot.distances(a, b)
-        longest = float(lengths.max(initial=0.0))
+        lengths = self.robot._distances(a, b)
+        longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
         if not longest / step <= MOST_STEPS:
             raise InputError(
                 f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
             )
-        return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+        if isinstance(lengths, np.ndarray):
+            return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+        return max(math.ceil(lengths / step), 1)
 
-    def _valid_edge(self, a: Floats, b: Floats, parts: Ints) -> bool:
-        """The same for one motion, by the shortest way."""
-        fractions = _coarse_first(int(parts))
-        for k in range(0, len(fractions), AT_LEAST):
-            out, _ = self._settle(verdicts.EXACT, self.robot.between(a, b, fractions[k : k + AT_LEAST]))
-            if out.any():
-                return False
-        return True
+    def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
+        """The same for one motion of joints that run straight, in one call."""
+        ready = self._ready()
+        fractions = _coarse_first(self._parts(a, b, step))
+        total = len(fractions)
+        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
+        ends, pack = np.array((a, b)), ready.bodies._packed.handle
+        done = states.check_states(
+            verdicts.EXACT, 0, total, ends, fractions, pack, ready.handle, out, tiers, ready.hits
+        )
+        self._learn(ready, done)
+        if not out[:done].any():
+            return True
+        if (out[:done] == Verdict.COLLIDING).any():
+            return False
+        still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
+        return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
 
     def _settle_with_care(self, ready: _Prepared, q: Floats) -> int:
         """One configuration that the fast searches left open, pair by pair."""
@@ -416,15 +427,12 @@ class CollisionChecker:
             )
         return int(Verdict.FREE)
 
-    def _learn(self, ready: _Prepared, hits: NDArray[np.int64], count: int) -> None:
+    def _learn(self, ready: _Prepared, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
-        if count == 1 or len(hits) != len(self._hits):
-            return  # a look at single ones would cost more than it can spare
-        self._hits += hits
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
             self._next_look = 2 * self._seen
-            self._prepared = _ordered(ready, self._hits)
+            self._prepared = _ordered(ready)
 
     def _ready(self) -> _Prepared:
         """What the kernel takes, made anew if the scene has changed."""
@@ -433,7 +441,6 @@ class CollisionChecker:
             return ready
         if ready is None or ready.structure_version != scene.structure_version:
             ready = self._prepare()
-            self._hits = np.zeros(len(ready.pairs), dtype=np.int64)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
             ready = _with_poses(ready, scene)
@@ -471,7 +478,7 @@ class CollisionChecker:
         )  # fmt: skip
         ready = _Prepared(
             scene.version, scene.structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
-            np.zeros(0, dtype=np.int64),
+            np.zeros(len(pairs), dtype=np.int64), np.zeros(0, dtype=np.int64),
         )  # fmt: skip
         return _with_poses(ready, scene)
 
@@ -608,9 +615,9 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
 
 
-def _ordered(ready: _Prepared, hits: NDArray[np.int64]) -> _Prepared:
+def _ordered(ready: _Prepared) -> _Prepared:
     """The same with the pairs that hit most often first."""
-    arrays = (*ready.arrays[:10], np.argsort(-hits, kind="stable"), *ready.arrays[11:])
+    arrays = (*ready.arrays[:10], np.argsort(-ready.hits, kind="stable"), *ready.arrays[11:])
     return _with_arrays(ready, arrays)
 
 

@@ -313,7 +313,7 @@ class Robot:
                 Q[:, at.start + 3 : at.stop] = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
         return Q
 
-    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Floats:
+    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
 
         Parameters
@@ -323,16 +323,27 @@ class Robot:
 
         Returns
         -------
-        ndarray, shape (...)
+        float, or ndarray, shape (...)
         """
-        squares = np.square(self.checked(Q1, "Q1") - self.checked(Q0, "Q0"))
-        for quaternion in self._quaternions:
-            # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
-            a, b = np.broadcast_arrays(np.asarray(Q0, float)[..., quaternion], np.asarray(Q1, float)[..., quaternion])
-            chord = np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
-            squares[..., quaternion] = 0.0
-            squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
-        return np.asarray(np.sqrt(squares.sum(axis=-1)))
+        return self._distances(self.checked(Q0, "Q0"), self.checked(Q1, "Q1"))
+
+    def _distances(self, a: Floats, b: Floats) -> Any:
+        if a.ndim == b.ndim == 1 and self.runs_straight:
+            return math.dist(a.tolist(), b.tolist())
+        with np.errstate(over="ignore"):
+            squares = np.square(b - a)
+            for quaternion in self._quaternions:
+                # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
+                p, q = np.broadcast_arrays(a[..., quaternion], b[..., quaternion])
+                chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+                squares[..., quaternion] = 0.0
+                squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
+            return np.sqrt(squares.sum(axis=-1))
+
+    @cached_property
+    def runs_straight(self) -> bool:
+        """Whether all that lies between two configurations is straight: no joint has an orientation of its own."""
+        return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
         """Configurations on the way: values run straight, orientations along the shorter arc.

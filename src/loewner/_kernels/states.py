@@ -364,14 +364,17 @@ def _certify(
 
 
 @njit()
-def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
-    """Settle the configurations start .. stop.
+def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out, hits):
+    """Settle the configurations start .. stop: rows of Q, or until the first collision on the way from Q[0] to Q[1].
 
     Parameters
     ----------
     mode : int
         CERTIFY or EXACT.
     Q : ndarray, shape (N, dof)
+        Configurations; or the two ends of a motion.
+    fractions : ndarray, shape (0,) or (N,)
+        Of the motion, one for each configuration; none if Q are configurations themselves.
     pack : int
         Handle of the packed bodies, see `handles`: those that move, each in the frame of its link, then the others.
     problem : int
@@ -383,13 +386,21 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
         found the collision otherwise.
     hits : ndarray of int64, shape (pairs,)
         Collisions found are added here, by pair.
+
+    Returns
+    -------
+    int
+        Configurations up to here are settled; less than `stop` if a motion met a collision.
     """
     a = arrays_of(pack)
     tree, link, ball, pairs, margins, order, standing, standing_rows, standing_poses = checking_of(problem)
     moving, still = link.size, len(standing)
     piece_start = a[3]
     moving_pieces = piece_start[moving]
-    S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
+    moves = fractions.size > 0
+    # A motion that collides mostly does so at one of its first configurations.
+    S = np.int64(SINGLE_LANES if moves or stop - start <= SINGLE_LANES else MOST)
+    way = np.empty((SINGLE_LANES if moves else 0, Q.shape[1]))
     numbers = np.empty(LANES, np.int64)
     W = np.empty(room(len(tree[0]), Q.shape[1]))
     T = np.empty((moving * S + still, 4, 4))
@@ -417,7 +428,15 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
     result = np.empty(9)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
-        _place(tree, Q, first, last, S, link, ball, piece_start, a[4], W, numbers, T, rows, bounds)
+        for k in range(first, last + 1 if moves else first):
+            for c in range(Q.shape[1]):
+                straight = Q[0, c] + fractions[k] * (Q[1, c] - Q[0, c])
+                way[k - first, c] = straight if fractions[k] != 1.0 else Q[1, c]
+        at = np.int64(0) if moves else np.int64(first)
+        _place(
+            tree, way if moves else Q, at, at + (last - first), S, link, ball, piece_start, a[4], W, numbers, T, rows,
+            bounds,
+        )  # fmt: skip
         for group in range(S // SINGLE_LANES):
             rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
             live[group] = (np.int64(1) << rest) - 1
@@ -487,3 +506,8 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
         for s in range(last + 1 - first):
             out[first + s] = verdicts[s]
             tiers_out[first + s] = tiers[s]
+        if moves:
+            for s in range(last + 1 - first):
+                if verdicts[s] == COLLIDING:
+                    return last + 1
+    return stop
