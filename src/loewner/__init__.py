@@ -12,6 +12,7 @@ from loewner.errors import (
     InputError,
     LoewnerError,
     MissingExtraError,
+    PlanningError,
     PoseError,
     UnknownNameError,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "MissingExtraError",
     "NearPoints",
     "Piece",
+    "PlanningError",
     "Polytope",
     "PoseError",
     "Problem",
