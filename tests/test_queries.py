@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch
-from loewner import Bodies, Body, Verdict
+from loewner import Bodies, Body, Verdict, classify, collide, distance
 from oracles import (
     HullPool,
     Support,
@@ -608,3 +608,82 @@ def test_contact_flips_once(body: Body, other: Body):
         assert colliding[-1]
         assert len(flips) == 1
         assert abs(steps[flips[0]]) < 2e-12
+
+
+# -- pairs by number ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def links_and_obstacles():
+    rng = np.random.default_rng(11)
+    links = Bodies([*Bodies.from_points(rng.normal(size=(4, 12, 3))), Body.sphere(0.4), union_of_boxes(rng, 12)])
+    obstacles = Bodies([*Bodies.from_points(rng.normal(size=(7, 12, 3))), Body.box([1, 2, 0.3])])
+    place = lambda n: posed(rotations(rng, n), rng.uniform(-2, 2, (n, 3)))  # noqa: E731
+    return links, place(len(links)), obstacles, place(len(obstacles))
+
+
+def union_of_boxes(rng, count):
+    return Body.union(
+        Body.box([0.2, 0.3, 0.1]).transformed(posed(np.eye(3), x)) for x in rng.uniform(-1, 1, (count, 3))
+    )
+
+
+def posed(R, t):
+    T = np.zeros((*np.shape(t)[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1
+    return T
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.2])
+def test_pairs_by_number_are_the_pairs(links_and_obstacles, margin):
+    """Rows say the same as picking bodies and poses: all of one set with all of another, in any shape."""
+    a, Ta, b, Tb = links_and_obstacles
+    pairs = np.indices((len(a), len(b))).transpose(1, 2, 0)
+    i, j = pairs.reshape(-1, 2).T
+    picked = a[i], Ta[i], b[j], Tb[j]
+    shape = (len(a), len(b))
+    asked = {"margin": margin, "pairs": pairs}
+    np.testing.assert_array_equal(classify(a, Ta, b, Tb, **asked), classify(*picked, margin=margin).reshape(shape))
+    found = collide(a, Ta, b, Tb, **asked)
+    np.testing.assert_array_equal(found, collide(*picked, margin=margin).reshape(shape))
+    assert 0 < found.sum() < found.size
+    np.testing.assert_array_equal(
+        collide(a, Ta, b, Tb, method="estimate", **asked),
+        collide(*picked, method="estimate", margin=margin).reshape(shape),
+    )
+
+
+def test_distances_of_pairs_by_number(links_and_obstacles):
+    """The same for distances, and for one body or one pose on a side."""
+    a, Ta, b, Tb = links_and_obstacles
+    pairs = np.indices((4, len(b))).T
+    i, j = pairs.reshape(-1, 2).T
+    one, other = distance(a, Ta, b, Tb, exact=True, pairs=pairs), distance(a[i], Ta[i], b[j], Tb[j], exact=True)
+    assert one.distance.shape == (len(b), 4)
+    assert one.normal.shape == (len(b), 4, 3)
+    np.testing.assert_array_equal(one.distance.ravel(), other.distance)
+    np.testing.assert_array_equal(
+        collide(a[0], Ta, b, None, pairs=pairs), collide(a[0], Ta[i], b[j], None).reshape(len(b), 4)
+    )
+    assert isinstance(collide(a, Ta, b, Tb, pairs=[0, 0]), bool)
+    assert collide(a, Ta, b, Tb, pairs=np.zeros((0, 2), int)).shape == (0,)
+    assert distance(a, Ta, b, Tb, pairs=np.zeros((0, 2), int)).lower.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "told"),
+    [
+        ([[0, 1, 2]], "shape"),
+        ([[0.0, 1.0]], "integers"),
+        ([[0, 8]], "from 0 to 7, found 8"),
+        ([[-1, 0]], "from 0 to 5, found -1"),
+        (3, "shape"),
+    ],
+)
+def test_pairs_that_do_not_exist(links_and_obstacles, pairs, told):
+    a, Ta, b, Tb = links_and_obstacles
+    for query in (classify, collide, distance):
+        with pytest.raises(loewner.InputError, match=told):
+            query(a, Ta, b, Tb, pairs=pairs)
+    with pytest.raises(loewner.PoseError, match="as many bodies as poses"):
+        collide(a, Ta[:3], b, Tb, pairs=[[0, 0]])

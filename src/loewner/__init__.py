@@ -6,6 +6,7 @@ from loewner.crowds import overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import (
+    BodyIndexError,
     ConvergenceError,
     FileError,
     GeometryError,
@@ -30,6 +31,7 @@ __all__ = [
     "Attachment",
     "Bodies",
     "Body",
+    "BodyIndexError",
     "CollisionChecker",
     "Contact",
     "ConvergenceError",

@@ -23,7 +23,7 @@ from loewner._check import Floats
 from loewner._files import replacing
 from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
 from loewner.ellipsoids import Ellipsoids
-from loewner.errors import FileError, GeometryError, InputError
+from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 
 Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
@@ -419,6 +419,8 @@ class Body(_Bodies):
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
         """One body of all the pieces of several, in the frame they share."""
+        if isinstance(bodies, Body):
+            raise InputError("bodies: expected several bodies in a list, found one body")
         listed = list(bodies)
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
@@ -525,9 +527,9 @@ class Bodies(_Bodies):
     def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> Any:
         if isinstance(index, (int, np.integer)):
             if not -len(self) <= index < len(self):
-                raise IndexError(f"index {index} is out of range for {len(self)} bodies")
-            return Body(_take(self._packed, np.array([index % len(self)])))
-        return Bodies._wrap(_take(self._packed, np.arange(len(self))[index]))
+                raise BodyIndexError(f"expected an index from {-len(self)} to {len(self) - 1}, found {index}")
+            return Body(take(self._packed, np.array([index % len(self)])))
+        return Bodies._wrap(take(self._packed, np.arange(len(self))[index]))
 
     def __repr__(self) -> str:
         return f"Bodies({len(self)} bodies, {len(self._packed.layout)} pieces)"
@@ -686,7 +688,7 @@ def _starts(lengths: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 
-def _take(p: Packed, bodies: Ints) -> Packed:
+def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     pieces = _ranges(first, last)

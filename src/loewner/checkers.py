@@ -34,11 +34,16 @@ FIRST_LOOK = 256
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
 
+# What a motion may be divided into; more is a slip in a unit.
+MOST_STEPS = 2**24
+
 # Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
+
+_OPEN = int(Verdict.AMBIGUOUS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +77,16 @@ class Settled:
 
     Attributes
     ----------
-    free_by_bounds, free_by_ellipsoids, free_by_search : int
-        Free, with the costliest test that any pair needed: bounding spheres and boxes, outer ellipsoids, or the exact
-        search.
+    free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
+        Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
+        the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
     """
 
     free_by_bounds: int
     free_by_ellipsoids: int
+    free_by_planes: int
     free_by_search: int
     colliding_by_ellipsoids: int
     colliding_by_search: int
@@ -93,7 +99,7 @@ class Settled:
     @property
     def free(self) -> int:
         """Configurations without contact."""
-        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_search
+        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_planes + self.free_by_search
 
     @property
     def colliding(self) -> int:
@@ -114,10 +120,7 @@ class _Prepared:
     margins: Floats
     arrays: tuple[Any, ...]
     table: NDArray[np.int64]
-
-    @property
-    def handle(self) -> int:
-        return int(self.table.ctypes.data)
+    handle: int = 0
 
 
 class CollisionChecker:
@@ -244,10 +247,14 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         """
         out, tiers = self._settle(verdicts.EXACT, self.robot.checked(Q))
-        free, hit = np.bincount(tiers[out == Verdict.FREE], minlength=5), np.bincount(tiers[out == 1], minlength=5)
+        free, hit = (np.bincount(tiers[out == verdict], minlength=verdicts.TIERS).tolist() for verdict in (0, 1))
         return Settled(
-            *(int(free[tier]) for tier in (verdicts.BY_SPHERE, verdicts.BY_OUTER, verdicts.BY_SEARCH)),
-            *(int(hit[tier]) for tier in (verdicts.BY_INNER, verdicts.BY_SEARCH)),
+            free_by_bounds=free[verdicts.BY_SPHERE],
+            free_by_ellipsoids=free[verdicts.BY_OUTER],
+            free_by_planes=free[verdicts.BY_GAP],
+            free_by_search=free[verdicts.BY_SEARCH],
+            colliding_by_ellipsoids=hit[verdicts.BY_INNER],
+            colliding_by_search=hit[verdicts.BY_SEARCH],
         )
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> Any:
@@ -272,6 +279,8 @@ class CollisionChecker:
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
+        if a.ndim == 1 and b.ndim == 1:
+            return self._valid_edge(a, b, _parts(self.robot.distances(a, b), step))
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
@@ -279,19 +288,12 @@ class CollisionChecker:
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape, dof = a.shape[:-1], self.robot.dof
         a, b = a.reshape(-1, dof), b.reshape(-1, dof)
-        lengths = self.robot.distances(a, b)
-        if lengths.max(initial=0.0) / step > 2**24:
-            raise InputError(
-                f"resolution: expected steps that divide the longest motion ({lengths.max():g}) into at most 2^24, "
-                f"found {step:g}"
-            )
-        parts = np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+        parts = _parts(self.robot.distances(a, b), step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in _rounds(parts, valid):
-            Q = self.robot.between(a[edge], b[edge], at)
-            out, _ = self._settle(verdicts.EXACT, Q)
+            out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
-        return bool(valid[0]) if shape == () else valid.reshape(shape)
+        return valid.reshape(shape)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -360,7 +362,8 @@ class CollisionChecker:
         """Verdict and tier of every configuration."""
         ready = self._ready()
         flat = Q.reshape(-1, self.robot.dof)
-        out, tiers = np.empty(len(flat), dtype=np.int8), np.empty(len(flat), dtype=np.int8)
+        total = len(flat)
+        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
         def run(first: int, last: int) -> NDArray[np.int64]:
@@ -368,15 +371,24 @@ class CollisionChecker:
             states.check_states(mode, first, last, flat, pack, ready.handle, out, tiers, hits)
             return hits
 
-        if len(flat) <= LEAST_SHARE:
-            hits = run(0, len(flat))
+        if total <= LEAST_SHARE:
+            hits = run(0, total)
         else:
-            hits = np.sum(list(over_blocks(run, len(flat), share(len(flat), LEAST_SHARE))), axis=0)
-        self._learn(ready, hits, len(flat))
-        if mode == verdicts.EXACT:
-            for k in np.flatnonzero(out == Verdict.AMBIGUOUS):
+            hits = np.sum(list(over_blocks(run, total, share(total, LEAST_SHARE))), axis=0)
+        self._learn(ready, hits, total)
+        if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
+            for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
+
+    def _valid_edge(self, a: Floats, b: Floats, parts: Ints) -> bool:
+        """The same for one motion, by the shortest way."""
+        fractions = _coarse_first(int(parts))
+        for k in range(0, len(fractions), AT_LEAST):
+            out, _ = self._settle(verdicts.EXACT, self.robot.between(a, b, fractions[k : k + AT_LEAST]))
+            if out.any():
+                return False
+        return True
 
     def _settle_with_care(self, ready: _Prepared, q: Floats) -> int:
         """One configuration that the fast searches left open, pair by pair."""
@@ -399,8 +411,8 @@ class CollisionChecker:
 
     def _learn(self, ready: _Prepared, hits: NDArray[np.int64], count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
-        if len(hits) != len(self._hits):
-            return
+        if count == 1 or len(hits) != len(self._hits):
+            return  # a look at single ones would cost more than it can spare
         self._hits += hits
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
@@ -561,18 +573,20 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
         ball = max((_far_from(packed, p, T, center) for p in range(start[k], start[k + 1])), default=0.0)
         standing[k, :7] = *center, (min(ball, float(np.linalg.norm(half))) + off) * STRETCH, *(half * STRETCH)
     arrays = (
-        *ready.arrays[:11], standing.astype(np.float32), _rounded_up(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
+        *ready.arrays[:11], _single(standing), _single(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
     )  # fmt: skip
-    return replace(
-        ready, version=scene.version, structure_version=scene.structure_version, arrays=arrays,
-        table=handles.table_of(arrays),
-    )  # fmt: skip
+    return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
 
 
 def _ordered(ready: _Prepared, hits: NDArray[np.int64]) -> _Prepared:
     """The same with the pairs that hit most often first."""
     arrays = (*ready.arrays[:10], np.argsort(-hits, kind="stable"), *ready.arrays[11:])
-    return replace(ready, arrays=arrays, table=handles.table_of(arrays))
+    return _with_arrays(ready, arrays)
+
+
+def _with_arrays(ready: _Prepared, arrays: tuple[Any, ...]) -> _Prepared:
+    table = handles.table_of(arrays)
+    return replace(ready, arrays=arrays, table=table, handle=table.ctypes.data)
 
 
 def _placed_row(hot: Floats, T: Floats) -> Floats:
@@ -588,14 +602,14 @@ def _placed_row(hot: Floats, T: Floats) -> Floats:
         Q = R @ (Q + np.triu(Q, 1).T) @ R.T
         row[at : at + 6] = Q[upper]
     row[shapes.REACH] += np.abs(t).sum()
+    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
     return row
 
 
-def _rounded_up(rows: Floats) -> NDArray[np.float32]:
-    """Rows in single precision, with bounds rounded to their side."""
-    up = rows.copy()
-    up[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
-    return np.minimum(up, np.finfo(np.float32).max).astype(np.float32)
+def _single(rows: Floats) -> NDArray[np.float32]:
+    """The same in single precision; what is too large is infinite there, and certifies nothing."""
+    with np.errstate(over="ignore"):
+        return rows.astype(np.float32)
 
 
 def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
@@ -625,6 +639,16 @@ def _corners(packed: Packed, p: int, T: Floats) -> Floats:
 
 
 # -- motions ----------------------------------------------------------------------------------
+
+
+def _parts(lengths: Floats, step: float) -> Ints:
+    """How many steps motions are divided into."""
+    longest = float(lengths.max(initial=0.0))
+    if longest / step > MOST_STEPS:
+        raise InputError(
+            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+        )
+    return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
 
 def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:

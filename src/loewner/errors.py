@@ -41,5 +41,9 @@ class UnknownNameError(LoewnerError, KeyError):
         return str(self.args[0]) if self.args else ""
 
 
+class BodyIndexError(LoewnerError, IndexError):
+    """There is no body of this number."""
+
+
 class MissingExtraError(LoewnerError, ImportError):
     """An optional package is needed; the message names the extra to install."""

@@ -14,7 +14,7 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import batch, careful, distances, verdicts
 from loewner._threads import over_blocks, share
-from loewner.bodies import Bodies, Body, Packed
+from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
 # The smallest share of a batch that is worth handing to a thread.
@@ -89,6 +89,7 @@ class _Pairs(NamedTuple):
     plan: NDArray[np.int64]
     packs: tuple[Packed, Packed]
     poses: tuple[Floats, Floats]
+    rows: NDArray[np.int64] = NO_ROWS
 
     @property
     def operands(self) -> tuple[Any, ...]:
@@ -100,7 +101,7 @@ class _Pairs(NamedTuple):
     def handles(self) -> tuple[Any, ...]:
         """The same by handles, as `batch.settle_range` takes them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
-        return self.plan, NO_ROWS, a.handle, Ta, b.handle, Tb
+        return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
 
 def _prepare(
@@ -111,10 +112,12 @@ def _prepare(
     *,
     check: bool,
     each: int = 1,
+    chosen: ArrayLike | None = None,
 ) -> _Pairs:
     """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`.
 
-    `each` is how many bytes of results a pair takes: what does not fit into memory is refused.
+    `each` is how many bytes of results a pair takes: what does not fit into memory is refused. `chosen` are rows of
+    pairs, instead of broadcasting.
     """
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
@@ -123,6 +126,8 @@ def _prepare(
     Ta = _check.poses(T_world_a, "T_world_a", check=check)
     Tb = _check.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed
+    if chosen is not None:
+        return _listed(chosen, a, Ta, b, Tb)
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
@@ -140,6 +145,34 @@ def _prepare(
     _check.fits_memory(each * math.prod(shape), f"{_check.shape_text(shape)} pairs")
     plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
+
+
+def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats) -> _Pairs:
+    """Operands whose pairs are given by row numbers."""
+    rows = np.asarray(chosen)
+    if rows.ndim == 0 or rows.shape[-1] != 2 or (rows.dtype.kind not in "iu" and rows.size):
+        found = f"shape {_check.shape_text(rows.shape)} of {rows.dtype}"
+        raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
+    flat = np.ascontiguousarray(rows.reshape(-1, 2).T, dtype=np.int64)
+    plan = [[flat.shape[1]]]
+    for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
+        if T.ndim > 3:
+            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) beside pairs, found {T.shape}")
+        lengths = [len(bodies) if isinstance(bodies, Bodies) else 1, len(T) if T.ndim == 3 else 1]
+        n = max(lengths)
+        if n != 1 and any(length not in (1, n) for length in lengths):
+            raise PoseError(f"{name}: expected as many bodies as poses, or one, found {lengths[0]} and {lengths[1]}")
+        wrong = (flat[side] < 0) | (flat[side] >= n) if n > 1 or isinstance(bodies, Bodies) else flat[side] != 0
+        if wrong.any():
+            raise InputError(
+                f"pairs: expected rows of {name} from 0 to {n - 1}, found {flat[side][wrong][0]} in pair "
+                f"{int(np.flatnonzero(wrong)[0])}"
+            )
+        plan += [[int(length > 1)] for length in lengths]
+    _check.fits_memory(flat.shape[1], f"{flat.shape[1]} pairs")
+    shape = rows.shape[:-1]
+    packs, poses = (a._packed, b._packed), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4))
+    return _Pairs(shape, flat.shape[1], np.array(plan, dtype=np.int64), packs, poses, flat)
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
@@ -198,7 +231,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
     else:
         tally = np.sum(list(over_blocks(run, pairs.total, share(pairs.total, CHUNK))), axis=0)
     if mode == verdicts.EXACT and tally[verdicts.OPEN]:
-        careful.settle_open(margin, pairs.plan, NO_ROWS, *pairs.operands[1:], out)
+        careful.settle_open(margin, pairs.plan, pairs.rows, *pairs.operands[1:], out)
     return out, tally
 
 
@@ -209,6 +242,7 @@ def classify(
     T_world_b: ArrayLike | None,
     *,
     margin: float = 0.0,
+    pairs: ArrayLike | None = None,
 ) -> Any:
     """Certified verdict from the ellipsoids alone.
 
@@ -221,6 +255,9 @@ def classify(
     margin : float
         Metres that the bodies must keep: FREE then means farther apart than `margin`, COLLIDING
         within it.
+    pairs : array_like of int, shape (..., 2), optional
+        Which of a to ask about with which of b, instead of broadcasting: row i of a is body i at pose i (of one body,
+        or one pose, always that). Nothing is copied. All of n with all of m: ``np.indices((n, m)).T``, result (m, n).
 
     Returns
     -------
@@ -248,12 +285,13 @@ def classify(
     <Verdict.FREE: 0>
     """
     keep = _check.positive_scalar(margin, "margin", zero=True)
-    one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
-    if one >= 0:
-        return _VERDICTS[one]
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=1)
-    out, _ = _settle(verdicts.CERTIFY, keep, pairs)
-    return Verdict(int(out[0])) if pairs.shape == () else out.reshape(pairs.shape)
+    if pairs is None:
+        one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
+        if one >= 0:
+            return _VERDICTS[one]
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
+    out, _ = _settle(verdicts.CERTIFY, keep, asked)
+    return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
 
 
 def collide(
@@ -265,6 +303,7 @@ def collide(
     method: str = "exact",
     rule: str = "contact-product",
     margin: float = 0.0,
+    pairs: ArrayLike | None = None,
 ) -> Any:
     """Decide whether two bodies touch, overlap, or come within `margin` of each other.
 
@@ -284,6 +323,8 @@ def collide(
         of thin pieces.
     margin : float
         Metres; pairs this close count as colliding.
+    pairs : array_like of int, shape (..., 2), optional
+        As for `classify`.
 
     Returns
     -------
@@ -314,26 +355,53 @@ def collide(
         raise UnknownNameError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
     code = _rule_code(rule)
     keep = _check.positive_scalar(margin, "margin", zero=True)
-    if method == "exact":
+    if method == "exact" and pairs is None:
         one = _settle_one(verdicts.EXACT, keep, a, T_world_a, b, T_world_b)
         if one in (verdicts.FREE, verdicts.COLLIDING):
             return one == verdicts.COLLIDING
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=False, each=1)
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
     if method == "exact":
-        out, _ = _settle(verdicts.EXACT, keep, pairs)
+        out, _ = _settle(verdicts.EXACT, keep, asked)
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
     else:
-        out, _ = _settle(verdicts.CERTIFY, keep, pairs)
-
-        factors = a._packed.factors + b._packed.factors
-
-        def run(first: int, last: int) -> None:
-            distances.rule_range(code, keep, first, last, *pairs.operands, factors, out)
-
-        for _ in over_blocks(run, pairs.total, share(pairs.total, CHUNK)):
-            pass
+        out, _ = _settle(verdicts.CERTIFY, keep, asked)
+        _estimate(code, keep, a, b, asked, out)
     colliding = out == Verdict.COLLIDING
-    return bool(colliding[0]) if pairs.shape == () else colliding.reshape(pairs.shape)
+    return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
+
+
+def _estimate(rule: int, margin: float, a: Body | Bodies, b: Body | Bodies, pairs: _Pairs, out: Any) -> None:
+    """Let a rule decide the pairs that `out` has as AMBIGUOUS."""
+    factors = a._packed.factors + b._packed.factors
+    if pairs.rows.shape[1]:
+        # The rules do not take lists: hand them copies of the few that are open.
+        open_pairs = np.flatnonzero(out == Verdict.AMBIGUOUS)
+        some = _copied(pairs, open_pairs)
+        found = np.full(len(open_pairs), Verdict.AMBIGUOUS, dtype=np.int8)
+        factors = some.packs[0].factors + some.packs[1].factors
+        distances.rule_range(rule, margin, 0, len(open_pairs), *some.operands, factors, found)
+        out[open_pairs] = found
+        return
+
+    def run(first: int, last: int) -> None:
+        distances.rule_range(rule, margin, first, last, *pairs.operands, factors, out)
+
+    for _ in over_blocks(run, pairs.total, share(pairs.total, CHUNK)):
+        pass
+
+
+def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
+    """Some of the pairs of a list, as pairs of copies that broadcast."""
+    (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
+    packs = tuple(
+        take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
+    )
+    poses = tuple(
+        np.ascontiguousarray(T[rows[k] * step])
+        for k, (T, step) in enumerate(zip(pairs.poses, (pose_a, pose_b), strict=True))
+    )
+    plan = np.array([[len(which)], [1], [1], [1], [1]], dtype=np.int64)
+    return _Pairs((len(which),), len(which), plan, (packs[0], packs[1]), (poses[0], poses[1]))
 
 
 def distance(
@@ -344,6 +412,7 @@ def distance(
     *,
     exact: bool = False,
     rule: str = "contact-product",
+    pairs: ArrayLike | None = None,
 ) -> Distance:
     """Certified bounds on the signed distance of two bodies, and on request its exact value.
 
@@ -356,6 +425,8 @@ def distance(
         Also compute the distance or penetration depth, witnesses and normal.
     rule : {"contact-product", "rimon-boyd", "lin-han", "center-line"}
         What `estimate` is; see `collide`.
+    pairs : array_like of int, shape (..., 2), optional
+        As for `classify`; here the bodies and poses are copied.
 
     Returns
     -------
@@ -380,13 +451,16 @@ def distance(
     1.5
     """
     code = _rule_code(rule)
-    pairs = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES)
-    n, m = pairs.total, pairs.total if exact else 0
+    asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
+    shape = asked.shape
+    if asked.rows.shape[1]:
+        asked = _copied(asked, np.arange(asked.total))
+    n, m = asked.total, asked.total if exact else 0
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
-    factors = a._packed.factors + b._packed.factors
-    operands = (np.empty(0, dtype=np.int64), *pairs.operands, factors, *numbers, *vectors, status)
+    factors = asked.packs[0].factors + asked.packs[1].factors
+    operands = (np.empty(0, dtype=np.int64), *asked.operands, factors, *numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
         distances.distance_range(exact, code, first, last, *operands)
@@ -405,9 +479,9 @@ def distance(
     def shaped(x: Floats) -> Any:
         if len(x) != n:
             return None
-        if pairs.shape == ():
+        if shape == ():
             return float(x[0]) if x.ndim == 1 else x[0]
-        return x.reshape(pairs.shape + x.shape[1:])
+        return x.reshape(shape + x.shape[1:])
 
     return Distance(*(shaped(x) for x in (*numbers, *vectors))) if exact else Distance(*map(shaped, numbers[:3]))
 

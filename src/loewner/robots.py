@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -246,7 +248,9 @@ class Robot:
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        if not np.isfinite(array).all():
+        # One product is quicker than a look at each entry, and finite unless one of them is huge.
+        quick = array.ndim == 1 and math.isfinite(array.dot(array))
+        if not (quick or np.isfinite(array).all()):
             *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
             where = f"{name}[{', '.join(map(str, row))}]" if row else name
             found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
@@ -321,8 +325,7 @@ class Robot:
         -------
         ndarray, shape (...)
         """
-        difference = self.checked(Q1, "Q1") - self.checked(Q0, "Q0")
-        squares = np.square(difference)
+        squares = np.square(self.checked(Q1, "Q1") - self.checked(Q0, "Q0"))
         for quaternion in self._quaternions:
             # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
             a, b = np.broadcast_arrays(np.asarray(Q0, float)[..., quaternion], np.asarray(Q1, float)[..., quaternion])
@@ -361,11 +364,11 @@ class Robot:
             Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
         return np.ascontiguousarray(Q)
 
-    @property
-    def _quaternions(self) -> list[slice]:
+    @cached_property
+    def _quaternions(self) -> tuple[slice, ...]:
         """Columns of the orientations of floating joints."""
         width = len(VALUES["floating"])
-        return [slice(at.start + 3, at.stop) for at in self._columns.values() if at.stop - at.start == width]
+        return tuple(slice(at.start + 3, at.stop) for at in self._columns.values() if at.stop - at.start == width)
 
 
 # -- from the description -----------------------------------------------------------------------

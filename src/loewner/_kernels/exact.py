@@ -5,7 +5,7 @@ from loewner._kernels.contact import POSITION_ROUNDINGS
 from loewner._kernels.gjk import APART, TOUCHING, UNSETTLED, swollen_radii
 from loewner._kernels.pair_search import INSIDE, near, put_pair, quick
 from loewner._kernels.shapes import radius
-from loewner._kernels.verdicts import AMBIGUOUS, BY_SEARCH, COLLIDING, FREE, OPEN
+from loewner._kernels.verdicts import AMBIGUOUS, BY_GAP, BY_SEARCH, COLLIDING, FREE, OPEN
 
 
 @inline
@@ -33,10 +33,10 @@ def exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size,
         nx, ny, nz = 1.0, 0.0, 0.0
     error = POSITION_ROUNDINGS * size
     radii = radius(ta, la, i) + radius(tb, lb, j)
-    status = UNSETTLED
+    status, points = UNSETTLED, 1
     ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
     if margin == 0.0 and radii == 0.0:
-        status, nx, ny, nz = quick(
+        status, nx, ny, nz, points = quick(
             ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error
         )
     if status == UNSETTLED:
@@ -44,7 +44,7 @@ def exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size,
             ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error, margin,
             radii, result,
         )  # fmt: skip
-    return FREE if status == APART else COLLIDING, BY_SEARCH
+    return FREE if status == APART else COLLIDING, BY_GAP if points == 0 else BY_SEARCH
 
 
 @njit()

@@ -112,6 +112,8 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
     status : int
     x, y, z : float
         The direction reached, from A to B.
+    points : int
+        Of the simplex; 0 if the first direction settled the pair.
     """
     px, py, pz = -nx, -ny, -nz
     k = 0
@@ -126,7 +128,7 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
         plane = px * ax + py * ay + pz * az
         length = np.sqrt(px * px + py * py + pz * pz)
         if plane > error * length:
-            return APART, -px, -py, -pz
+            return APART, -px, -py, -pz, k
         largest = max(largest, abs(ax) + abs(ay) + abs(az))
         if k == 0:
             k = 1
@@ -155,8 +157,8 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
                 volume = abs(fx * e1x + fy * e1y + fz * e1z)
                 # The origin is inside if the three and the base, f + g + h + base = -volume, are all clear.
                 if f < -doubt and g < -doubt and h < -doubt and volume + (f + g + h) > doubt:
-                    return TOUCHING, -px, -py, -pz
-                return UNSETTLED, -px, -py, -pz
+                    return TOUCHING, -px, -py, -pz, k
+                return UNSETTLED, -px, -py, -pz, k
             if f >= g and f >= h:
                 pass
             elif g >= h:
@@ -204,8 +206,8 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
                     ex, ey, ez = bx, by, bz
                 bx, by, bz = ax, ay, az
         if not px * px + py * py + pz * pz > 0.0:
-            return UNSETTLED, -nx, -ny, -nz
-    return UNSETTLED, -px, -py, -pz
+            return UNSETTLED, -nx, -ny, -nz, k
+    return UNSETTLED, -px, -py, -pz, k
 
 
 @inline

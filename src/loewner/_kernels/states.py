@@ -82,7 +82,7 @@ UP = 1.0 + 2.0**-22
 OFF, LEAST = POSITION_ERROR * SINGLE_ROUNDOFF, 1e-15
 
 # Piece pairs that may wait for the exact search, and the columns of their list.
-WAITING = 2048
+WAITING = 512
 PAIR_NUMBER, STATE, A, B, T_A, T_B, ENTRIES = 0, 1, 2, 3, 4, 5, 6
 
 # Piece pairs are listed for the certificate by their rows in the block; and here by their pieces.
@@ -136,10 +136,10 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
 
 @inline
 def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T, rows, bounds):
-    """Place all that moves at the configurations first .. last; the block is filled up with repeats of the last."""
+    """Place all that moves at the configurations first .. last; vectors are filled up with repeats of the last."""
     zero, one = spread(0.0), spread(1.0)
     nought = np.int64(0)
-    for at in range(0, S, LANES):
+    for at in range(0, min(S, last + 1 - first), LANES):
         for lane in range(LANES):
             numbers[lane] = min(first + at + lane, last)
         place_links(tree, Q, numbers, nought, W)
@@ -287,7 +287,7 @@ def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, res
         for r in range(3):
             size += abs(T[kb, r, 3] - T[ka, r, 3])
         p = waiting[n, PAIR_NUMBER]
-        verdict, _ = exact_piece_pair(
+        verdict, tier = exact_piece_pair(
             table, layout, points, i, T, ka, table, layout, points, j, T, kb, margins[p], size, N[n, 0], N[n, 1],
             N[n, 2], W, result,
         )  # fmt: skip
@@ -296,8 +296,8 @@ def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, res
             hits[p] += 1
         elif verdict == AMBIGUOUS:
             _leave(s, verdicts, tiers)
-        elif tiers[s] < BY_SEARCH:
-            tiers[s] = BY_SEARCH
+        elif tiers[s] < tier:
+            tiers[s] = tier
 
 
 @njit()
