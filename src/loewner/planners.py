@@ -373,7 +373,7 @@ def _motion_validator() -> Any:
 
         def checkMotion(self, one: Any, other: Any) -> bool:
             Q = self._space.configurations([one[0 : self._count], other[0 : self._count]])
-            return self._space.free_between(Q[:1], Q[1:])
+            return self._space.free_between(Q[0], Q[1])
 
     return Motions
 

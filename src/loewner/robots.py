@@ -198,6 +198,22 @@ class Robot:
         constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
         return replace(self, tree=(*self.tree[:5], constants))
 
+    def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+        """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+            For instance what `pairs_by_sampling` returns.
+        """
+        more = set()
+        for a, b in pairs:
+            for name in (a, b):
+                if name not in self.link_names:
+                    raise _check.unknown_name("link", name, self.link_names)
+            more.add((min(a, b), max(a, b)))
+        return replace(self, disabled_pairs=self.disabled_pairs | more)
+
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
 
