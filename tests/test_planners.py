@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from gantry import RADIUS, gantry
 from loewner import (
     Body,
     CollisionChecker,
@@ -20,22 +21,7 @@ from loewner import (
 )
 
 RESOLUTION = 0.02
-RADIUS = 0.1
 
-# A ball of radius 0.1 that slides along x and y, with a rod of 0.3 m to its side that turns about z.
-GANTRY = """<robot name="gantry">
-<link name="base"/><link name="rail"/>
-<link name="ball"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
-<link name="rod"><collision><origin xyz="0.3 0 0"/><geometry><box size="0.3 0.02 0.02"/></geometry></collision></link>
-<joint name="x" type="prismatic"><parent link="base"/><child link="rail"/>
-  <axis xyz="1 0 0"/><limit lower="-1" upper="1"/></joint>
-<joint name="y" type="prismatic"><parent link="rail"/><child link="ball"/>
-  <axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint>
-<joint name="turn" type="continuous"><parent link="ball"/><child link="rod"/><axis xyz="0 0 1"/></joint>
-</robot>"""
-GROUPS = """<robot name="gantry">
-<group name="slide"><joint name="x"/><joint name="y"/></group><group name="nothing"/>
-<disable_collisions link1="ball" link2="rod"/></robot>"""
 FLOATING = """<robot name="f"><link name="world"/>
 <link name="ball"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
 <link name="arm"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
@@ -55,9 +41,8 @@ def _ompl_is_there():
 
 @pytest.fixture
 def robot(tmp_path):
-    (tmp_path / "gantry.urdf").write_text(GANTRY)
-    (tmp_path / "gantry.srdf").write_text(GROUPS)
-    return Robot.from_urdf(tmp_path / "gantry.urdf", srdf=tmp_path / "gantry.srdf")
+    urdf, srdf = gantry(tmp_path)
+    return Robot.from_urdf(urdf, srdf=srdf)
 
 
 @pytest.fixture
@@ -324,7 +309,7 @@ def test_bounds_are_the_limits(checker):
 
 def test_planning_is_silent_and_frees_all(tmp_path):
     """OMPL writes nothing, and no object of its bindings is left to complain about when the program ends."""
-    (tmp_path / "gantry.urdf").write_text(GANTRY)
+    gantry(tmp_path)
     program = (
         "import loewner; from loewner import planners\n"
         "robot = loewner.Robot.from_urdf('gantry.urdf')\n"

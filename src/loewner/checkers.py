@@ -329,7 +329,7 @@ class CollisionChecker:
         )
 
     def collide_by_pair(self, Q: ArrayLike) -> NDArray[np.bool_]:
-        """Decide exactly which pairs collide at which configurations; `collide` stops at the first pair, and is quicker.
+        """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
 
         Parameters
         ----------
@@ -580,8 +580,8 @@ def pairs_by_sampling(
     -------
     dict
         Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
-        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never checked,
-        and not in it.
+        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
+        checked, and not in it.
 
     Notes
     -----
@@ -595,7 +595,7 @@ def pairs_by_sampling(
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(int(samples), seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
-    overlapping = checker.collide_by_pair(known.reshape(-1, robot.dof)).any(axis=0)
+    overlapping = checker.collide_by_pair(known.reshape(-1, robot.dof)).sum(axis=0).tolist()
     found = {}
     for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
         pair = (min(a, b), max(a, b))
