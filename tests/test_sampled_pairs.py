@@ -99,7 +99,7 @@ def test_bad_options(carousel, options, message):
 
 
 def test_collide_by_pair_is_collide(tmp_path):
-    """Any pair collides where the configuration does; one pair by geometry, all by `pairs`; batches keep their shape."""
+    """Any pair collides where the configuration does; one pair by geometry, all by `pairs`; batches keep shape."""
     urdf, srdf = gantry(tmp_path)
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]))

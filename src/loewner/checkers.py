@@ -384,7 +384,7 @@ class CollisionChecker:
         if batch:
             return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
         return StateDistance(
-            *(float(c[0]) if c.ndim == 1 else tuple(c[0]) if c.dtype.kind == "U" else c[0] for c in columns)
+            *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
         )
 
     # -- inside -------------------------------------------------------------------------------
