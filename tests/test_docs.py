@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from gantry import gantry
+from robot_oracle import robots_folder
+
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
 
@@ -25,12 +28,24 @@ def folder_with_meshes(tmp_path, monkeypatch):
     mesh = trimesh.creation.box((0.1, 0.2, 0.3))
     for name in ("part.stl", "link.stl"):
         mesh.export(tmp_path / name)
+    for path in gantry(tmp_path):
+        path.rename(tmp_path / f"arm{path.suffix}")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md"])
-def test_code_blocks_run(name, folder_with_meshes, capsys):
+@pytest.fixture
+def folder_with_robot(folder_with_meshes):
+    """The same with the Panda arm, where the packages of its meshes are, and a shelf."""
+    robots = robots_folder()
+    for kind in ("urdf", "srdf"):
+        Path(f"panda.{kind}").symlink_to(robots / f"panda_description/{kind}/panda.{kind}")
+    Path("packages").symlink_to(robots.parent)
+    Path("shelf.yaml").write_text("margin: 0.01\nbodies:\n  board: {box: [0.3, 0.8, 0.02], position: [0.65, 0, 0.5]}\n")
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/robots.md"])
+def test_code_blocks_run(name, folder_with_robot, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""
     program = blocks(ROOT / name)
     assert program
