@@ -17,9 +17,11 @@ help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 5
 
 demo: $(VENV)/.demo
+	$(BIN)/python -m loewner compile
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
+	$(BIN)/python -m loewner compile
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests
 
 verify: $(VENV)/.dev

@@ -121,6 +121,9 @@ def _parser() -> argparse.ArgumentParser:
     robot = commands.add_parser("robot", help="a robot: what it is, is it free?", epilog=ROBOT_EXAMPLES, **raw)
     _add_robot_commands(robot.add_subparsers(required=True, metavar="COMMAND"), raw)
 
+    compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
+    compiling.set_defaults(run=_compile)
+
     paper = commands.add_parser("paper", help="the paper's experiment, its tables", epilog=PAPER_EXAMPLES, **raw)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
@@ -165,6 +168,19 @@ def _add_robot_commands(commands: Any, raw: dict[str, Any]) -> None:
     check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
     check.add_argument("--margin", type=float, metavar="M", help="metres to keep from the scene (the scene's own)")
     check.add_argument("--json", action="store_true", help="print JSON")
+
+
+# -- loewner compile ----------------------------------------------------------------------------
+
+
+def _compile(options: argparse.Namespace) -> int:
+    from loewner.compilation import compile_kernels
+
+    with _progress() as bar:
+        task = bar.add_task("compiling", total=None)
+        folder = compile_kernels(lambda done, total: bar.update(task, completed=done, total=total))
+    print(f"compiled into {folder}")
+    return 0
 
 
 # -- loewner fit --------------------------------------------------------------------------------
