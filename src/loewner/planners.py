@@ -55,7 +55,7 @@ def plan(
         A class of ``ompl.geometric``, such as "RRTConnect", "BITstar" or "PRM"; or a function that takes the
         ``SpaceInformation`` and returns a planner, set up as you like.
     timeout : float
-        Seconds to search. Planners that seek a shortest path take all of them.
+        Seconds to search; simplifying comes on top. Planners that seek a shortest path take all of them.
     resolution : float
         Largest Euclidean distance of two configurations that are checked along a motion, in the units of the joints.
     simplify : bool

@@ -142,7 +142,8 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
         curved = any(piece.triangles is None for piece in body.pieces)
         _draw(ax, body, T, COLLIDING if name in touching else colour, curved)
     _frame(ax, np.concatenate([_corners(body, T) for _, body, T, _ in drawn]))
-    ax.set_title(f"colliding, {len(contacts)} pairs" if contacts else "free")
+    pairs = "1 pair" if len(contacts) == 1 else f"{len(contacts)} pairs"
+    ax.set_title(f"colliding, {pairs}" if contacts else "free")
     return ax
 
 
