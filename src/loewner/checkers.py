@@ -6,6 +6,7 @@ kernel walks through (`loewner._kernels.states`). It notices when the scene chan
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -174,12 +175,7 @@ class CollisionChecker:
         skipped = set(robot.disabled_pairs)
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
-        for a, b in allowed:
-            for name in (a, b):
-                if name not in robot.link_names:
-                    raise _check.unknown_name("link", name, robot.link_names)
-            skipped.add((min(a, b), max(a, b)))
-        self._skipped = frozenset(skipped)
+        self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared: _Prepared | None = None
         self._hits: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._seen, self._next_look = 0, FIRST_LOOK
@@ -283,15 +279,15 @@ class CollisionChecker:
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
         if a.ndim == 1 and b.ndim == 1:
-            return self._valid_edge(a, b, _parts(self.robot.distances(a, b), step))
+            return self._valid_edge(a, b, self._parts(a, b, step))
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
             texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
-        shape, dof = a.shape[:-1], self.robot.dof
-        a, b = a.reshape(-1, dof), b.reshape(-1, dof)
-        parts = _parts(self.robot.distances(a, b), step)
+        shape = a.shape[:-1]
+        a, b = _flat(a), _flat(b)
+        parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in _rounds(parts, valid):
             out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
@@ -347,7 +343,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         ready = self._ready()
-        flat = checked.reshape(-1, self.robot.dof)
+        flat = _flat(checked)
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
         for k in range(0, len(flat), BY_PAIR):
             T = self._body_poses(ready, flat[k : k + BY_PAIR])
@@ -376,7 +372,7 @@ class CollisionChecker:
         ready = self._ready()
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
-        flat = checked.reshape(-1, self.robot.dof)
+        flat = _flat(checked)
         each = max(1, AT_ONCE // len(ready.pairs))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
@@ -392,7 +388,7 @@ class CollisionChecker:
     def _settle(self, mode: int, Q: Floats) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
         """Verdict and tier of every configuration."""
         ready = self._ready()
-        flat = Q.reshape(-1, self.robot.dof)
+        flat = _flat(Q)
         total = len(flat)
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
@@ -411,6 +407,17 @@ class CollisionChecker:
             for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
+
+    def _parts(self, a: Floats, b: Floats, step: float) -> Ints:
+        """How many steps motions are divided into."""
+        with np.errstate(over="ignore"):  # told below
+            lengths = self.robot.distances(a, b)
+        longest = float(lengths.max(initial=0.0))
+        if not longest / step <= MOST_STEPS:
+            raise InputError(
+                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+            )
+        return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
     def _valid_edge(self, a: Floats, b: Floats, parts: Ints) -> bool:
         """The same for one motion, by the shortest way."""
@@ -595,7 +602,7 @@ def pairs_by_sampling(
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(int(samples), seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
-    overlapping = checker.collide_by_pair(known.reshape(-1, robot.dof)).sum(axis=0).tolist()
+    overlapping = checker.collide_by_pair(_flat(known)).sum(axis=0).tolist()
     found = {}
     for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
         pair = (min(a, b), max(a, b))
@@ -608,6 +615,11 @@ def pairs_by_sampling(
         elif count == 0:
             found[pair] = "never"
     return dict(sorted(found.items()))
+
+
+def _flat(Q: Floats) -> Floats:
+    """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
+    return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])
 
 
 def _no_distances(exact: bool) -> list[Any]:
@@ -727,16 +739,6 @@ def _corners(packed: Packed, p: int, T: Floats) -> Floats:
 
 
 # -- motions ----------------------------------------------------------------------------------
-
-
-def _parts(lengths: Floats, step: float) -> Ints:
-    """How many steps motions are divided into."""
-    longest = float(lengths.max(initial=0.0))
-    if longest / step > MOST_STEPS:
-        raise InputError(
-            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
-        )
-    return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
 
 def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:

@@ -206,13 +206,31 @@ class Robot:
         pairs : iterable of pairs of str
             For instance what `pairs_by_sampling` returns.
         """
-        more = set()
-        for a, b in pairs:
-            for name in (a, b):
-                if name not in self.link_names:
-                    raise _check.unknown_name("link", name, self.link_names)
-            more.add((min(a, b), max(a, b)))
-        return replace(self, disabled_pairs=self.disabled_pairs | more)
+        return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
+
+    def link_pairs(self, pairs: Iterable[tuple[str, str]], name: str = "pairs") -> frozenset[tuple[str, str]]:
+        """Pairs of two different links of this robot, checked, each sorted by name.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+        name : str
+            What the caller calls them, for messages.
+        """
+        if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+            raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
+        found = set()
+        for pair in pairs:
+            names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+            if len(names) != 2:
+                raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
+            for link in names:
+                if link not in self.link_names:
+                    raise _check.unknown_name("link", link, self.link_names)
+            if names[0] == names[1]:
+                raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
+            found.add((min(names), max(names)))
+        return frozenset(found)
 
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
@@ -365,7 +383,7 @@ class Robot:
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
-        Q = a + at * (b - a)
+        Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions:
             p, q = a[..., quaternion], b[..., quaternion]
             cosine = (p * q).sum(axis=-1, keepdims=True)

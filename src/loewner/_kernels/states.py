@@ -23,7 +23,7 @@ import numpy as np
 
 from loewner._kernels import lanes, trees
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.contact import SHAPE_ROUNDINGS, rotated
+from loewner._kernels.contact import POSITION_ROUNDINGS, SHAPE_ROUNDINGS, rotated
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of, checking_of
 from loewner._kernels.kinematics import POSE, place_links, room
@@ -287,6 +287,12 @@ def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, res
         for r in range(3):
             size += abs(T[kb, r, 3] - T[ka, r, 3])
         p = waiting[n, PAIR_NUMBER]
+        reach = table[i, REACH] + table[j, REACH] + margins[p]
+        widest = max(abs(T[kb, 0, 3] - T[ka, 0, 3]), abs(T[kb, 1, 3] - T[ka, 1, 3]), abs(T[kb, 2, 3] - T[ka, 2, 3]))
+        if widest - POSITION_ROUNDINGS * size > reach:
+            # Far beyond what single precision tells, where the squares of the search overflow.
+            tiers[s] = max(tiers[s], BY_OUTER)
+            continue
         verdict, tier = exact_piece_pair(
             table, layout, points, i, T, ka, table, layout, points, j, T, kb, margins[p], size, N[n, 0], N[n, 1],
             N[n, 2], W, result,
@@ -315,10 +321,6 @@ def _certify(
     mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held, P, result
 ):  # fmt: skip
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
-    if held > WAITING - BLOCK:
-        held = _settle_waiting(
-            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
-        )
     hot, rows, T, L, G, tier, V = (
         borrowed(a[4]), borrowed(rows), borrowed(T), borrowed(L), borrowed(G), borrowed(tier), borrowed(V),
     )  # fmt: skip
@@ -353,6 +355,11 @@ def _certify(
             held += 1
         elif tier[lane] == OPEN:
             _leave(s, verdicts, tiers)
+    # Last of all: it makes lists of its own in L.
+    if held > WAITING - BLOCK:
+        held = _settle_waiting(
+            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
+        )
     return held
 
 
