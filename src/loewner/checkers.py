@@ -38,6 +38,9 @@ AT_LEAST = 64
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
 
+# Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
+BY_PAIR = 1024
+
 # Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 
@@ -136,7 +139,7 @@ class CollisionChecker:
     scene : Scene, optional
         May be changed afterwards; the next query sees it. None: the robot alone.
     allowed : iterable of pairs of str, optional
-        Links that may touch, besides the robot's `disabled_pairs`: for instance the keys of `never_meeting`.
+        Links that may touch, besides the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
     skip_adjacent : bool, optional
         Leave out links that a joint joins, which mostly overlap by design. Default: only if the robot came without an
         SRDF, which usually disables those that must be.
@@ -175,7 +178,7 @@ class CollisionChecker:
         skipped = set(robot.disabled_pairs)
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
-        self._skipped = frozenset(skipped) | _link_pairs(allowed, robot)
+        self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared: _Prepared | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
@@ -323,6 +326,34 @@ class CollisionChecker:
             Contact(*pair, d.distance, d.witness_a, d.witness_b, d.normal) for pair, d in zip(names, found, strict=True)
         )
 
+    def collide_by_pair(self, Q: ArrayLike) -> NDArray[np.bool_]:
+        """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        ndarray of bool, shape (..., pairs)
+            Pairs as `checked_pairs`.
+
+        Raises
+        ------
+        InputError, UnknownNameError, ConvergenceError
+            As for `collide`.
+        """
+        checked = self.robot.checked(Q)
+        ready = self._ready()
+        flat = _flat(checked)
+        out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
+        for k in range(0, len(flat), BY_PAIR):
+            T = self._body_poses(ready, flat[k : k + BY_PAIR])
+            for p, (a, b) in enumerate(ready.pairs.tolist()):
+                one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
+                out[k : k + BY_PAIR, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
+        return out.reshape(*checked.shape[:-1], len(ready.pairs))
+
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
         """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
 
@@ -351,7 +382,7 @@ class CollisionChecker:
         if batch:
             return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
         return StateDistance(
-            *(float(c[0]) if c.ndim == 1 else tuple(c[0]) if c.dtype.kind == "U" else c[0] for c in columns)
+            *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
         )
 
     # -- inside -------------------------------------------------------------------------------
@@ -536,22 +567,61 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
-def _link_pairs(pairs: Iterable[Pair], robot: Robot) -> frozenset[Pair]:
-    """Pairs of two different links each, sorted by name."""
-    if isinstance(pairs, str) or not isinstance(pairs, Iterable):
-        raise InputError(f"allowed: expected pairs of names of links, found {pairs!r}")
-    found = set()
-    for pair in pairs:
-        names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
-        if len(names) != 2:
-            raise InputError(f"allowed: expected pairs of names of links, found {pair!r} among them")
-        for name in names:
-            if name not in robot.link_names:
-                raise _check.unknown_name("link", name, robot.link_names)
-        if names[0] == names[1]:
-            raise InputError(f"allowed: expected two links, found {names[0]!r} twice")
-        found.add((min(names), max(names)))
-    return frozenset(found)
+def pairs_by_sampling(
+    robot: Robot,
+    samples: int = 10_000,
+    seed: int = 0,
+    *,
+    known_free: ArrayLike | None = None,
+    always: float = 0.95,
+) -> dict[Pair, str]:
+    """Pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant finds them.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its `disabled_pairs` are not looked at.
+    samples : int
+        Random configurations within the limits, see `Robot.random_configurations`.
+    seed : int
+    known_free : array_like, shape (..., dof), optional
+        Configurations that the robot is known to be free at, such as one that it stands in: what collides there does so
+        because its bodies are larger than the links.
+    always : float
+        Share of the samples, above 0 and up to 1, from which on two links count as always colliding.
+
+    Returns
+    -------
+    dict
+        Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
+        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
+        checked, and not in it.
+
+    Notes
+    -----
+    "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
+    samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+    """
+    if not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise InputError(f"samples: expected an integer >= 1, found {samples!r}")
+    if not 0 < _check.positive_scalar(always, "always") <= 1:
+        raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
+    counts = checker.collide_by_pair(robot.random_configurations(int(samples), seed)).sum(axis=0)
+    known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
+    overlapping = checker.collide_by_pair(_flat(known)).sum(axis=0).tolist()
+    found = {}
+    for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
+        pair = (min(a, b), max(a, b))
+        if pair in robot.adjacent_pairs:
+            found[pair] = "adjacent"
+        elif overlaps:
+            found[pair] = "default"
+        elif count >= always * samples:
+            found[pair] = "always"
+        elif count == 0:
+            found[pair] = "never"
+    return dict(sorted(found.items()))
 
 
 def _flat(Q: Floats) -> Floats:

@@ -198,6 +198,40 @@ class Robot:
         constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
         return replace(self, tree=(*self.tree[:5], constants))
 
+    def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+        """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+            For instance what `pairs_by_sampling` returns.
+        """
+        return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
+
+    def link_pairs(self, pairs: Iterable[tuple[str, str]], name: str = "pairs") -> frozenset[tuple[str, str]]:
+        """Pairs of two different links of this robot, checked, each sorted by name.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+        name : str
+            What the caller calls them, for messages.
+        """
+        if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+            raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
+        found = set()
+        for pair in pairs:
+            names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+            if len(names) != 2:
+                raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
+            for link in names:
+                if link not in self.link_names:
+                    raise _check.unknown_name("link", link, self.link_names)
+            if names[0] == names[1]:
+                raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
+            found.add((min(names), max(names)))
+        return frozenset(found)
+
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
 
