@@ -47,6 +47,10 @@ STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
 
+# Of the arrays that the kernel takes (`handles.checking_of`): the order of pairs, and the first of the three about bodies
+# that stand still, which change with their poses.
+ORDER, STANDING = 10, 11
+
 _OPEN = int(Verdict.AMBIGUOUS)
 _NO_FRACTIONS = np.empty(0)
 
@@ -665,29 +669,36 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     packed, first = ready.bodies._packed, ready.moving
     poses = scene.static_poses
     start = packed.piece_start[first:]
-    rows = np.empty((start[-1] - start[0], shapes.HOT))
-    standing = np.zeros((len(poses), states.BOUNDS))
-    for k, T in enumerate(poses):
+    flat = np.ascontiguousarray(poses.reshape(-1, 16))
+    if len(ready.arrays) > STANDING:
+        # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
+        standing, rows = (array.copy() for array in ready.arrays[STANDING : STANDING + 2])
+        moved = np.flatnonzero((flat != ready.arrays[STANDING + 2]).any(axis=1))
+    else:
+        standing = np.zeros((len(poses), states.BOUNDS), dtype=np.float32)
+        rows = np.empty((start[-1] - start[0], shapes.HOT), dtype=np.float32)
+        moved = np.arange(len(poses))
+    for k in moved:
+        T = poses[k]
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
         for p in range(start[k], start[k + 1]):
             row = _placed_row(packed.kernel[4][p], T)
-            rows[p - start[0]] = row
+            rows[p - start[0]] = _single(row)
             least, most = _box(packed, p, T, row)
             lower, upper = np.minimum(lower, least), np.maximum(upper, most)
         reach = packed.kernel[0][start[k] : start[k + 1], shapes.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
         off = 2 * states.OFF * reach + states.LEAST
         center, half = (lower + upper) / 2, (upper - lower) / 2 + off
         ball = max((_far_from(packed, p, T, center) for p in range(start[k], start[k + 1])), default=0.0)
-        standing[k, :7] = *center, (min(ball, float(np.linalg.norm(half))) + off) * STRETCH, *(half * STRETCH)
-    arrays = (
-        *ready.arrays[:11], _single(standing), _single(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
-    )  # fmt: skip
-    return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
+        wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
+        standing[k, :7] = _single(np.array((*center, wide, *(half * STRETCH))))
+    now = replace(ready, version=scene.version, structure_version=scene.structure_version)
+    return _with_arrays(now, (*ready.arrays[:STANDING], standing, rows, flat))
 
 
 def _ordered(ready: _Prepared) -> _Prepared:
     """The same with the pairs that hit most often first."""
-    arrays = (*ready.arrays[:10], np.argsort(-ready.hits, kind="stable"), *ready.arrays[11:])
+    arrays = (*ready.arrays[:ORDER], np.argsort(-ready.hits, kind="stable"), *ready.arrays[ORDER + 1 :])
     return _with_arrays(ready, arrays)
 
 
@@ -696,18 +707,19 @@ def _with_arrays(ready: _Prepared, arrays: tuple[Any, ...]) -> _Prepared:
     return replace(ready, arrays=arrays, table=table, handle=table.ctypes.data)
 
 
+# Entries of a symmetric matrix in the order of the kernels, and back.
+_UPPER = np.triu_indices(3)
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
 def _placed_row(hot: Floats, T: Floats) -> Floats:
     """The ellipsoids of a piece in world coordinates, as a row of the certificate."""
     R, t = T[:3, :3], T[:3, 3]
     row = hot.copy()
     for at in (shapes.OUTER_CENTER, shapes.INNER_CENTER):
         row[at : at + 3] = R @ hot[at : at + 3] + t
-    upper = np.triu_indices(3)
     for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
-        Q = np.zeros((3, 3))
-        Q[upper] = hot[at : at + 6]
-        Q = R @ (Q + np.triu(Q, 1).T) @ R.T
-        row[at : at + 6] = Q[upper]
+        row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
     row[shapes.REACH] += np.abs(t).sum()
     row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
     return row

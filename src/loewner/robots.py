@@ -282,9 +282,9 @@ class Robot:
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        # One product is quicker than a look at each entry, and finite unless one of them is huge.
-        quick = array.ndim == 1 and math.isfinite(array.dot(array))
-        if not (quick or np.isfinite(array).all()):
+        # NumPy takes longer to start than a single configuration has entries.
+        finite = all(map(math.isfinite, array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
+        if not finite:
             *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
             where = f"{name}[{', '.join(map(str, row))}]" if row else name
             found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
