@@ -47,8 +47,8 @@ STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
 
-# Of the arrays that the kernel takes (`handles.checking_of`): the order of pairs, and the first of the three about bodies
-# that stand still, which change with their poses.
+# Of the arrays that the kernel takes (`handles.checking_of`): the order of pairs; and the first of the three about
+# bodies that stand still, which change with their poses.
 ORDER, STANDING = 10, 11
 
 _OPEN = int(Verdict.AMBIGUOUS)
