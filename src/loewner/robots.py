@@ -276,15 +276,17 @@ class Robot:
         ndarray, shape (..., dof)
             `Q` itself where it can be.
         """
+        if type(Q) is np.ndarray and Q.shape == (self.dof,) and Q.dtype == np.float64 and self.runs_straight:
+            # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
+            if Q.flags.carray and all(map(math.isfinite, Q.tolist())):
+                return Q
         array = _check.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
             raise InputError(
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        # NumPy takes longer to start than a single configuration has entries.
-        finite = all(map(math.isfinite, array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
-        if not finite:
+        if not np.isfinite(array).all():
             *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
             where = f"{name}[{', '.join(map(str, row))}]" if row else name
             found = f"{array[(*row, column)]} for {self.configuration_names[column]}"

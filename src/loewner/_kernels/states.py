@@ -179,6 +179,17 @@ def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T,
 
 
 @inline
+def _stand(S, moving, moving_pieces, poses, ellipsoids, T, rows):
+    """Write what stands still behind what moves in a block of S configurations."""
+    for k in range(len(poses)):
+        for entry in range(16):
+            T[moving * S + k, entry // 4, entry % 4] = poses[k, entry]
+    for k in range(len(ellipsoids)):
+        for entry in range(HOT):
+            rows[moving_pieces * S + k, entry] = ellipsoids[k, entry]
+
+
+@inline
 def _near(a, b, keep, live):
     """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -398,18 +409,16 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
     piece_start = a[3]
     moving_pieces = piece_start[moving]
     moves = fractions.size > 0
+    most = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
     # A motion that collides mostly does so at one of its first configurations.
-    S = np.int64(SINGLE_LANES if moves or stop - start <= SINGLE_LANES else MOST)
-    way = np.empty((SINGLE_LANES if moves else 0, Q.shape[1]))
+    S = np.int64(SINGLE_LANES if moves else most)
+    way = np.empty((most if moves else 0, Q.shape[1]))
     numbers = np.empty(LANES, np.int64)
     W = np.empty(room(len(tree[0]), Q.shape[1]))
-    T = np.empty((moving * S + still, 4, 4))
-    rows = np.empty((moving_pieces * S + len(standing_rows), HOT), np.float32)
-    bounds = np.empty(moving * BOUNDS * S, np.float32)
-    for k in range(still):
-        for entry in range(16):
-            T[moving * S + k, entry // 4, entry % 4] = standing_poses[k, entry]
-    rows[moving_pieces * S :] = standing_rows
+    T = np.empty((moving * most + still, 4, 4))
+    rows = np.empty((moving_pieces * most + len(standing_rows), HOT), np.float32)
+    bounds = np.empty(moving * BOUNDS * most, np.float32)
+    _stand(S, moving, moving_pieces, standing_poses, standing_rows, T, rows)
 
     L = np.empty(LISTS * BLOCK, np.int64)
     G = np.empty(2 * BLOCK, np.int64)
@@ -426,13 +435,14 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
     found_b = np.empty(BLOCK, np.int64)
     P = scratch()
     result = np.empty(9)
-    for first in range(start, stop, S):
+    first = np.int64(start)
+    while first < stop:
         last = min(first + S, stop) - 1
         for k in range(first, last + 1 if moves else first):
             for c in range(Q.shape[1]):
                 straight = Q[0, c] + fractions[k] * (Q[1, c] - Q[0, c])
                 way[k - first, c] = straight if fractions[k] != 1.0 else Q[1, c]
-        at = np.int64(0) if moves else np.int64(first)
+        at = np.int64(0) if moves else first
         _place(
             tree, way if moves else Q, at, at + (last - first), S, link, ball, piece_start, a[4], W, numbers, T, rows,
             bounds,
@@ -510,4 +520,8 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
             for s in range(last + 1 - first):
                 if verdicts[s] == COLLIDING:
                     return last + 1
+        first += S
+        if most > S:
+            S = most
+            _stand(S, moving, moving_pieces, standing_poses, standing_rows, T, rows)
     return stop
