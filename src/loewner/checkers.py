@@ -311,19 +311,13 @@ class CollisionChecker:
         if checked.ndim != 1:
             raise InputError(f"q: expected one configuration, shape ({self.robot.dof},), found {checked.shape}")
         ready = self._ready()
-        T = self._body_poses(ready, checked[None])[0]
-        names, found = [], []
-        for p, (a, b) in enumerate(ready.pairs):
-            one, other = ready.bodies[int(a)], ready.bodies[int(b)]
-            margin = float(ready.margins[p])
-            if queries.classify(one, T[a], other, T[b], margin=margin) == Verdict.FREE:
-                continue
-            if queries.collide(one, T[a], other, T[b], margin=margin):
-                names.append((ready.names[a], ready.names[b]))
-                found.append(queries.distance(one, T[a], other, T[b], exact=True))
-        return tuple(
-            Contact(*pair, d.distance, d.witness_a, d.witness_b, d.normal) for pair, d in zip(names, found, strict=True)
-        )
+        T, meet = self._body_poses(ready, checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
+        for margin in np.unique(ready.margins):
+            at = ready.margins == margin
+            meet[at] = queries.collide(ready.bodies, T, ready.bodies, T, margin=float(margin), pairs=ready.pairs[at])
+        a, b = ready.pairs[meet].T
+        found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
+        return Contact.from_distances(((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True)), found)
 
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
         """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
@@ -435,6 +429,7 @@ class CollisionChecker:
 
     def _prepare(self) -> _Prepared:
         robot, scene = self.robot, self.scene
+        version, structure_version = scene.version, scene.structure_version
         self._check_names()
         links = {name: k for k, name in enumerate(robot.link_names)}
         attached = scene.attachments
@@ -463,7 +458,7 @@ class CollisionChecker:
             np.arange(len(pairs)),
         )  # fmt: skip
         ready = _Prepared(
-            scene.version, scene.structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
+            version, structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
             np.zeros(0, dtype=np.int64),
         )  # fmt: skip
         return _with_poses(ready, scene)
@@ -555,6 +550,8 @@ def _farthest(bodies: Bodies, p: int, center: Floats) -> float:
 
 def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     """The same with the bodies that stand still where the scene has them now."""
+    # Read before the poses: whatever another thread moves meanwhile is then noticed the next time.
+    version = scene.version
     packed, first = ready.bodies._packed, ready.moving
     poses = scene.static_poses
     start = packed.piece_start[first:]
@@ -575,7 +572,7 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     arrays = (
         *ready.arrays[:11], _single(standing), _single(rows), np.ascontiguousarray(poses.reshape(-1, 16)),
     )  # fmt: skip
-    return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
+    return _with_arrays(replace(ready, version=version), arrays)
 
 
 def _ordered(ready: _Prepared, hits: NDArray[np.int64]) -> _Prepared:
