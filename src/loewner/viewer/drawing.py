@@ -144,8 +144,10 @@ def _curved(kind: str, rounding: float, center: Floats, factor: Floats) -> Mesh:
     unit, triangles = ball(3)
     if kind == "ellipsoid":
         return unit @ factor.T + center, triangles
-    axis = factor[:, 2] if kind == "capsule" else np.zeros(3)
-    return rounding * unit + np.where(unit @ axis >= 0, 1.0, -1.0)[:, None] * axis + center, triangles
+    lengths = np.linalg.norm(factor, axis=0)
+    half = lengths[2] if kind == "capsule" else 0.0
+    core = np.where(unit[:, 2:] >= 0, half, -half) * [0.0, 0.0, 1.0]
+    return (rounding * unit + core) @ (factor / lengths).T + center, triangles
 
 
 def _cylinder(top: float) -> Mesh:
