@@ -29,7 +29,7 @@ def folder_with_meshes(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/viewer.md"])
 def test_code_blocks_run(name, folder_with_meshes, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""
     program = blocks(ROOT / name)

@@ -3,6 +3,7 @@
 import os
 import shutil
 import socket
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import loewner
-from loewner import Body, CollisionChecker, Robot, Scene, Verdict, viewer
+from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, viewer
 from loewner.viewer import drawing
 
 REQUIRED = os.environ.get("LOEWNER_BROWSER") == "required"
@@ -279,6 +280,32 @@ def test_nothing_to_check(tmp_path):
         viewer.show_robot(CollisionChecker(Robot.from_urdf(path)))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["part.npz"], "view: expected two bodies, A and B, or --robot URDF"),
+        (["part.npz", "part.npz", "--scene", "empty.yaml"], "expected --srdf and --scene beside --robot"),
+        (["part.npz", "--robot", "arm.urdf"], "expected no A and B beside --robot"),
+        (["--robot", "arm.urdf", "--scene", "empty.yaml"], "empty.yaml: expected a scene with bodies, found none"),
+        (["--robot", "broken.urdf"], "broken.urdf, line 1: expected a URDF"),
+        (["--robot", "none.urdf"], "none.urdf: expected"),
+        (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
+        (["part.npz", "nothing.npz"], "nothing.npz: expected a file"),
+    ],
+    ids=lambda value: value[:24] if isinstance(value, str) else "",
+)
+def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, monkeypatch, capsys):
+    """Bad input ends with status 2 and one line, before any page is opened."""
+    monkeypatch.chdir(tmp_path)
+    Body.box([1, 1, 1]).save("part.npz")
+    Path("empty.yaml").write_text("bodies: {}\n")
+    Path("broken.urdf").write_text("<robot")
+    assert cli.main(["view", *arguments, "--no-browser"]) == cli.ERROR
+    captured = capsys.readouterr()
+    assert expected in captured.err
+    assert captured.out == ""
+
+
 def test_close_twice_and_free_the_port():
     page = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)
     port = page.server.get_port()
@@ -375,8 +402,6 @@ def test_robot_in_the_browser(tab, arm):
 
 def test_command_line_serves_a_page(tab, tmp_path):
     """`loewner view A B` prints an address, and the browser finds the verdict there."""
-    import subprocess
-
     paths = [tmp_path / "a.npz", tmp_path / "b.npz"]
     for path in paths:
         Body.box([1, 1, 1]).save(path)

@@ -178,6 +178,7 @@ class CollisionChecker:
             skipped.add((min(a, b), max(a, b)))
         self._skipped = frozenset(skipped)
         self._prepared: _Prepared | None = None
+        self._sides: tuple[Bodies, Bodies, Bodies] | None = None
         self._hits: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._seen, self._next_look = 0, FIRST_LOOK
 
@@ -494,7 +495,11 @@ class CollisionChecker:
         """Columns of a `StateDistance` for some configurations."""
         T = self._body_poses(ready, Q)
         a, b = ready.pairs[:, 0], ready.pairs[:, 1]
-        bounds = queries.distance(ready.bodies[a], T[:, a], ready.bodies[b], T[:, b])
+        sides = self._sides
+        if sides is None or sides[0] is not ready.bodies:
+            # Kept, for packing the bodies of all pairs takes longer than asking about them once.
+            self._sides = sides = ready.bodies, ready.bodies[a], ready.bodies[b]
+        bounds = queries.distance(sides[1], T[:, a], sides[2], T[:, b])
         lower, upper = bounds.lower.min(axis=1), bounds.upper.min(axis=1)
         if not exact:
             return lower, upper

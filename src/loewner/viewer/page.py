@@ -55,6 +55,7 @@ class Viewer:
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="loewner viewer", daemon=True)
         self.server.scene.set_up_direction("+z")
+        self.server.scene.configure_default_lights(cast_shadow=False)  # they would cost a second drawing of everything
         self._verdict = self.server.gui.add_html("")
         try:
             self._build()
@@ -240,10 +241,11 @@ def one_pose(T: Any, name: str) -> Floats:
 
 
 def aim(server: Any, low: Floats, high: Floats) -> None:
-    """Let the camera start where it sees a box, from the front, the right and above."""
-    middle, size = (low + high) / 2, float(np.linalg.norm(high - low))
+    """Let the camera start where it sees a box, from the front, the right and above, left of the panel."""
+    size = float(np.linalg.norm(high - low))
+    middle = (low + high) / 2 + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
-    server.initial_camera.position = middle + size * np.array([0.55, -0.85, 0.45])
+    server.initial_camera.position = middle + size * np.array([0.43, -0.66, 0.35])
     server.initial_camera.near, server.initial_camera.far = size * 1e-3, size * 1e3
 
 
