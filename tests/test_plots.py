@@ -6,7 +6,7 @@ from matplotlib.colors import to_rgb
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from gantry import gantry
-from loewner import Body, CollisionChecker, InputError, Robot, Scene, plots
+from loewner import Body, CollisionChecker, InputError, Robot, Scene, distance, plots
 
 
 @pytest.fixture
@@ -60,3 +60,18 @@ def test_all_of_it_is_in_the_frame(checker):
 def test_one_configuration_only(checker):
     with pytest.raises(InputError, match=r"q: expected one configuration, shape \(3,\)"):
         plots.configuration(checker, np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("x", [1.5, 0.25])
+def test_near_points_of_a_pair(x):
+    """The line drawn joins the exact near points, or the ends of the depth; the legend says which and how far."""
+    a, b, T = Body.box([1, 1, 1]), Body.sphere(0.25), np.eye(4)
+    T[0, 3] = x
+    ax = plots.pair(a, None, b, T)
+    found = distance(a, None, b, T, exact=True)
+    (line,) = ax.get_lines()
+    np.testing.assert_allclose(np.array(line.get_data_3d()).T, [found.witness_a, found.witness_b])
+    assert f"{'distance' if x > 1 else 'depth'} {abs(found.distance):.4g} m" in [
+        text.get_text() for text in ax.get_legend().get_texts()
+    ]
+    assert not plots.pair(a, None, b, T, near=False).get_lines()

@@ -184,6 +184,7 @@ class CollisionChecker:
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared: _Prepared | None = None
+        self._sides: tuple[Bodies, Bodies, Bodies] | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __repr__(self) -> str:
@@ -316,19 +317,13 @@ class CollisionChecker:
         if checked.ndim != 1:
             raise InputError(f"q: expected one configuration, shape ({self.robot.dof},), found {checked.shape}")
         ready = self._ready()
-        T = self._body_poses(ready, checked[None])[0]
-        names, found = [], []
-        for p, (a, b) in enumerate(ready.pairs):
-            one, other = ready.bodies[int(a)], ready.bodies[int(b)]
-            margin = float(ready.margins[p])
-            if queries.classify(one, T[a], other, T[b], margin=margin) == Verdict.FREE:
-                continue
-            if queries.collide(one, T[a], other, T[b], margin=margin):
-                names.append((ready.names[a], ready.names[b]))
-                found.append(queries.distance(one, T[a], other, T[b], exact=True))
-        return tuple(
-            Contact(*pair, d.distance, d.witness_a, d.witness_b, d.normal) for pair, d in zip(names, found, strict=True)
-        )
+        T, meet = self._body_poses(ready, checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
+        for margin in np.unique(ready.margins):
+            at = ready.margins == margin
+            meet[at] = queries.collide(ready.bodies, T, ready.bodies, T, margin=float(margin), pairs=ready.pairs[at])
+        a, b = ready.pairs[meet].T
+        found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
+        return Contact.from_distances(((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True)), found)
 
     def collide_by_pair(self, Q: ArrayLike) -> NDArray[np.bool_]:
         """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
@@ -484,6 +479,7 @@ class CollisionChecker:
 
     def _prepare(self) -> _Prepared:
         robot, scene = self.robot, self.scene
+        version, structure_version = scene.version, scene.structure_version
         self._check_names()
         links = {name: k for k, name in enumerate(robot.link_names)}
         attached = scene.attachments
@@ -512,7 +508,7 @@ class CollisionChecker:
             np.arange(len(pairs)),
         )  # fmt: skip
         ready = _Prepared(
-            scene.version, scene.structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
+            version, structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
             np.zeros(len(pairs), dtype=np.int64), np.zeros(0, dtype=np.int64),
         )  # fmt: skip
         return _with_poses(ready, scene)
@@ -548,7 +544,11 @@ class CollisionChecker:
         """Columns of a `StateDistance` for some configurations."""
         T = self._body_poses(ready, Q)
         a, b = ready.pairs[:, 0], ready.pairs[:, 1]
-        bounds = queries.distance(ready.bodies[a], T[:, a], ready.bodies[b], T[:, b])
+        sides = self._sides
+        if sides is None or sides[0] is not ready.bodies:
+            # Kept, for packing the bodies of all pairs takes longer than asking about them once.
+            self._sides = sides = ready.bodies, ready.bodies[a], ready.bodies[b]
+        bounds = queries.distance(sides[1], T[:, a], sides[2], T[:, b])
         lower, upper = bounds.lower.min(axis=1), bounds.upper.min(axis=1)
         if not exact:
             return lower, upper
@@ -666,6 +666,8 @@ def _farthest(bodies: Bodies, p: int, center: Floats) -> float:
 
 def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     """The same with the bodies that stand still where the scene has them now."""
+    # Read before the poses: whatever another thread moves meanwhile is then noticed the next time.
+    version = scene.version
     packed, first = ready.bodies._packed, ready.moving
     poses = scene.static_poses
     start = packed.piece_start[first:]
@@ -692,7 +694,7 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
         ball = max((_far_from(packed, p, T, center) for p in range(start[k], start[k + 1])), default=0.0)
         wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
         standing[k, :7] = _single(np.array((*center, wide, *(half * STRETCH))))
-    now = replace(ready, version=scene.version, structure_version=scene.structure_version)
+    now = replace(ready, version=version)
     return _with_arrays(now, (*ready.arrays[:STANDING], standing, rows, flat))
 
 

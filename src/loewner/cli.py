@@ -16,6 +16,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,12 @@ CHECK_EXAMPLES = """examples:
 poses: "x y z" in metres, "x y z qw qx qy qz" (quaternion in the order wxyz), or a 4x4 matrix in a .npy or .txt file
 
 exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (--method certified only)
+"""
+VIEW_EXAMPLES = """examples:
+  loewner view arm.npz table.stl --pose-b "0.5 0 0"
+  loewner view --robot panda.urdf --srdf panda.srdf --scene kitchen.yaml --package-dir robots
+
+The page is served on this machine, at the address that is printed; Ctrl+C closes it.
 """
 ROBOT_EXAMPLES = """examples:
   loewner robot info panda.urdf --srdf panda.srdf
@@ -121,6 +128,22 @@ def _parser() -> argparse.ArgumentParser:
     robot = commands.add_parser("robot", help="a robot: what it is, is it free?", epilog=ROBOT_EXAMPLES, **raw)
     _add_robot_commands(robot.add_subparsers(required=True, metavar="COMMAND"), raw)
 
+    view = commands.add_parser("view", help="two bodies, or a robot, in the browser", epilog=VIEW_EXAMPLES, **raw)
+    view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
+    view.add_argument("b", metavar="B", type=Path, nargs="?")
+    view.add_argument("--pose-a", metavar="POSE", help="where A is at first (the origin); as in loewner check")
+    view.add_argument("--pose-b", metavar="POSE", help="where B is at first (beside A)")
+    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres that A and B keep (0)")
+    view.add_argument("--robot", dest="urdf", metavar="URDF", type=Path, help="a robot instead of two bodies")
+    view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
+    view.add_argument("--scene", metavar="YAML", type=Path, help="what stands around it (docs/scenes.md)")
+    view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
+    view.add_argument("--decompose", action="store_true", help="split meshes of the robot that are not convex")
+    view.add_argument("--port", type=int, default=0, help="default: any that is free")
+    view.add_argument("--no-browser", action="store_true", help="only print the address")
+    _add_mesh_options(view)
+    view.set_defaults(run=_view)
+
     compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
     compiling.set_defaults(run=_compile)
 
@@ -168,6 +191,50 @@ def _add_robot_commands(commands: Any, raw: dict[str, Any]) -> None:
     check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
     check.add_argument("--margin", type=float, metavar="M", help="metres to keep from the scene (the scene's own)")
     check.add_argument("--json", action="store_true", help="print JSON")
+
+
+# -- loewner view -------------------------------------------------------------------------------
+
+
+def _view(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    answer = sys.stdout
+    with redirect_stdout(sys.stderr):  # where viser's greetings belong
+        page = _view_robot(options) if options.urdf is not None else _view_pair(options)
+        print(f"{page.url}  (Ctrl+C closes it)", file=answer, flush=True)
+        if not options.no_browser:
+            webbrowser.open(page.url)
+        page.wait()
+    return 0
+
+
+def _view_pair(options: argparse.Namespace) -> Any:
+    from loewner import viewer
+
+    if options.a is None or options.b is None:
+        raise InputError("view: expected two bodies, A and B, or --robot URDF")
+    if options.srdf is not None or options.scene is not None:
+        raise InputError("view: expected --srdf and --scene beside --robot, found them without")
+    Ta, Tb = _pose(options.pose_a, "--pose-a"), _pose(options.pose_b, "--pose-b")
+    a, b = _body(options.a, options), _body(options.b, options)
+    if Tb is None:
+        Tb = np.eye(4) if Ta is None else Ta.copy()
+        Tb[0, 3] += a.outer.bounding_box()[1][:, 0].max() - b.outer.bounding_box()[0][:, 0].min()
+    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, port=options.port)
+
+
+def _view_robot(options: argparse.Namespace) -> Any:
+    from loewner import viewer
+
+    if options.a is not None:
+        raise InputError(f"view: expected no A and B beside --robot, found {options.a}")
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    if scene is not None and len(scene) == 0:
+        raise InputError(
+            f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
+        )
+    return viewer.show_robot(loewner.CollisionChecker(_robot(options), scene), port=options.port)
 
 
 # -- loewner compile ----------------------------------------------------------------------------
@@ -239,10 +306,7 @@ def _make_folder(folder: Path) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     Ta, Tb = _pose(options.pose_a, "--pose-a"), _pose(options.pose_b, "--pose-b")
-    a, b = (
-        loewner.Body.load(path) if path.suffix.lower() == ".npz" else _from_mesh(path, options)
-        for path in (options.a, options.b)
-    )
+    a, b = _body(options.a, options), _body(options.b, options)
     certified = loewner.classify(a, Ta, b, Tb, margin=options.margin)
     found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
     verdict = certified
@@ -301,6 +365,10 @@ def _print_answer(
 
 def _numbers(vector: Floats) -> str:
     return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)
+
+
+def _body(path: Path, options: argparse.Namespace) -> loewner.Body:
+    return loewner.Body.load(path) if path.suffix.lower() == ".npz" else _from_mesh(path, options)
 
 
 def _from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:

@@ -15,10 +15,11 @@ from loewner._files import replacing
 from loewner.bodies import Body
 from loewner.checkers import CollisionChecker
 from loewner.errors import FileError, InputError, MissingExtraError
-from loewner.queries import Verdict, classify, collide
+from loewner.queries import Verdict, classify, collide, distance
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
+NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
 
 
@@ -69,6 +70,7 @@ def pair(
     *,
     ax: Any = None,
     ellipsoids: bool = True,
+    near: bool = True,
 ) -> Any:
     """Draw two bodies with their ellipsoids; the title is the certified verdict, and the exact one if ambiguous.
 
@@ -78,6 +80,8 @@ def pair(
     T_world_a, T_world_b : array_like, shape (4, 4), or None
     ax : matplotlib 3-D axes, optional
     ellipsoids : bool
+    near : bool
+        Draw the near points as well, or the ends of the depth, and the line between them.
 
     Returns
     -------
@@ -85,6 +89,8 @@ def pair(
 
     Raises
     ------
+    ConvergenceError
+        If the near points could not be settled.
     MissingExtraError
         If matplotlib is not installed.
     """
@@ -104,7 +110,13 @@ def pair(
     if verdict == Verdict.AMBIGUOUS:
         title += ", exact: " + ("colliding" if collide(a, Ta, b, Tb) else "free")
     ax.set_title(title)
-    _legend(ax, [("a", COLOURS[0]), ("b", COLOURS[1])] + ([("inner", INNER), ("outer", OUTER)] if ellipsoids else []))
+    entries = [("a", COLOURS[0]), ("b", COLOURS[1])] + ([("inner", INNER), ("outer", OUTER)] if ellipsoids else [])
+    if near:
+        found = distance(a, Ta, b, Tb, exact=True)
+        ax.plot(*np.array([found.witness_a, found.witness_b]).T, color=NEAR, marker="o", markersize=4, zorder=10)
+        what = "distance" if found.distance >= 0 else "depth"
+        entries.append((f"{what} {abs(found.distance):.4g} m", NEAR))
+    _legend(ax, entries)
     return ax
 
 

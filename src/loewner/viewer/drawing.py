@@ -1,0 +1,174 @@
+"""Bodies as triangles: their pieces and ellipsoids, each sent to the page once."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from loewner._check import Floats
+from loewner.bodies import Body
+from loewner.queries import Verdict
+
+Mesh = tuple[Floats, NDArray[np.int64]]
+Rgb = tuple[int, int, int]
+
+# Told apart by the colour-blind too; the name of the verdict is always written beside its colour.
+VERDICT_COLOURS: dict[Verdict, Rgb] = {
+    Verdict.FREE: (34, 136, 51),
+    Verdict.AMBIGUOUS: (221, 170, 51),
+    Verdict.COLLIDING: (204, 51, 68),
+}
+INNER, OUTER = (68, 119, 170), (119, 119, 119)
+
+LABELS = {"pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
+LAYERS = tuple(LABELS)
+
+# How much of what is behind shows: through a piece with its inner ellipsoid on, and through an outer ellipsoid.
+PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
+
+# Bodies of more pieces than this are drawn with coarser ellipsoids: 320 instead of 1280 triangles each.
+MANY_PIECES = 16
+
+# Corners of the circles of cylinders and cones.
+SEGMENTS = 48
+
+
+class Drawing:
+    """The nodes that show one body below a node of the page's scene.
+
+    Parameters
+    ----------
+    scene
+        The scene of viser's server.
+    parent : str
+        Name of the node that carries the body's pose.
+    body : Body
+    colour : tuple of int
+        Of the pieces.
+    shown : dict
+        Which layers show, by their names.
+    """
+
+    def __init__(self, scene: Any, parent: str, body: Body, colour: Rgb, shown: dict[str, bool]) -> None:
+        self._colour = colour
+        self._nodes: dict[str, Any] = {}
+        made = {"pieces": pieces(body), "inner": ellipsoids(body, "inner"), "outer": ellipsoids(body, "outer")}
+        looks: dict[str, dict[str, Any]] = {
+            "pieces": {"color": colour, "flat_shading": True, "side": "double"},
+            "inner": {"color": INNER},
+            # Its far side only: the near side would hide what is drawn after it, though it can be seen through.
+            "outer": {"color": OUTER, "opacity": OUTER_OPACITY, "side": "back"},
+        }
+        for layer, (vertices, triangles) in made.items():
+            if len(triangles):
+                self._nodes[layer] = scene.add_mesh_simple(
+                    f"{parent}/{layer}", vertices.astype(np.float32), triangles.astype(np.uint32),
+                    cast_shadow=False, receive_shadow=False, **looks[layer],
+                )  # fmt: skip
+        self.show(shown)
+
+    @property
+    def colour(self) -> Rgb:
+        """Colour of the pieces."""
+        return self._colour
+
+    @colour.setter
+    def colour(self, colour: Rgb) -> None:
+        if colour != self._colour and "pieces" in self._nodes:
+            self._nodes["pieces"].color = colour
+        self._colour = colour
+
+    def show(self, shown: dict[str, bool]) -> None:
+        """Switch layers on and off; pieces let their inner ellipsoids shine through."""
+        for layer, node in self._nodes.items():
+            node.visible = shown[layer]
+        if "pieces" in self._nodes:
+            self._nodes["pieces"].opacity = PIECE_OPACITY if shown["inner"] else None
+
+    def on_click(self, callback: Any) -> None:
+        """Call back when the body is clicked."""
+        for node in self._nodes.values():
+            node.on_click(callback)
+
+
+def pieces(body: Body) -> Mesh:
+    """Surface triangles of all pieces of a body, in its frame."""
+    frames = body._packed.frames
+    return joined(
+        (piece.vertices, piece.triangles)
+        if piece.vertices is not None and piece.triangles is not None
+        else _curved(piece.kind, float(frame[0]), frame[1:4], frame[4:].reshape(3, 3))
+        for piece, frame in zip(body.pieces, frames, strict=True)
+    )
+
+
+def ellipsoids(body: Body, which: str) -> Mesh:
+    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame."""
+    fitted = body.inner if which == "inner" else body.outer
+    unit, triangles = ball(3 if len(fitted.center) <= MANY_PIECES else 2)
+    return joined((unit @ F.T + c, triangles) for c, F in zip(fitted.center, fitted.factor, strict=True))
+
+
+def joined(meshes: Any) -> Mesh:
+    """Several meshes as one."""
+    points: list[Floats] = []
+    triangles: list[NDArray[np.int64]] = []
+    total = 0
+    for vertices, faces in meshes:
+        points.append(vertices)
+        triangles.append(faces + total)
+        total += len(vertices)
+    if not points:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    return np.concatenate(points), np.concatenate(triangles)
+
+
+@lru_cache(maxsize=4)
+def ball(subdivisions: int) -> Mesh:
+    """Unit ball as an icosahedron with its triangles divided into four, so many times."""
+    import trimesh  # comes with viser
+
+    made = trimesh.creation.icosphere(subdivisions=subdivisions)
+    return np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int64)
+
+
+def _curved(kind: str, rounding: float, center: Floats, factor: Floats) -> Mesh:
+    """A curved piece: the image of a unit shape, and a ball added to it (see `loewner._kernels.shapes`)."""
+    if kind in ("cylinder", "cone"):
+        unit, triangles = _cylinder(0.0 if kind == "cone" else 1.0)
+        return unit @ factor.T + center, triangles
+    unit, triangles = ball(3)
+    if kind == "ellipsoid":
+        return unit @ factor.T + center, triangles
+    lengths = np.linalg.norm(factor, axis=0)
+    half = lengths[2] if kind == "capsule" else 0.0
+    core = np.where(unit[:, 2:] >= 0, half, -half) * [0.0, 0.0, 1.0]
+    return (rounding * unit + core) @ (factor / lengths).T + center, triangles
+
+
+def _cylinder(top: float) -> Mesh:
+    """Circles of radius 1 at z = -1 and of radius `top` at z = 1, and all between."""
+    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    low, high = (np.column_stack([r * circle, np.full(SEGMENTS, z)]) for r, z in ((1.0, -1.0), (top, 1.0)))
+    at = np.arange(SEGMENTS)
+    after = (at + 1) % SEGMENTS
+    bottom, lid = np.full(SEGMENTS, 2 * SEGMENTS), np.full(SEGMENTS, 2 * SEGMENTS + 1)
+    triangles = [(at, after, at + SEGMENTS), (after, after + SEGMENTS, at + SEGMENTS),
+                 (bottom, after, at), (lid, at + SEGMENTS, after + SEGMENTS)]  # fmt: skip
+    return np.vstack([low, high, [[0, 0, -1], [0, 0, 1]]]), np.concatenate([np.column_stack(t) for t in triangles])
+
+
+def quaternions(rotations: Floats) -> Floats:
+    """Unit quaternions wxyz of rotation matrices, shape (..., 3, 3) to (..., 4)."""
+    xyzw = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat()
+    return np.asarray(np.roll(xyzw, 1, axis=-1).reshape(*rotations.shape[:-2], 4))
+
+
+def place(node: Any, T: Floats) -> None:
+    """Put a node of the page's scene at a pose."""
+    node.wxyz, node.position = quaternions(T[:3, :3]), T[:3, 3]

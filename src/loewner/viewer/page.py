@@ -1,0 +1,291 @@
+"""The page itself: its server, the thread that answers what is done on it, and what both kinds of page share."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import socket
+import sys
+import threading
+import time
+import traceback
+from html import escape
+from typing import Any, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._rotations import from_quaternion, from_rpy
+from loewner.errors import InputError, LoewnerError, MissingExtraError, PoseError
+from loewner.viewer.drawing import Rgb, place
+
+# How often the page looks for what has changed from Python, in seconds.
+LOOK_EVERY = 0.1
+
+BAD: Rgb = (119, 119, 119)
+
+
+class Viewer:
+    """An open page; made by `show_pair` or `show_robot`.
+
+    What is done on the page and what Python does are both answered by `_answer`, one at a time, under `lock`. Of
+    several moves that wait, only the last is answered: the page never lags behind the mouse.
+
+    Attributes
+    ----------
+    server : viser.ViserServer
+        For more to be drawn on the same page.
+    lock : threading.RLock
+        Hold it to change a scene that the page shows from a thread of your own.
+    answered : int
+        How many times the page has been brought up to date.
+    seconds : float
+        What the last time took.
+    """
+
+    def __init__(self, title: str, host: str, port: int) -> None:
+        self.server = _serve(title, host, port)
+        self._host = host
+        self.lock = threading.RLock()
+        self.answered, self.seconds = 0, 0.0
+        self._events: queue.SimpleQueue[tuple[str, Any] | None] = queue.SimpleQueue()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="loewner viewer", daemon=True)
+        self.server.scene.set_up_direction("+z")
+        self.server.scene.configure_default_lights(cast_shadow=False)  # they would cost a second drawing of everything
+        self._verdict = self.server.gui.add_html("")
+        try:
+            self._build()
+        except BaseException:
+            self.server.stop()
+            raise
+        self.refresh()
+        self._thread.start()
+
+    # -- for the caller ---------------------------------------------------------------------------
+
+    @property
+    def url(self) -> str:
+        """Address of the page, on this machine."""
+        host = "localhost" if self._host in ("127.0.0.1", "0.0.0.0", "") else self._host
+        return f"http://{host}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Close the page and stop its server; a second time does nothing."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._events.put(None)
+            if self._thread.is_alive() and threading.current_thread() is not self._thread:
+                self._thread.join()
+            self.server.stop()
+
+    def wait(self) -> None:
+        """Return when the page is closed by `close`, or by an interrupt from the keyboard."""
+        try:
+            self._closed.wait()
+        except KeyboardInterrupt:
+            self.close()
+
+    def refresh(self) -> None:
+        """Bring the page up to date now."""
+        with self.lock:
+            self._apply({})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- for the two kinds of page ----------------------------------------------------------------
+
+    def _build(self) -> None:
+        """Put everything on the page."""
+        raise NotImplementedError
+
+    def _take(self, done: dict[str, Any]) -> None:
+        """Take over what was done on the page: the last value by name of the control."""
+        raise NotImplementedError
+
+    def _answer(self) -> None:
+        """Compute the verdict and show it."""
+        raise NotImplementedError
+
+    def _changed(self) -> bool:
+        """Whether Python has changed what the page shows, without telling it."""
+        return False
+
+    def _tell(self, name: str, value: Any = None) -> None:
+        """Note that a control of the page was used; may be called from any thread."""
+        self._events.put((name, value))
+
+    def _watch(self, handle: Any, name: str) -> Any:
+        """Note whenever somebody uses a control; what Python does to it has no client, and is passed over."""
+        handle.on_update(lambda event: self._tell(name) if event.client is not None else None)
+        return handle
+
+    def _show_verdict(self, name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> None:
+        """Fill the panel's first block; texts are escaped here, for names come from files."""
+        content = _block(name, colour, rows, notes)
+        if self._verdict.content != content:
+            self._verdict.content = content
+
+    def _show_failure(self, error: Exception) -> None:
+        kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
+        self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            done = self._drained()
+            if self._closed.is_set():
+                return
+            with self.lock:
+                if done or self._changed():
+                    self._apply(done)
+
+    def _drained(self) -> dict[str, Any]:
+        """Wait for something to happen, then take all that has."""
+        done: dict[str, Any] = {}
+        try:
+            event = self._events.get(timeout=LOOK_EVERY)
+            while event is not None:
+                done[event[0]] = event[1]
+                event = self._events.get_nowait()
+        except queue.Empty:
+            pass
+        return done
+
+    def _apply(self, done: dict[str, Any]) -> None:
+        started = time.perf_counter()
+        with self.server.atomic():
+            try:
+                self._take(done)
+                self._answer()
+            except Exception as error:
+                # A verdict of a moment ago must not stay on the page.
+                self._show_failure(error)
+                if not isinstance(error, LoewnerError):
+                    traceback.print_exc(file=sys.stderr)
+        self.seconds = time.perf_counter() - started
+        self.answered += 1
+
+
+class Mover:
+    """What moves one body on the page: a gizmo to drag, and its position and turn as numbers.
+
+    The gizmo's node carries the body's pose, so that the body follows the mouse at the pace of the browser.
+    """
+
+    def __init__(self, page: Viewer, node: str, name: str, T: Floats, size: float) -> None:
+        self.T = T
+        self.node = node
+        self._name = name
+        self.gizmo = page.server.scene.add_transform_controls(node, scale=size, depth_test=False, line_width=3.0)
+        place(self.gizmo, T)
+        page._watch(self.gizmo, f"drag {name}")
+
+    def show(self, on: bool) -> None:
+        """Show the handles of the gizmo, or the body alone."""
+        if self.gizmo.disable_axes == on:
+            self.gizmo.disable_axes = self.gizmo.disable_sliders = self.gizmo.disable_rotations = not on
+
+    def take(self) -> Floats:
+        """Read the pose that the gizmo was dragged to."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = from_quaternion(self.gizmo.wxyz, self._name), self.gizmo.position
+        self.T = T
+        return T
+
+    def move(self, T: Floats) -> None:
+        """Put the gizmo, and with it the body, at a pose."""
+        if not np.array_equal(T, self.T):
+            self.T = T
+            place(self.gizmo, T)
+
+
+class PoseInputs:
+    """A pose as numbers on the panel: position in metres; roll, pitch and yaw in degrees."""
+
+    def __init__(self, page: Viewer, name: str, step: float) -> None:
+        gui = page.server.gui
+        self.position = page._watch(gui.add_vector3("position, m", (0.0, 0.0, 0.0), step=step), f"type {name}")
+        self.turn = page._watch(
+            gui.add_vector3("turn, °", (0.0, 0.0, 0.0), step=1.0, hint="Roll, pitch and yaw."), f"type {name}"
+        )
+
+    def take(self) -> Floats:
+        """Read the pose that was typed."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = from_rpy(*np.radians(self.turn.value)), self.position.value
+        return T
+
+    def show(self, T: Floats) -> None:
+        """Write a pose, in numbers that fit the panel."""
+        with np.errstate(all="ignore"):
+            turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
+        self.position.value = tuple(np.round(T[:3, 3], 5).tolist())
+        self.turn.value = tuple(np.round(turn, 3).tolist())
+
+
+def one_pose(T: Any, name: str) -> Floats:
+    """One checked pose, as an array of our own."""
+    checked = _check.poses(T, name)
+    if checked.shape != (4, 4):
+        raise PoseError(f"{name}: expected shape (4, 4), found {_check.shape_text(checked.shape)}")
+    return np.array(checked)
+
+
+def aim(server: Any, low: Floats, high: Floats) -> None:
+    """Let the camera start where it sees a box, from the front, the right and above, left of the panel."""
+    size = float(np.linalg.norm(high - low))
+    middle = (low + high) / 2 + 0.12 * size * np.array([0.84, 0.54, 0.0])
+    server.initial_camera.look_at = middle
+    server.initial_camera.position = middle + size * np.array([0.43, -0.66, 0.35])
+    server.initial_camera.near, server.initial_camera.far = size * 1e-3, size * 1e3
+
+
+def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> str:
+    """The verdict as HTML: a coloured bar, a table, and lines of text; everything escaped."""
+    cells = "".join(
+        f'<tr><td style="padding-right:0.8em;opacity:0.7;white-space:nowrap">{escape(key)}</td>'
+        f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
+        for key, text in rows
+    )
+    lines = "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
+    return (
+        '<div style="padding:0.4em 0.8em;font-size:0.85em;line-height:1.5">'
+        f'<div role="status" data-loewner="verdict" style="background:rgb{colour};color:white;font-weight:700;'
+        f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
+        f"<table>{cells}</table>{lines}</div>"
+    )
+
+
+def _serve(title: str, host: str, port: int) -> Any:
+    try:
+        import viser
+    except ImportError as error:
+        package = (error.name or "viser").partition(".")[0]
+        raise MissingExtraError(f'the viewer needs {package}: pip install "loewner[viewer]"') from None
+    if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < 65536:
+        raise InputError(f"port: expected a whole number from 0 (any free port) to 65535, found {port!r}")
+    # viser would quietly take another port, and wait for ever at an address that is none.
+    try:
+        with socket.create_server((host, int(port))):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"port: expected a free port at {host}, could not have {port} "
+            f"({os.strerror(error.errno) if error.errno and error.errno > 0 else error}); choose another, or 0 for any"
+        ) from None
+    # Browsers open connections ahead of need and drop them; that is no error worth a traceback.
+    logging.getLogger("websockets.server").addFilter(lambda r: r.getMessage() != "opening handshake failed")
+    server = viser.ViserServer(host=host, port=int(port), label=title, verbose=False)
+    if port not in (0, server.get_port()):
+        server.stop()
+        raise InputError(f"port: expected a free port at {host}, found {port} in use; choose another, or 0 for any")
+    return server

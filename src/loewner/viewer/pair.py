@@ -1,0 +1,209 @@
+"""The page of two bodies: drag one towards the other and see what can be said about them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _check
+from loewner._check import Floats
+from loewner.bodies import Body
+from loewner.errors import InputError
+from loewner.queries import Distance, Verdict, classify, collide, distance
+from loewner.viewer.drawing import LABELS, LAYERS, VERDICT_COLOURS, Drawing
+from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, one_pose
+
+
+def show_pair(
+    a: Body,
+    T_world_a: ArrayLike | None,
+    b: Body,
+    T_world_b: ArrayLike | None,
+    *,
+    margin: float = 0.0,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    block: bool = False,
+) -> PairViewer:
+    """Open a page that shows two bodies and their verdict while they are moved.
+
+    Parameters
+    ----------
+    a, b : Body
+    T_world_a, T_world_b : array_like, shape (4, 4), or None
+        Where they are at first; translation in metres. None is the identity.
+    margin : float
+        Metres that the bodies must keep.
+    host : str
+        Address to listen at. The default is seen by this machine alone; "0.0.0.0" lets others in, who may then move
+        the bodies too.
+    port : int
+        0 is any free port.
+    block : bool
+        Return only when the page is closed, by an interrupt from the keyboard.
+
+    Returns
+    -------
+    PairViewer
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    InputError
+        If an operand is no body, the margin is negative, or the port is taken; PoseError if a pose is no rigid motion.
+    """
+    viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, host=host, port=port)
+    if block:
+        viewer.wait()
+    return viewer
+
+
+class PairViewer(Viewer):
+    """A page of two bodies; made by `show_pair`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        The certified answer that the page shows.
+    colliding : bool
+        The exact one.
+    found : Distance
+        Bounds, estimate, exact distance, near points and normal.
+    """
+
+    verdict: Verdict
+    colliding: bool
+    found: Distance
+
+    def __init__(
+        self,
+        a: Body,
+        T_world_a: ArrayLike | None,
+        b: Body,
+        T_world_b: ArrayLike | None,
+        *,
+        margin: float,
+        host: str,
+        port: int,
+    ) -> None:
+        for body, name in ((a, "a"), (b, "b")):
+            if not isinstance(body, Body):
+                raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+            if not body.pieces:
+                raise InputError(f"{name}: expected a body with pieces, found an empty one")
+        self.a, self.b = a, b
+        self._margin = _check.positive_scalar(margin, "margin", zero=True)
+        self._first = {"A": one_pose(T_world_a, "T_world_a"), "B": one_pose(T_world_b, "T_world_b")}
+        super().__init__("loewner: two bodies", host, port)
+
+    @property
+    def T_world_a(self) -> Floats:
+        """Pose of a, shape (4, 4); set it to move the body on the page."""
+        return self._movers["A"].T.copy()
+
+    @T_world_a.setter
+    def T_world_a(self, T: ArrayLike | None) -> None:
+        self._move("A", one_pose(T, "T_world_a"))
+
+    @property
+    def T_world_b(self) -> Floats:
+        """Pose of b, shape (4, 4); set it to move the body on the page."""
+        return self._movers["B"].T.copy()
+
+    @T_world_b.setter
+    def T_world_b(self, T: ArrayLike | None) -> None:
+        self._move("B", one_pose(T, "T_world_b"))
+
+    def _move(self, name: str, T: Floats) -> None:
+        with self.lock:
+            self._movers[name].move(T)
+            self._inputs[name].show(T)
+            self.refresh()
+
+    # -- the page ---------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        gui, scene, poses = self.server.gui, self.server.scene, self._first
+        boxes = [
+            body.outer.transformed(T).bounding_box() for body, T in zip((self.a, self.b), poses.values(), strict=True)
+        ]
+        low, high = np.concatenate([b[0] for b in boxes]).min(axis=0), np.concatenate([b[1] for b in boxes]).max(axis=0)
+        self._size = float(np.linalg.norm(high - low))
+        aim(self.server, low, high)
+        with gui.add_folder("Show"):
+            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], True), "layers") for k in LAYERS}
+            self._layers["near"] = self._watch(gui.add_checkbox("near points and normal", True), "layers")
+        self._movers, self._inputs, self._drawings = {}, {}, {}
+        for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
+            reach = float(np.ptp(np.concatenate(body.outer.bounding_box()), axis=0).max())
+            self._movers[name] = Mover(self, f"/{name}", name, T, 0.6 * reach)
+            self._drawings[name] = Drawing(scene, f"/{name}", body, VERDICT_COLOURS[Verdict.FREE], self._shown())
+            with gui.add_folder(f"Body {name}"):
+                self._inputs[name] = PoseInputs(self, name, step=round(self._size / 1000, 4) or 1e-4)
+                self._inputs[name].show(T)
+        dot = self._size / 120
+        self._points = [scene.add_icosphere(f"/near/{k}", dot, (17, 17, 17), subdivisions=2) for k in "ab"]
+        ends = np.zeros((1, 2, 3), dtype=np.float32)
+        self._between = scene.add_line_segments("/near/line", ends, (17, 17, 17), thickness=dot / 2)
+        self._normal = scene.add_arrows(
+            "/near/normal", ends, (170, 51, 119), shaft_radius=dot / 2, head_radius=1.5 * dot, head_length=3 * dot
+        )
+
+    def _shown(self) -> dict[str, bool]:
+        return {name: box.value for name, box in self._layers.items()}
+
+    def _take(self, done: dict[str, Any]) -> None:
+        for name, mover in self._movers.items():
+            if f"drag {name}" in done:
+                self._inputs[name].show(mover.take())
+            elif f"type {name}" in done:
+                mover.move(self._inputs[name].take())
+        if "layers" in done:
+            for drawing in self._drawings.values():
+                drawing.show(self._shown())
+
+    def _answer(self) -> None:
+        asked: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
+        self.verdict = classify(*asked, margin=self._margin)
+        self.colliding = collide(*asked, margin=self._margin)
+        self.found = distance(*asked, exact=True)
+        colour = VERDICT_COLOURS[self.verdict]
+        for drawing in self._drawings.values():
+            drawing.colour = colour
+        self._show_verdict(self.verdict.name, colour, self._rows(), [])
+        self._show_near()
+
+    def _show_failure(self, error: Exception) -> None:
+        super()._show_failure(error)
+        for node in (*self._points, self._between, self._normal):
+            node.visible = False
+
+    def _rows(self) -> list[tuple[str, str]]:
+        found = self.found
+        kind = "depth" if found.distance < 0 else "distance"
+        rows = [
+            ("exact", "COLLIDING" if self.colliding else "FREE"),
+            (kind, f"{abs(found.distance):.6g} m"),
+            ("bounds", f"{found.lower:.6g} .. {found.upper:.6g} m"),
+            ("estimate", f"{found.estimate:.6g} m"),
+            ("on A", _numbers(found.witness_a)),
+            ("on B", _numbers(found.witness_b)),
+            ("normal", _numbers(found.normal)),
+        ]
+        return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
+
+    def _show_near(self) -> None:
+        found, shown = self.found, self._layers["near"].value
+        for node, at in zip(self._points, (found.witness_a, found.witness_b), strict=True):
+            node.position, node.visible = at, shown
+        self._between.points = np.array([[found.witness_a, found.witness_b]], dtype=np.float32)
+        tip = found.witness_b + self._size / 12 * found.normal
+        self._normal.points = np.array([[found.witness_b, tip]], dtype=np.float32)
+        self._between.visible = self._normal.visible = shown
+
+
+def _numbers(vector: Floats) -> str:
+    return "  ".join(f"{round(x, 4) + 0.0:.4f}" for x in vector)

@@ -1,0 +1,347 @@
+"""The page of a robot in a scene: move joints and bodies and see what touches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner._check import Floats
+from loewner.bodies import Body
+from loewner.checkers import CollisionChecker, StateDistance
+from loewner.errors import InputError
+from loewner.queries import Verdict
+from loewner.robots import Robot
+from loewner.scenes import Contact
+from loewner.viewer.drawing import LABELS, LAYERS, VERDICT_COLOURS, Drawing, Rgb, place, quaternions
+from loewner.viewer.page import Mover, PoseInputs, Viewer, aim
+
+LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
+
+# Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
+TURN, TRAVEL = math.pi, 2.0
+
+# So many contacts are written out.
+MOST_CONTACTS = 12
+
+NEUTRAL, OTHER, NOTHING = "neutral", "(other)", "(none)"
+
+
+def show_robot(
+    checker: CollisionChecker,
+    q: ArrayLike | None = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    block: bool = False,
+) -> RobotViewer:
+    """Open a page that shows a robot in its scene, with sliders for the joints, and names what touches.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Of the robot and the scene to show. Bodies moved on the page are moved in this scene.
+    q : array_like, shape (dof,), optional
+        The first configuration; default: all joints at 0.
+    host, port, block
+        As for `show_pair`.
+
+    Returns
+    -------
+    RobotViewer
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    InputError
+        If the configuration does not fit, there is nothing to check, or the port is taken.
+    """
+    viewer = RobotViewer(checker, q, host=host, port=port)
+    if block:
+        viewer.wait()
+    return viewer
+
+
+@dataclass
+class _Shown:
+    """One body on the page: what is drawn, and how it is placed."""
+
+    body: Body
+    drawing: Drawing
+    colour: Rgb
+    node: Any
+    link: int | None
+    T_link_body: Floats | None
+    mover: Mover | None
+
+
+class RobotViewer(Viewer):
+    """A page of a robot in a scene; made by `show_robot`.
+
+    Changes of the scene made in Python show within a tenth of a second, or at once after `refresh`.
+
+    Attributes
+    ----------
+    checker : CollisionChecker
+    verdict : Verdict
+        The certified answer that the page shows.
+    colliding : bool
+        The exact one.
+    contacts : tuple of Contact
+        Pairs that touch, or come within their margin.
+    bounds : StateDistance
+        Certified bounds on the distance of the nearest pair.
+    """
+
+    verdict: Verdict
+    colliding: bool
+    contacts: tuple[Contact, ...]
+    bounds: StateDistance
+
+    def __init__(self, checker: CollisionChecker, q: ArrayLike | None, *, host: str, port: int) -> None:
+        if not isinstance(checker, CollisionChecker):
+            raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+        robot = checker.robot
+        self.checker = checker
+        self._q = _one_configuration(robot, robot.configuration() if q is None else q)
+        if not checker.checked_pairs:
+            raise InputError(
+                "checker: expected pairs to check, found none; the robot has "
+                f"{len(robot.bodies)} links with bodies and the scene {len(checker.scene)} bodies"
+            )
+        self._seen = self._seen_structure = -1
+        self._shown: dict[str, _Shown] = {}
+        self._numbers = 0
+        self._draws = np.random.default_rng(0)
+        super().__init__(f"loewner: {robot.name}", host, port)
+
+    @property
+    def q(self) -> Floats:
+        """The configuration shown, shape (dof,); set it to move the robot on the page."""
+        return self._q.copy()
+
+    @q.setter
+    def q(self, q: ArrayLike) -> None:
+        checked = _one_configuration(self.checker.robot, q)
+        with self.lock:
+            self._state.value = OTHER
+            self._set_configuration(checked)
+            self.refresh()
+
+    def move(self, name: str, T_world_body: ArrayLike | None) -> None:
+        """Move a body of the scene, and show it at once; as `Scene.move`."""
+        with self.lock:
+            self.checker.scene.move(name, T_world_body)
+            self.refresh()
+
+    # -- the page ---------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        gui, robot = self.server.gui, self.checker.robot
+        with gui.add_folder("Show"):
+            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LAYERS}
+        with gui.add_folder("Robot"):
+            states = gui.add_dropdown("state", (OTHER, NEUTRAL, *robot.states), initial_value=OTHER)
+            self._state = self._watch(states, "state")
+            gui.add_button("random configuration").on_click(lambda _: self._tell("random"))
+            self._sliders = []
+            for name, low, high, value in zip(
+                robot.configuration_names, *_slider_ends(robot), self._q.tolist(), strict=True
+            ):
+                low, high = min(low, value), max(high, value)
+                slider = gui.add_slider(name, low, high, max((high - low) / 1000, 1e-6), value)
+                self._sliders.append(self._watch(slider, "joints"))
+        with gui.add_folder("Scene"):
+            self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
+            self._inputs = PoseInputs(self, "body", step=0.005)
+        links = robot.forward_kinematics(self._q)
+        self._links = [
+            self.server.scene.add_frame(f"/robot/{k}", show_axes=False, wxyz=quaternions(T[:3, :3]), position=T[:3, 3])
+            for k, T in enumerate(links)
+        ]
+        for name, body in robot.bodies.items():
+            self._add(name, body, LINK, robot.link_names.index(name), None)
+        self._match_scene()
+        self._aim(links)
+
+    def _aim(self, links: Floats) -> None:
+        boxes = []
+        for shown in self._shown.values():
+            T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
+            boxes.append(np.concatenate(shown.body.outer.transformed(T).bounding_box()))
+        corners = np.concatenate(boxes)
+        aim(self.server, corners.min(axis=0), corners.max(axis=0))
+
+    def _add(self, name: str, body: Body, colour: Rgb, link: int | None, T_link_body: Floats | None) -> None:
+        # Numbers for nodes: a name may hold the slash that parts viser's nodes, and come back after it was removed.
+        node, self._numbers = f"/body/{self._numbers}", self._numbers + 1
+        mover, handle = None, None
+        if link is None:
+            size = float(np.ptp(np.concatenate(body.outer.bounding_box()), axis=0).max())
+            mover = Mover(self, node, name, self.checker.scene.pose(name), 0.7 * size)
+            mover.show(False)
+            handle = mover.gizmo
+        else:
+            node = f"/robot/{link}{node}"
+            handle = self.server.scene.add_frame(node, show_axes=False)
+            place(handle, _identity_or(T_link_body))
+        drawing = Drawing(self.server.scene, node, body, colour, self._which())
+        if mover is not None:
+            drawing.on_click(lambda _: self._tell("clicked", name))
+        self._shown[name] = _Shown(body, drawing, colour, handle, link, T_link_body, mover)
+
+    def _which(self) -> dict[str, bool]:
+        return {name: box.value for name, box in self._layers.items()}
+
+    def _match_scene(self) -> None:
+        """Add, remove and move what has changed in the scene since the last look."""
+        scene, robot = self.checker.scene, self.checker.robot
+        version = scene.version
+        if version == self._seen:
+            return
+        if scene.structure_version != self._seen_structure:
+            structure_version, held = scene.structure_version, scene.attachments
+            for name in [n for n in self._shown if n not in robot.bodies]:
+                if not (name in scene and self._same_place(name, held.get(name))):
+                    self._shown.pop(name).node.remove()
+            for name in scene:
+                if name not in self._shown and name in held:
+                    link = robot.link_names.index(held[name].link)
+                    self._add(name, scene[name], HELD, link, held[name].T_link_body)
+                elif name not in self._shown:
+                    self._add(name, scene[name], OBSTACLE, None, None)
+            self._offer(scene.static_names)
+            self._seen_structure = structure_version
+        for name, T in zip(scene.static_names, scene.static_poses, strict=True):
+            self._mover(name).move(T)
+        self._show_chosen()
+        self._seen = version
+
+    def _same_place(self, name: str, held: Any) -> bool:
+        shown, scene = self._shown[name], self.checker.scene
+        if shown.body is not scene[name] or (held is None) != (shown.link is None):
+            return False
+        return held is None or (
+            self.checker.robot.link_names[shown.link or 0] == held.link and shown.T_link_body is held.T_link_body
+        )
+
+    def _mover(self, name: str) -> Mover:
+        mover = self._shown[name].mover
+        assert mover is not None  # only bodies that hang on links have none
+        return mover
+
+    def _offer(self, names: tuple[str, ...]) -> None:
+        """List the bodies that can be moved; one that is gone is no longer chosen."""
+        if self._chosen.value not in names:
+            self._chosen.value = NOTHING
+        self._chosen.options = (NOTHING, *names)
+
+    def _show_chosen(self) -> None:
+        """Give the chosen body its gizmo, and write down where it is."""
+        for name, shown in self._shown.items():
+            if shown.mover is not None:
+                shown.mover.show(name == self._chosen.value)
+        if self._chosen.value != NOTHING:
+            self._inputs.show(self._mover(self._chosen.value).T)
+
+    # -- what is done on it -----------------------------------------------------------------------
+
+    def _changed(self) -> bool:
+        return self.checker.scene.version != self._seen
+
+    def _take(self, done: dict[str, Any]) -> None:
+        robot, scene = self.checker.robot, self.checker.scene
+        if "state" in done and self._state.value != OTHER:
+            self._set_configuration(robot.configuration(None if self._state.value == NEUTRAL else self._state.value))
+        elif "random" in done:
+            self._state.value = OTHER
+            self._set_configuration(robot.random_configurations(1, int(self._draws.integers(2**31)))[0])
+        elif "joints" in done:
+            self._state.value = OTHER
+            self._q = _with_unit_quaternions(robot, np.array([slider.value for slider in self._sliders]))
+        if "clicked" in done and done["clicked"] in scene.static_names:
+            self._chosen.value = done["clicked"]
+        dragged = [name for name in scene.static_names if f"drag {name}" in done and name in self._shown]
+        for name in dragged:
+            scene.move(name, self._mover(name).take())
+        if "type body" in done and self._chosen.value in scene.static_names and not dragged:
+            scene.move(self._chosen.value, self._inputs.take())
+        if "layers" in done:
+            for shown in self._shown.values():
+                shown.drawing.show(self._which())
+        if "chosen" in done or "clicked" in done:
+            self._show_chosen()
+
+    def _set_configuration(self, q: Floats) -> None:
+        self._q = q
+        for slider, value in zip(self._sliders, q.tolist(), strict=True):
+            slider.min, slider.max = min(slider.min, value), max(slider.max, value)
+            slider.value = value
+
+    def _answer(self) -> None:
+        links = self.checker.robot.forward_kinematics(self._q)
+        for node, wxyz, T in zip(self._links, quaternions(links[:, :3, :3]), links, strict=True):
+            node.wxyz, node.position = wxyz, T[:3, 3]
+        self._match_scene()
+        self.verdict = self.checker.classify(self._q)
+        self.colliding = self.checker.collide(self._q)
+        self.contacts = self.checker.pairs(self._q) if self.colliding else ()
+        self.bounds = self.checker.distance(self._q)
+        self._paint({name for contact in self.contacts for name in (contact.name_a, contact.name_b)})
+        self._show_verdict(self.verdict.name, VERDICT_COLOURS[self.verdict], list(self._rows()), self._contact_lines())
+
+    def _show_failure(self, error: Exception) -> None:
+        super()._show_failure(error)
+        self._paint(set())
+
+    def _paint(self, touching: set[str]) -> None:
+        for name, shown in self._shown.items():
+            shown.drawing.colour = VERDICT_COLOURS[Verdict.COLLIDING] if name in touching else shown.colour
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        yield "exact", "COLLIDING" if self.colliding else "FREE"
+        yield "bounds", f"{self.bounds.lower:.4g} .. {self.bounds.upper:.4g} m"
+        yield "pairs", f"{len(self.contacts)} touch of {len(self.checker.checked_pairs)} checked"
+
+    def _contact_lines(self) -> list[str]:
+        deepest = sorted(self.contacts, key=lambda contact: contact.distance)
+        lines = [
+            f"{c.name_a} – {c.name_b}: " + (f"{-1e3 * c.distance:.3g} mm deep" if c.distance < 0 else
+                                            f"{1e3 * c.distance:.3g} mm apart")
+            for c in deepest[:MOST_CONTACTS]
+        ]  # fmt: skip
+        return lines + ([f"and {len(deepest) - MOST_CONTACTS} more"] if len(deepest) > MOST_CONTACTS else [])
+
+
+def _identity_or(T: Floats | None) -> Floats:
+    return np.eye(4) if T is None else T
+
+
+def _one_configuration(robot: Robot, q: ArrayLike) -> Floats:
+    checked = robot.checked(q, "q")
+    if checked.ndim != 1:
+        raise InputError(f"q: expected one configuration, shape ({robot.dof},), found {checked.shape}")
+    return np.array(checked)
+
+
+def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
+    """Limits of the joints, and how far a slider goes where there are none."""
+    far = np.array([TRAVEL if name.endswith(("/x", "/y", "/z")) else TURN for name in robot.configuration_names])
+    low = np.where(np.isfinite(robot.lower), robot.lower, -far)
+    high = np.where(np.isfinite(robot.upper), robot.upper, far)
+    # viser refuses a slider of no length: a joint whose limits are one value.
+    return low.tolist(), np.maximum(high, low + 1e-6).tolist()
+
+
+def _with_unit_quaternions(robot: Robot, q: Floats) -> Floats:
+    """Sliders move the parts of a quaternion one by one; here it gets its length back."""
+    for k, name in enumerate(robot.configuration_names):
+        if name.endswith("/qw"):
+            length = np.linalg.norm(q[k : k + 4])
+            q[k : k + 4] = q[k : k + 4] / length if length > 1e-9 else (1.0, 0.0, 0.0, 0.0)
+    return q
