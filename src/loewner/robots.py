@@ -276,9 +276,9 @@ class Robot:
         ndarray, shape (..., dof)
             `Q` itself where it can be.
         """
-        plain = type(Q) is np.ndarray and Q.shape == (self.dof,) and Q.dtype == np.float64 and Q.flags.carray
         # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
-        if plain and self.runs_straight and all(map(math.isfinite, Q.tolist())):
+        plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
+        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and all(map(math.isfinite, Q.tolist())):
             return Q
         array = _check.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
