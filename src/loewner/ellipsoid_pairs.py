@@ -38,7 +38,7 @@ class NearPoints:
         On the first and on the second ellipsoid, in metres. Where an overlap was found both are the
         same point, which lies in both.
     distance : ndarray, shape (...)
-        |point_2 - point_1|, in metres; 0 where an overlap was found.
+        ``|point_2 - point_1|``, in metres; 0 where an overlap was found.
     iterations : ndarray of int, shape (...)
         Steps taken; 1 for the closed-form methods.
     """

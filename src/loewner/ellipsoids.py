@@ -23,7 +23,7 @@ class Ellipsoids:
     center : array_like, shape (..., n)
         Centers, in metres.
     factor : array_like, shape (..., n, n)
-        Invertible F with E = {c + F u : |u| <= 1}, in metres.
+        Invertible F with E = ``{c + F u : |u| <= 1}``, in metres.
 
     Raises
     ------

@@ -51,7 +51,7 @@ class Fit:
     ellipsoid : Ellipsoids
         One ellipsoid; its factor is lower triangular.
     gap : float
-        Certified bound on |log(volume / optimal volume)|, at most the tolerance asked for.
+        Certified bound on ``|log(volume / optimal volume)|``, at most the tolerance asked for.
     iterations : int
         Interior-point steps taken.
     """

@@ -70,7 +70,7 @@ class Robot:
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies.
     tree : tuple of ndarray
-        What kernels take; described in `loewner._kernels.kinematics`.
+        What kernels take; described in ``loewner/_kernels/kinematics.py``.
     """
 
     name: str

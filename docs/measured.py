@@ -1,0 +1,106 @@
+"""The page of measurements: every CSV under benchmarks/results/<machine>/, as tables in Markdown."""
+
+import csv
+import json
+from pathlib import Path
+
+RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
+
+TITLES = {
+    "pairs": "Pairs, beside Coal and python-fcl",
+    "singles": "One pair per call, from Python",
+    "threads": "Two threads, beside one",
+    "pieces": "Bodies of 500 pieces",
+    "crowd": "Crowds, beside trees of boxes",
+    "robots": "Robots, beside pinocchio and Coal",
+    "memory": "Memory of a batch",
+    "fits": "Fits, beside conic solvers",
+}
+
+# What the columns of the comparisons are called in print, in this order; any other file keeps its own.
+COLUMNS = {
+    "case": "case",
+    "items": "items",
+    "us": "ours",
+    "us_ns_cpu": "ours, ns",
+    "rival": "beside",
+    "rival_ns_cpu": "beside, ns",
+    "ratio": "ratio",
+    "ratio_wall": "ratio by wall time",
+    "required": "asked for",
+    "met": "met",
+    "differing": "answers that differ",
+    "note": "note",
+}
+
+
+INTRODUCTION = """# Measured
+
+Made from the files in `benchmarks/results` when this site was built. Times are of one item (a pair, a body, a
+configuration), in nanoseconds of processor time; a ratio is the other's time over ours, from one run in which both took
+turns. Ratios below 1 are cases where the other is faster. How it is kept fair, and what the limits are:
+[](benchmarks.md)."""
+
+
+def write(target: Path) -> None:
+    """Write the page, unless it says the same already: Sphinx rebuilds what is new."""
+    text = page(RESULTS)
+    if not target.exists() or target.read_text() != text:
+        target.write_text(text)
+
+
+def page(results: Path) -> str:
+    """All results of all machines."""
+    parts = [INTRODUCTION]
+    for machine in sorted(folder for folder in results.iterdir() if folder.is_dir()):
+        parts.append(f"## {machine.name}")
+        described = machine / "machine.json"
+        if described.exists():
+            parts.append(_machine(json.loads(described.read_text())))
+        for path in sorted(machine.glob("*.csv"), key=_place):
+            parts.append(_section(path))
+    return "\n\n".join(parts) + "\n"
+
+
+def _place(path: Path) -> tuple[int, str]:
+    """Files in the order of the titles, unknown ones last."""
+    known = list(TITLES)
+    return (known.index(path.stem) if path.stem in known else len(known)), path.stem
+
+
+def _machine(facts: dict) -> str:
+    packages = ", ".join(f"{name} {number}" for name, number in facts.get("packages", {}).items())
+    others = "; ".join(f"{name}: {value}" for name, value in facts.items() if name != "packages")
+    return f"{others}; {packages}."
+
+
+def _section(path: Path) -> str:
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    names = list(rows[0]) if rows else []
+    origin = sorted({(row["commit"], row["date"]) for row in rows}) if "commit" in names else []
+    shown = [name for name in COLUMNS if name in names] if "case" in names else names
+    # A column in which nothing stands tells nothing.
+    shown = [name for name in shown if any(row[name] for row in rows)]
+    header = [COLUMNS.get(name, name.replace("_", " ")) for name in shown]
+    lines = [f"### {TITLES.get(path.stem, path.stem)}", ""]
+    if not rows:
+        return "\n".join([*lines, "Nothing was measured."])
+    lines += [_row(header), _row(["---"] * len(header))]
+    lines += [_row([_cell(row[name]) for name in shown]) for row in rows]
+    if origin:
+        lines += ["", "From " + ", ".join(f"commit {commit} ({date})" for commit, date in origin) + "."]
+    return "\n".join(lines)
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _cell(text: str) -> str:
+    """Plain text in a table; numbers in their usual form."""
+    try:
+        number = float(text)
+    except ValueError:
+        return text.replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_")
+    return f"{number:,.0f}" if abs(number) >= 1000 or number == int(number) else f"{number:.3g}"
