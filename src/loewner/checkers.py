@@ -60,6 +60,15 @@ class StateDistance:
         That pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
         Where it is nearest; see `Distance`.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> found = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance([0.5, 0.0], exact=True)
+    >>> found.names, round(found.distance, 9), found.lower <= found.distance <= found.upper
+    (('rail', 'post'), 0.35, True)
     """
 
     lower: Any
@@ -82,6 +91,14 @@ class Settled:
         the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> settled = CollisionChecker(robot).tiers(robot.random_configurations(100))
+    >>> settled.total, settled.colliding
+    (100, 0)
     """
 
     free_by_bounds: int
@@ -150,8 +167,17 @@ class CollisionChecker:
 
     Examples
     --------
-    >>> checker = CollisionChecker(robot, scene)  # doctest: +SKIP
-    >>> checker.collide(robot.random_configurations(10_000))  # doctest: +SKIP
+    >>> from loewner import Body
+    >>> scene = Scene(margin=0.01)
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> checker = CollisionChecker(robot, scene)
+    >>> checker.collide([[0.0, 1.57], [1.0, 1.57]])  # the cart beside the post, and in it
+    array([False,  True])
+    >>> [(contact.name_a, contact.name_b) for contact in checker.pairs([1.0, 1.57])]
+    [('cart', 'post')]
+    >>> checker.collide(robot.random_configurations(10_000)).shape
+    (10000,)
     """
 
     def __init__(
@@ -276,6 +302,15 @@ class CollisionChecker:
         -----
         Joint values run straight, quaternions along the shorter arc. A motion is checked at its ends, then in its
         middle, then at quarters: collisions tend to be found early.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
+        array([ True, False])
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
@@ -353,7 +388,7 @@ class CollisionChecker:
         if batch:
             return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
         return StateDistance(
-            *(float(c[0]) if c.ndim == 1 else tuple(c[0]) if c.dtype.kind == "U" else c[0] for c in columns)
+            *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
         )
 
     # -- inside -------------------------------------------------------------------------------

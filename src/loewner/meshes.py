@@ -65,6 +65,13 @@ class Covering:
         (overlaps counted twice). NaN if the mesh is not closed, for it then has no volume.
     samples : int
         Points of the surface that were tested, all mesh vertices included.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner import Body
+    >>> Body.from_mesh(trimesh.creation.box((1, 1, 1))).covering.exact
+    True
     """
 
     kind: str

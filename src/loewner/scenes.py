@@ -38,6 +38,15 @@ class Contact:
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
         Unit vector from a to b.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("ball", Body.sphere(1.0))
+    >>> scene.add("box", Body.box([1, 1, 1]))
+    >>> (contact,) = scene.pairs()
+    >>> contact.name_a, contact.name_b, contact.distance < 0
+    ('ball', 'box', True)
     """
 
     name_a: str
@@ -66,6 +75,14 @@ class Attachment:
         Where it sits in the frame of the link; translation in metres.
     touch_links : tuple of str
         Links that it may touch while it hangs there: those asked for and the one that carries it, sorted.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+    >>> scene.attach("can", "hand", touch_links=["finger"])
+    >>> scene.attachments["can"].touch_links
+    ('finger', 'hand')
     """
 
     link: str
@@ -223,7 +240,17 @@ class Scene:
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Take a body out, and with it all margins and allowed pairs that name it."""
+        """Take a body out, and with it all margins and allowed pairs that name it.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body.
+        """
         del self._bodies[self._known(name)]
         self._poses.pop(name, None)
         self._attachments.pop(name, None)
@@ -272,6 +299,14 @@ class Scene:
             Where the body sits in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"])
+        >>> scene.static_names
+        ()
         """
         self._known(name)
         _check_name(link, "link")
@@ -359,6 +394,13 @@ class Scene:
             Metres. None takes the margin of the pair, body or link away again.
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.01)
+        >>> scene.set_margin(0.05, "person")
+        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
+        (0.05, 0.01)
         """
         keep = None if margin is None else _check.positive_scalar(margin, "margin", zero=True)
         if a is None:
@@ -422,6 +464,26 @@ class Scene:
         """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
 
         See `loewner.distance`.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies that stand in the world.
+        exact : bool
+            Also compute the distance or depth, witnesses and normal.
+
+        Returns
+        -------
+        Distance
+            In metres.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("a", Body.sphere(1.0))
+        >>> scene.add("b", Body.sphere(1.0), [[1, 0, 0, 3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> round(scene.distance("a", "b", exact=True).distance, 9)
+        1.0
         """
         return queries.distance(self[a], self.pose(a), self[b], self.pose(b), exact=exact)
 
