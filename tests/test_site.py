@@ -1,7 +1,10 @@
 """The pages of the site tell the truth: their code runs and prints what it says, and nothing public is left out."""
 
 import csv
+import dataclasses
+import inspect
 import re
+from enum import IntEnum
 from pathlib import Path
 
 import pytest
@@ -60,6 +63,46 @@ def test_reference_names_everything_public():
         if line.strip()
     ]
     assert sorted(name for name in entries if "." not in name) == sorted(loewner.__all__)
+
+
+def public_objects():
+    """Everything public that has a docstring of its own: names, and methods of classes."""
+    for name in loewner.__all__:
+        thing = getattr(loewner, name)
+        yield name, thing
+        if inspect.isclass(thing) and not issubclass(thing, (Exception, IntEnum)):
+            for attribute, member in vars(thing).items():
+                if not attribute.startswith("_") and not isinstance(member, property):
+                    method = getattr(thing, attribute)
+                    if inspect.isroutine(method):
+                        yield f"{name}.{attribute}", method
+
+
+def section(thing, title):
+    """Text of one section of a numpydoc docstring."""
+    found = re.search(rf"^{title}\n-+\n(.*?)(?=^\w+\n---|\Z)", inspect.getdoc(thing), flags=re.M | re.S)
+    return found[1] if found else ""
+
+
+def named_in(text):
+    """Names that a section of parameters or attributes describes."""
+    return {name for line in re.findall(r"^(\S.*?)(?: :.*)?$", text, flags=re.M) for name in re.findall(r"\w+", line)}
+
+
+@pytest.mark.parametrize(("name", "thing"), list(public_objects()), ids=lambda x: x if isinstance(x, str) else "")
+def test_public_names_are_documented(name, thing):
+    """Each public name shows an example and names every argument, field and result that it has."""
+    if "." not in name:
+        assert ">>> " in section(thing, "Examples")
+    if inspect.isroutine(thing):
+        signature = inspect.signature(thing)
+        assert set(signature.parameters) - {"self"} <= named_in(section(thing, "Parameters"))
+        makes_an_object = inspect.ismethod(thing)  # of its class: a class method
+        if signature.return_annotation not in (None, "None") and not makes_an_object:
+            assert section(thing, "Returns")
+    elif dataclasses.is_dataclass(thing):
+        fields = {field.name for field in dataclasses.fields(thing) if not field.name.startswith("_")}
+        assert fields <= named_in(section(thing, "Attributes") + section(thing, "Parameters"))
 
 
 def test_measurements_are_those_of_the_files(tmp_path, monkeypatch):

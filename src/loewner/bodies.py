@@ -642,6 +642,10 @@ class Body(_Bodies):
     def load(cls, path: str | os.PathLike[str]) -> Body:
         """Read what `save` wrote.
 
+        Parameters
+        ----------
+        path : path
+
         Raises
         ------
         FileError
@@ -732,6 +736,11 @@ class Bodies(_Bodies):
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
         """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; as `Body.ellipsoid`.
+
+        Parameters
+        ----------
+        semi_axes : array_like, shape (n, 3)
+            Along x, y, z, in metres.
 
         Examples
         --------

@@ -271,6 +271,10 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        Settled
         """
         out, tiers = self._settle(verdicts.EXACT, self.robot.checked(Q))
         free, hit = (np.bincount(tiers[out == verdict], minlength=verdicts.TIERS).tolist() for verdict in (0, 1))
@@ -368,6 +372,11 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         exact : bool
             Also compute the distance or depth, the pair, witnesses and normal.
+
+        Returns
+        -------
+        StateDistance
+            In metres; of one configuration floats and names, of a batch arrays.
 
         Raises
         ------

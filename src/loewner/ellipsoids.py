@@ -250,6 +250,11 @@ class Ellipsoids:
     def bounding_box(self) -> tuple[Floats, Floats]:
         """Lower and upper corner of the axis-aligned box, each of shape (..., n).
 
+        Returns
+        -------
+        lower, upper : ndarray, shape (..., n)
+            In metres.
+
         Examples
         --------
         >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).bounding_box()
@@ -292,7 +297,23 @@ class Ellipsoids:
         return self._mapped(P[..., :3, :3], P[..., :3, 3])
 
     def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
-        """Image under x -> A x + b, with A of shape (..., n, n) invertible and b of shape (..., n).
+        """Image under x -> A x + b.
+
+        Parameters
+        ----------
+        A : array_like, shape (..., n, n)
+            Invertible.
+        b : array_like, shape (..., n)
+            In metres.
+
+        Returns
+        -------
+        Ellipsoids
+
+        Raises
+        ------
+        GeometryError
+            If A is singular.
 
         Examples
         --------

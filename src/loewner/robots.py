@@ -131,6 +131,10 @@ class Robot:
         progress : callable, optional
             Called as ``progress(done, total)`` after each collision shape.
 
+        Returns
+        -------
+        Robot
+
         Raises
         ------
         FileError
@@ -146,10 +150,6 @@ class Robot:
         -----
         UserWarning
             If the SRDF names some links or joints that the robot does not have.
-
-        Returns
-        -------
-        Robot
 
         Examples
         --------

@@ -59,6 +59,10 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     path : path
         Files that it names are looked for relative to its folder.
 
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     FileError

@@ -58,7 +58,18 @@ class Contact:
 
     @classmethod
     def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
-        """One contact per pair of names, from exact distances of as many pairs."""
+        """One contact per pair of names, from exact distances of as many pairs.
+
+        Parameters
+        ----------
+        names : iterable of pairs of str
+        found : Distance
+            Of as many pairs, with ``exact=True``.
+
+        Returns
+        -------
+        tuple of Contact
+        """
         rows = zip(names, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
         return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
 
@@ -187,6 +198,15 @@ class Scene:
     def pose(self, name: str) -> Floats:
         """Pose in the world of a body, shape (4, 4), as a new array.
 
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        ndarray, shape (4, 4)
+            T_world_body; translation in metres.
+
         Raises
         ------
         InputError
@@ -195,7 +215,13 @@ class Scene:
         return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return another scene with the same bodies, which changes on its own from now on."""
+        """Return another scene with the same bodies, which changes on its own from now on.
+
+        Returns
+        -------
+        Scene
+            With the same bodies, margins and rules; the bodies themselves are shared, since they never change.
+        """
         other = Scene(margin=self._margin)
         other._bodies = dict(self._bodies)
         other._poses = dict(self._poses)
@@ -362,6 +388,11 @@ class Scene:
     def forbid(self, a: str, b: str) -> None:
         """Take back what `allow` allowed.
 
+        Parameters
+        ----------
+        a, b : str
+            In any order.
+
         Raises
         ------
         UnknownNameError
@@ -421,6 +452,16 @@ class Scene:
         """Metres that two bodies or links keep.
 
         The pair's own margin if it has one; else the larger of those that the two have; else the scene's.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, known or not.
+
+        Returns
+        -------
+        float
+            Metres.
         """
         pair = _pair(a, b)
         if pair in self._margins:
@@ -457,7 +498,13 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details."""
+        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details.
+
+        Returns
+        -------
+        bool
+            Touching, or coming within the margin, is colliding.
+        """
         return len(self._meeting()) > 0
 
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
