@@ -1,5 +1,5 @@
 # Everything here sets up .venv by itself from Python >= 3.11 with pip; nothing is installed elsewhere.
-#   make demo     the main job on two robot meshes, a picture, and the paper's experiment
+#   make demo     the main job on robot meshes, a picture, the paper, an arm in a shelf
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
 #   make docs     the documentation, as pages in docs/_build/html
@@ -18,9 +18,11 @@ help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 6
 
 demo: $(VENV)/.demo
+	$(BIN)/python -m loewner compile
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
+	$(BIN)/python -m loewner compile
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests
 
 verify: $(VENV)/.dev

@@ -31,9 +31,11 @@ REQUIRED = {
     "penetration vs Coal C++": 3.0,
     "two threads": 1.8,
     "crowd": 5.0,
+    "robot vs AABB tree": 10.0,
+    "planner": 5.0,
 }
 
-PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree")
+PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree", "pin", "ompl")
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ import memory
 import pairs
 import pieces
 import report
+import robots
 import singles
 import threads
 from clock import threads_set_to
@@ -35,8 +36,10 @@ BENCHMARKS = {
     "batches": ("cost against the size of the batch, one thread", growth.batches),
     "pieces": ("two bodies of many pieces, one thread", pieces.run),
     "crowd": ("all overlapping pairs among many ellipsoids, one thread", crowd.run),
+    "robots": ("robots in scenes, per configuration, one thread", robots.run),
+    "robot-batches": ("cost of a configuration against the size of the batch, one thread", robots.batches),
 }
-FIGURES = {"vertices": figures.vertices, "batches": figures.batches}
+FIGURES = {"vertices": figures.vertices, "batches": figures.batches, "robot-batches": figures.robot_batches}
 
 
 def main(arguments: list[str] | None = None) -> int:

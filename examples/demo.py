@@ -1,6 +1,6 @@
-"""The main job, start to end: two robot meshes to bodies, 1,000 poses checked, a picture; then the paper's experiment.
+"""The main job, start to end: meshes to bodies, poses checked, a picture; the paper's experiment; a robot in a shelf.
 
-python examples/demo.py [--poses 1000] [--pairs 1000] [--out demo-out] [--hull]
+python examples/demo.py [--poses 1000] [--pairs 1000] [--configurations 10000] [--out demo-out] [--hull]
 """
 
 import argparse
@@ -15,7 +15,7 @@ from rich.table import Table
 
 import loewner
 from loewner import Verdict, cli, plots
-from robot_meshes import panda
+from robot_meshes import panda, panda_robot
 
 console = Console(width=None if sys.stdout.isatty() else 160)
 
@@ -25,6 +25,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--poses", type=int, default=1000)
     options.add_argument("--pairs", type=int, default=1000)
+    options.add_argument("--configurations", type=int, default=10_000)
     options.add_argument("--out", type=Path, default=Path("demo-out"))
     options.add_argument("--hull", action="store_true", help="convex hulls: no decomposition")
     chosen = options.parse_args()
@@ -46,13 +47,19 @@ def main() -> None:
     console.rule(f"4. The paper's experiment, {chosen.pairs:,} pairs")
     cli.main(["paper", "--pairs", str(chosen.pairs), "--out", str(out / "paper"), "--json", str(out / "paper.json")])
 
+    console.rule(f"5. A whole robot in a shelf, {chosen.configurations:,} configurations")
+    shelf_picture = robot_in_shelf(chosen.configurations, out / "shelf.png")
+    console.print(f"{shelf_picture}: what collides is red\n")
+
     command = f"{os.path.relpath(sys.executable)} -m loewner"
     console.rule(f"Done in {time.perf_counter() - started:.0f} s. What next?")
     console.print(
-        f"look at       {picture}, {out / 'paper' / 'report.html'}\n"
+        f"look at       {picture}, {shelf_picture}, {out / 'paper' / 'report.html'}\n"
         f"your meshes   {command} fit a.stl b.stl -o bodies\n"
         f'              {command} check bodies/a.npz bodies/b.npz --pose-b "0.1 0 0"\n'
-        f"in Python     examples/two_meshes.py, examples/batch.py, README.md\n"
+        f"your robot    {command} robot check robot.urdf --srdf robot.srdf --scene scene.yaml --random 10000\n"
+        f"in Python     examples/panda_in_clutter.py, examples/grasped_object.py,\n"
+        f"              examples/two_meshes.py, examples/batch.py, README.md\n"
         f"the tests     make test",
         markup=False,
         highlight=False,
@@ -128,6 +135,65 @@ def draw(a: loewner.Body, b: loewner.Body, poses: np.ndarray, verdicts: np.ndarr
         if len(of_kind):
             near = np.argsort(loewner.distance(a, None, b, of_kind).lower)
             plots.pair(a, None, b, of_kind[near[0]], ax=figure.add_subplot(1, 3, k + 1, projection="3d"))
+    return plots.save(figure, path)
+
+
+def robot_in_shelf(count: int, path: Path) -> Path:
+    """Check random configurations of the Panda arm before a shelf, and draw one of each kind."""
+    started = time.perf_counter()
+    robot = panda_robot()
+    read = time.perf_counter()
+    checker = loewner.CollisionChecker(robot, shelf())
+    Q = robot.random_configurations(count, seed=0)
+    checker.collide(Q[:1])  # compiles, if this machine has not before
+    compiled = time.perf_counter()
+    colliding = checker.collide(Q)
+    ended = time.perf_counter()
+    settled = checker.tiers(Q)
+    table = Table("settled by", "free", "colliding")
+    table.add_row("bounding spheres and boxes", f"{settled.free_by_bounds:,}", "-")
+    table.add_row("ellipsoids", f"{settled.free_by_ellipsoids:,}", f"{settled.colliding_by_ellipsoids:,}")
+    table.add_row("planes about the pieces", f"{settled.free_by_planes:,}", "-")
+    table.add_row("exact search", f"{settled.free_by_search:,}", f"{settled.colliding_by_search:,}")
+    table.add_row("in all", f"{settled.free:,}", f"{settled.colliding:,}")
+    console.print(table)
+    console.print(
+        f"{len(robot.bodies)} links, {len(checker.scene)} boards, {len(checker.checked_pairs)} pairs; "
+        f"read {read - started:.1f} s, compiled {compiled - read:.1f} s, "
+        f"{1e6 * (ended - compiled) / count:.2f} us a configuration"
+    )
+    return draw_shelf(checker, Q, colliding, path)
+
+
+def shelf() -> loewner.Scene:
+    """Three boards and two sides, in front of the arm, which keeps a centimetre."""
+    scene = loewner.Scene(margin=0.01)
+    for name, size, position in (
+        ("lower board", [0.3, 0.8, 0.02], [0.65, 0.0, 0.15]),
+        ("middle board", [0.3, 0.8, 0.02], [0.65, 0.0, 0.5]),
+        ("upper board", [0.3, 0.8, 0.02], [0.65, 0.0, 0.85]),
+        ("left side", [0.3, 0.02, 0.9], [0.65, 0.4, 0.45]),
+        ("right side", [0.3, 0.02, 0.9], [0.65, -0.4, 0.45]),
+    ):
+        T = np.eye(4)
+        T[:3, 3] = position
+        scene.add(name, loewner.Body.box(size), T)
+    return scene
+
+
+def draw_shelf(checker: loewner.CollisionChecker, Q: np.ndarray, colliding: np.ndarray, path: Path) -> Path:
+    """Of each kind, the configuration that reaches deepest into the shelf, among the first thousand."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 6))
+    hand = checker.robot.link_names.index("panda_hand")
+    depth = checker.robot.forward_kinematics(Q[:1000])[:, hand, :3, 3] @ [1.0, 0.0, 0.0]
+    for k, kind in enumerate((False, True)):
+        of_kind = np.flatnonzero(colliding[:1000] == kind)
+        if len(of_kind):
+            q = Q[of_kind[depth[of_kind].argmax()]]
+            ax = plots.configuration(checker, q, ax=figure.add_subplot(1, 2, k + 1, projection="3d"))
+            ax.view_init(elev=20, azim=-120)
     return plots.save(figure, path)
 
 

@@ -1,8 +1,10 @@
-"""Where the meshes of the package example-robot-data are on this machine."""
+"""Robots of the package example-robot-data, wherever it is on this machine."""
 
 import sys
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
+
+import loewner
 
 
 def robots() -> Path:
@@ -21,3 +23,19 @@ def robots() -> Path:
 def panda(name: str) -> Path:
     """A mesh of the Panda arm, such as "visual/link5.dae" or "collision/hand.stl"."""
     return robots() / "panda_description" / "meshes" / name
+
+
+def panda_robot() -> loewner.Robot:
+    """The Panda arm with its hand; eight joints."""
+    folder = robots() / "panda_description"
+    return loewner.Robot.from_urdf(
+        folder / "urdf/panda.urdf", srdf=folder / "srdf/panda.srdf", package_dirs=robots().parent
+    )
+
+
+def talos_robot() -> loewner.Robot:
+    """The humanoid Talos; 32 joints."""
+    folder = robots() / "talos_data"
+    return loewner.Robot.from_urdf(
+        folder / "robots/talos_reduced.urdf", srdf=folder / "srdf/talos.srdf", package_dirs=robots().parent
+    )

@@ -145,9 +145,7 @@ def _parting(a: ExactEllipsoid, b: ExactEllipsoid) -> np.ndarray:
     def overlap(n: np.ndarray) -> float:
         return float((np.linalg.norm(Fa.T @ n) + np.linalg.norm(Fb.T @ n) - r @ n) / np.linalg.norm(n))
 
-    # Of the normals at which both ellipsoids, grown alike, would touch: the best of a row of mixtures.
-    P, Q = Fa @ Fa.T, Fb @ Fb.T
-    n = min((np.linalg.solve((1 - s) * P + s * Q, r) for s in np.linspace(0.001, 0.999, 99)), key=overlap)
+    n = r / np.linalg.norm(r)
     for method in ("Nelder-Mead", "BFGS", "Nelder-Mead"):
         n = minimize(overlap, n / np.linalg.norm(n), method=method, tol=1e-14).x
     return n / np.linalg.norm(n)

@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import json
 import sys
 from pathlib import Path
 
@@ -15,9 +16,13 @@ import crowd
 import growth
 import loewner
 import memory
+import motion_bench_maker
 import pairs
 import report
 import rivals
+import robot_rivals
+import robot_samples
+import robots
 import run
 import samples
 import singles
@@ -133,6 +138,7 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
         (memory, {"QUICK": 400}),
         (crowd, {"QUICK": 60}),
         (growth, {"QUICK_VERTICES": (8,), "PAIRS": 200, "HULLS": 2}),
+        (robots, {"QUICK": 20, "QUICK_SIZES": (1, 5)}),
     ):
         for name, value in names.items():
             monkeypatch.setattr(module, name, value)
@@ -140,3 +146,147 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     written = {path.name for path in tmp_path.iterdir()}
     assert {f"{name}.csv" for name in [*run.BENCHMARKS, "memory"]} | {"machine.json"} <= written
     assert {f"{name}.png" for name in run.FIGURES} <= written
+
+
+# -- robots ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def arm() -> robot_samples.Sample:
+    try:
+        return robot_samples.panda()
+    except rivals.Missing as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture
+def round_and_square() -> loewner.Scene:
+    scene = loewner.Scene()
+    for k, body in enumerate(
+        (loewner.Body.box([0.1, 0.2, 0.3]), loewner.Body.cylinder(0.1, 0.5), loewner.Body.sphere(0.15))
+    ):
+        T = np.eye(4)
+        T[:3, :3] = samples.rotations(np.random.default_rng(k), 1)[0]
+        T[:3, 3] = 0.5 * np.cos(2 * k), 0.5 * np.sin(2 * k), 0.4
+        scene.add(str(k), body, T)
+    return scene
+
+
+def test_obstacles_are_those_described():
+    """Five boxes and five hulls, in the ring, of the sizes that the documents give."""
+    scene = robot_samples.obstacles(3)
+    assert len(scene) == 10
+    for name in scene.names:
+        x, y, z = scene.pose(name)[:3, 3]
+        assert 0.45 <= np.hypot(x, y) <= 0.85
+        assert 0 <= z <= 0.9
+        vertices = scene[name].pieces[0].vertices
+        if name.startswith("box"):
+            assert ((np.ptp(vertices, axis=0) >= 0.05) & (np.ptp(vertices, axis=0) <= 0.25)).all()
+        else:
+            assert 0.06 < np.linalg.norm(vertices, axis=1).max() <= 0.12
+
+
+def test_pinocchio_is_told_the_same(arm: robot_samples.Sample, round_and_square: loewner.Scene):
+    """Distances to boxes, cylinders, balls and hulls are ours, and every way to ask gives our answers."""
+    pytest.importorskip("pinocchio")
+    checker = loewner.CollisionChecker(arm.robot, round_and_square)
+    rival = robot_rivals.Pinocchio(checker, arm.urdf)
+    Q = arm.robot.random_configurations(60, 5)
+    X = rival.configurations(Q)
+    ours = checker.collide(Q)
+    assert 5 < ours.sum() < 55
+    for way in rival.ways.values():
+        assert np.array_equal(way(X), ours)
+    free = np.flatnonzero(~ours)[:10]
+    np.testing.assert_allclose(
+        [rival.distance(x) for x in X[free]], checker.distance(Q[free], exact=True).distance, atol=1e-6
+    )
+
+
+def test_every_pair_is_asked_of_pinocchio(arm: robot_samples.Sample, round_and_square: loewner.Scene):
+    """As many pairs of pieces as the pairs of bodies have."""
+    pytest.importorskip("pinocchio")
+    checker = loewner.CollisionChecker(arm.robot, round_and_square)
+    pieces = {name: len(body.pieces) for name, body in arm.robot.bodies.items()}
+    expected = sum(pieces.get(a, 1) * pieces.get(b, 1) for a, b in checker.checked_pairs)
+    assert len(robot_rivals.Pinocchio(checker, arm.urdf).geometry.collisionPairs) == expected
+
+
+def test_touching_configurations_are_set_apart():
+    """Only answers that differ farther than 1e-7 m from touching count."""
+
+    class Rival:
+        def distance(self, gap: float) -> float:
+            return gap
+
+    gaps = np.array([5.0, 1e-8, -2e-6, 3e-5])
+    count, note = robots.differing(Rival(), gaps, np.array([True] * 4), np.array([True, False, False, False]), "about")
+    assert count == 2
+    assert note.startswith("about; 1 more")
+
+
+@pytest.fixture
+def problems(tmp_path: Path) -> Path:
+    """Problems for Panda: one with a pole in the way, one whose start is inside a box, one with a goal out of reach."""
+    start, goal = [0.0, -0.785, 0, -2.356, 0, 1.571, 0.785], [1.2, -0.785, 0, -2.356, 0, 1.571, 0.785]
+
+    def place(x: float, y: float, z: float) -> dict[str, list[float]]:
+        return {"position": [x, y, z], "orientation_quat_xyzw": [0, 0, 0, 1], "orientation_euler_xyz": [0, 0, 0]}
+
+    pole = {"name": "pole", "radius": 0.04, "length": 0.8, **place(0.33 * np.cos(0.6), 0.33 * np.sin(0.6), 0.4)}
+    box = {"name": "box", "half_extents": [0.1, 0.1, 0.1], **place(0.3, 0, 0.6)}
+    shared = {"problem": "pole", "start": start, "goals": [goal], "valid": True, "sphere": []}
+    listed = [
+        {**shared, "index": 1, "cylinder": [pole], "box": []},
+        {**shared, "index": 2, "cylinder": [], "box": [box]},
+        {**shared, "index": 3, "cylinder": [], "box": [], "goals": [[3.0, *goal[1:]]]},
+    ]
+    path = tmp_path / "problems.json"
+    joints = [f"panda_joint{k}" for k in range(1, 8)]
+    path.write_text(json.dumps({"robot": "panda", "joints": joints, "problems": {"pole": listed}}))
+    return path
+
+
+def test_planning_problems_are_judged_and_planned(arm: robot_samples.Sample, problems: Path, tmp_path: Path):
+    """The straight way is blocked, all contestants find the same way around it; tiers add up."""
+    for package in ("ompl", "pinocchio"):
+        pytest.importorskip(package)
+    assert motion_bench_maker.main(["--data", str(problems), "--every", "1", "--out", str(tmp_path)]) == 0
+
+    def read(name: str) -> list[dict[str, str]]:
+        with open(tmp_path / name, newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+
+    (judged,) = read("mbm-validity.csv")
+    assert [judged[k] for k in ("problems", "free_start", "free_goal", "solvable", "differing")] == list("32310")
+    planned = read("mbm-planning.csv")
+    assert [row["case"] for row in planned] == ["pole", "pole", "all groups", "all groups"]
+    assert all(row["differing"] == "0" and "1 of 1 problems solved" in row["note"] for row in planned)
+    assert all(int(row["items"]) > 1 for row in planned)  # the straight way alone did not do
+    tiers = read("mbm-tiers.csv")
+    assert [row["states"] for row in tiers] == ["uniform", "straight line", "planner"]
+    for row in tiers:
+        assert int(row["configurations"]) == sum(int(row[k]) for k in row if k.startswith(("free", "colliding")))
+    assert int(tiers[1]["colliding_by_ellipsoids"]) + int(tiers[1]["colliding_by_search"]) > 0
+    assert (tmp_path / "mbm-tiers.svg").stat().st_size > 0
+
+
+def test_both_sides_look_at_the_same_configurations(arm: robot_samples.Sample, round_and_square: loewner.Scene):
+    """A motion is valid if and only if all that pinocchio is shown are free; they are as near as they should be."""
+    checker = loewner.CollisionChecker(arm.robot, round_and_square)
+    a, b = arm.robot.random_configurations(40, 1), arm.robot.random_configurations(40, 2)
+    valid = checker.valid_edges(a, b, motion_bench_maker.RESOLUTION)
+    for k in range(40):
+        Q = motion_bench_maker.on_the_way(arm.robot, a[k], b[k])
+        assert valid[k] == (not checker.collide(Q).any())
+        along = np.sort(np.linalg.norm(Q - a[k], axis=1))
+        assert along[0] == 0
+        assert along[-1] == pytest.approx(np.linalg.norm(b[k] - a[k]))
+        assert np.diff(along).max() <= motion_bench_maker.RESOLUTION * (1 + 1e-9)
+
+
+def test_no_problems_no_benchmark(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Without the file it says so."""
+    assert motion_bench_maker.main(["--data", str(tmp_path / "none.json")]) == 0
+    assert "not run" in capsys.readouterr().out

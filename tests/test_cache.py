@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import loewner
+from loewner import compilation
 
 ASK = """
 import sys
@@ -106,3 +107,20 @@ def test_a_second_process_compiles_nothing():
         for _ in range(2)
     ]
     assert runs[1].stderr == ""
+
+
+def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
+    """Compiling ahead says which part failed, and what the process said."""
+    monkeypatch.setattr(compilation, "_PARTS", {"no such part": None})
+    with pytest.raises(loewner.FileError, match="no such part could not be compiled(.|\n)*KeyError"):
+        compilation.compile_kernels()
+
+
+@pytest.mark.verify
+def test_compiling_ahead_leaves_nothing_to_compile(tmp_path: Path):
+    """After `loewner compile` into an empty folder the queries find everything there."""
+    env = {k: v for k, v in os.environ.items() if k != "LOEWNER_QUIET"} | {"LOEWNER_CACHE_DIR": str(tmp_path)}
+    compiling = subprocess.run([sys.executable, "-m", "loewner", "compile"], env=env, capture_output=True, text=True)
+    assert compiling.returncode == 0, compiling.stderr
+    asked = subprocess.run([sys.executable, "-c", QUERIES], env=env, capture_output=True, text=True, check=True)
+    assert asked.stderr == ""

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 import loewner
+from gantry import RADIUS, gantry
 from loewner import cli
 
 
@@ -191,6 +192,147 @@ def test_fit_into_a_file_is_an_error(saved, capsys):
     assert run(capsys, "fit", "cube.stl", "-o", "a.npz")[0] == 2
 
 
+# -- robot --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with a robot, and a scene with a wall along y, 0.1 m thick."""
+    monkeypatch.chdir(tmp_path)
+    gantry(tmp_path)
+    Path("wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\n")
+    return tmp_path
+
+
+ROBOT = ("gantry.urdf", "--srdf", "gantry.srdf")
+
+
+def row(out, *cells):
+    """Whether a table has a row that starts with these cells."""
+    return re.search(r"^\W*" + r"\W+".join(re.escape(c) for c in cells) + r"\b", out, flags=re.M) is not None
+
+
+def test_robot_info(folder, capsys):
+    """Links with pieces and vertices, joints with limits, pairs, groups and states."""
+    status, out, err = run(capsys, "robot", "info", *ROBOT)
+    assert (status, err) == (0, "")
+    assert row(out, "rod", "1", "8")
+    assert row(out, "ball", "1", "0")
+    assert "│ x      │ -1    │ 1" in out
+    assert "│ turn   │ -inf  │ inf" in out
+    assert "pairs     1 of links with bodies, 0 checked\n          1 disabled by the SRDF, 1 adjacent" in out
+    assert "groups    slide (2), nothing (0)\nstates    left, wall" in out
+
+
+def test_robot_check_counts_what_the_checker_finds(folder, capsys):
+    """The JSON agrees with the library, and with plane geometry for the ball."""
+    status, out, _ = run(
+        capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 2000, "--seed", 3, "--json"
+    )
+    answer = json.loads(out)
+    robot = loewner.Robot.from_urdf("gantry.urdf", srdf="gantry.srdf")
+    Q = robot.random_configurations(2000, 3)
+    expected = loewner.CollisionChecker(robot, loewner.load_scene("wall.yaml")).collide(Q)
+    assert status == 1
+    assert answer["colliding_rows"] == np.flatnonzero(expected).tolist()
+    assert (answer["colliding"], answer["free"]) == (expected.sum(), 2000 - expected.sum())
+    assert sum(answer["tiers"].values()) == answer["configurations"] == 2000
+    counts = {(a, b): count for a, b, count in answer["pairs"]}
+    assert counts["ball", "wall"] == (np.abs(Q[:, 0]) <= 0.05 + RADIUS).sum()
+    assert expected.sum() < sum(counts.values())  # some by both
+    assert list(counts.values()) == sorted(counts.values(), reverse=True)
+    assert answer["outside_limits"] == []
+
+
+def test_robot_check_prints_tables(folder, capsys):
+    status, out, err = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500)
+    assert (status, err) == (1, "")
+    colliding = int(re.match(r"COLLIDING  (\d+) of 500 configurations collide", out)[1])
+    settled = [line for line in out.splitlines() if re.match(r"\W*(bounding|ellipsoids|planes|exact)", line)]
+    assert sum(int(n) for line in settled for n in re.findall(r"\d+", line)) == 500
+    assert 0 < colliding < 500
+    assert row(out, "rod", "wall")
+    assert "configurations a second" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [(["left"], 0), (["wall"], 1), (["left", "--margin", "0.34"], 0), (["left", "--margin", "0.36"], 1)],
+)
+def test_robot_check_state(folder, capsys, options, status):
+    """The ball at x = -0.5 is 0.35 m from the wall; the rod, along x, ends nearer, so it is turned away first."""
+    Path("wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\nallow: [[rod, wall]]\n")
+    found = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--state", *options)
+    assert found[0] == status
+    assert found[1].startswith(["FREE  0 of 1", "COLLIDING  1 of 1"][status])
+
+
+def test_robot_check_files(folder, capsys):
+    """.npy and .csv, with and without names in another order, one and many; what is outside the limits is said."""
+    Q = np.array([[-0.5, 0.0, 2.0], [0.0, 0.5, 0.0], [-1.5, 0.0, 2.0]])
+    np.save("many.npy", Q)
+    np.save("one.npy", Q[0])
+    np.savetxt("plain.csv", Q, delimiter=",")
+    np.savetxt("named.csv", Q[:, [2, 0, 1]], delimiter=", ", header="turn, x, y", comments="")
+    for name in ("many.npy", "plain.csv", "named.csv"):
+        status, out, _ = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--configs", name, "--json")
+        answer = json.loads(out)
+        assert (status, answer["colliding_rows"], answer["outside_limits"]) == (1, [1], [2])
+        assert answer["outside_limits_of"] == ["x"]
+    assert run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--configs", "one.npy")[0] == 0
+    out = run(capsys, "robot", "check", *ROBOT, "--configs", "many.npy")[1]
+    assert "note: 1 configurations are outside the limits, the first in row 2: x" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.urdf", "--random", "5"], "none.urdf"),
+        ([*ROBOT, "--scene", "none.yaml", "--random", "5"], "none.yaml"),
+        ([*ROBOT, "--random", "0"], "--random: expected an integer >= 1, found 0"),
+        ([*ROBOT, "--random", "5", "--seed", "-1"], "--seed: expected an integer >= 0, found -1"),
+        ([*ROBOT, "--state", "lefd"], "expected the name of a state, found 'lefd'"),
+        ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene beside it"),
+        ([*ROBOT, "--scene", "wall.yaml", "--state", "left", "--margin", "-1"], "margin: expected"),
+        ([*ROBOT, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
+        ([*ROBOT, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy or .csv file, found .urdf"),
+        ([*ROBOT, "--configs", "text.npy"], "text.npy: expected an array of numbers"),
+        ([*ROBOT, "--configs", "narrow.npy"], "narrow.npy: expected shape (..., 3)"),
+        ([*ROBOT, "--configs", "deep.npy"], "deep.npy: expected shape (n, 3), found (2, 2, 3)"),
+        ([*ROBOT, "--configs", "nan.npy"], "nan.npy[1]: expected finite numbers, found nan for y"),
+        ([*ROBOT, "--configs", "names.csv"], "names.csv: expected columns x, y, turn, found x, y, twist"),
+        ([*ROBOT, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
+        ([*ROBOT, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
+    ],
+)
+def test_robot_check_errors(folder, capsys, arguments, message):
+    """One line on standard error, status 2."""
+    Path("text.npy").write_text("words")
+    np.save("narrow.npy", np.zeros((4, 2)))
+    np.save("deep.npy", np.zeros((2, 2, 3)))
+    np.save("nan.npy", [[0, 0, 0], [0, np.nan, 0]])
+    Path("names.csv").write_text("x,y,twist\n1,2,3\n")
+    Path("ragged.csv").write_text("1,2,3\n1,2\n")
+    Path("empty.csv").touch()
+    status, out, err = run(capsys, "robot", "check", *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("loewner: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_robot_warnings_are_lines(folder, capsys):
+    """An SRDF that names what the robot does not have is said once, without the place in the source."""
+    text = Path("gantry.srdf").read_text()
+    pair = '<disable_collisions link1="ball" link2="none"/></robot>'
+    Path("gantry.srdf").write_text(text.replace("</robot>", pair))
+    status, _, err = run(capsys, "robot", "check", *ROBOT, "--state", "left")
+    assert status == 0
+    assert err.startswith("loewner: warning: ")
+    assert "none" in err
+    assert ".py" not in err
+
+
 # -- paper --------------------------------------------------------------------------------------
 
 
@@ -217,7 +359,9 @@ def test_paper_refuses(saved, capsys, arguments):
 # -- the program --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", [[], ["fit"], ["check"], ["paper"]])
+@pytest.mark.parametrize(
+    "command", [[], ["fit"], ["check"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"]]
+)
 def test_help_has_examples(command, capsys):
     """--help works everywhere; each command shows examples, and `check` its exit status."""
     with pytest.raises(SystemExit) as caught:
@@ -225,7 +369,7 @@ def test_help_has_examples(command, capsys):
     assert caught.value.code == 0
     out = capsys.readouterr().out
     if command:
-        assert f"loewner {command[0]} " in out.split("examples:")[1]
+        assert f"loewner {' '.join(command)} " in out.split("examples:")[1]
     if command == ["check"]:
         assert "exit status: 0 free, 1 colliding" in out
 

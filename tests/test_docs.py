@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from gantry import gantry
+from robot_oracle import robots_folder
+
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")], key=str)
 
@@ -25,12 +28,24 @@ def folder_with_meshes(tmp_path, monkeypatch):
     mesh = trimesh.creation.box((0.1, 0.2, 0.3))
     for name in ("part.stl", "link.stl"):
         mesh.export(tmp_path / name)
+    for path in gantry(tmp_path):
+        path.rename(tmp_path / f"arm{path.suffix}")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md"])
-def test_code_blocks_run(name, folder_with_meshes, capsys):
+@pytest.fixture
+def folder_with_robot(folder_with_meshes):
+    """The same with the Panda arm, where the packages of its meshes are, and a shelf."""
+    robots = robots_folder()
+    for kind in ("urdf", "srdf"):
+        Path(f"panda.{kind}").symlink_to(robots / f"panda_description/{kind}/panda.{kind}")
+    Path("packages").symlink_to(robots.parent)
+    Path("shelf.yaml").write_text("margin: 0.01\nbodies:\n  board: {box: [0.3, 0.8, 0.02], position: [0.65, 0, 0.5]}\n")
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/robots.md"])
+def test_code_blocks_run(name, folder_with_robot, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""
     program = blocks(ROOT / name)
     assert program
@@ -100,11 +115,61 @@ def test_example_ellipsoid_of_points(tmp_path):
 
 def test_demo(tmp_path):
     """The demo runs, small, and leaves bodies, picture and report; no verdict is contradicted."""
-    out = example("demo.py", "--hull", "--poses", "60", "--pairs", "60", cwd=tmp_path)
+    out = example("demo.py", "--hull", "--poses", "60", "--pairs", "60", "--configurations", "500", cwd=tmp_path)
     assert "exact answer contradicts: 0" in out
+    free, colliding = (int(n) for n in re.search(r"in all\W+(\d+)\W+(\d+)", out).groups())
+    assert free + colliding == 500
+    assert min(free, colliding) > 0
     made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
-    wanted = {"link5.npz", "hand.npz", "verdicts.png", "paper/report.html", "paper/report.md", "paper.json"}
+    wanted = {
+        "link5.npz",
+        "hand.npz",
+        "verdicts.png",
+        "shelf.png",
+        "paper/report.html",
+        "paper/report.md",
+        "paper.json",
+    }
     assert {f"demo-out/{name}" for name in wanted} <= made
+
+
+def test_example_panda_in_clutter(tmp_path):
+    """A path that does not touch, even between the configurations that the planner looked at."""
+    out = example("panda_in_clutter.py", cwd=tmp_path)
+    length, straight = (float(x) for x in re.search(r"length ([0-9.]+), .* blocked, ([0-9.]+)", out).groups())
+    assert length > straight
+    assert re.search(r"of \d+ configurations on it, 0 touch", out)
+
+
+def test_example_moving_obstacle(tmp_path):
+    """The ball comes near at some steps and not at others; what is too near is named."""
+    out = example("moving_obstacle.py", "--steps", "200", cwd=tmp_path)
+    near = int(re.search(r"too near at (\d+) of 200 steps", out)[1])
+    assert 0 < near < 200
+    assert re.search(r"step \d+: panda_\w+ and ball", out)
+
+
+def test_example_grasped_object(tmp_path):
+    """The can, not the hand, hits the post; the fingers may touch it only while it is attached."""
+    out = example("grasped_object.py", cwd=tmp_path)
+    assert "hand closed on it: panda_leftfinger and can, panda_rightfinger and can" in out
+    assert "can attached to the hand: free" in out
+    assert "the first of them: can and post" in out
+    counts = [int(n) for n in re.findall(r": (\d+) (?:of|collide)", out)]
+    assert counts[0] > 0
+    assert counts[1] > 0
+    assert counts[2] == 0
+
+
+def test_example_humanoid_self_collision(tmp_path):
+    """The humanoid is free where it stands, and fewer pairs are checked than without sampling."""
+    out = example("humanoid_self_collision.py", "--samples", "300", cwd=tmp_path)
+    assert "half sitting: free" in out
+    kinds = {why: int(count) for why, count in re.findall(r"(adjacent|always|default|never) +(\d+)", out)}
+    assert kinds["adjacent"] > 20
+    assert kinds["never"] > 400
+    checked = int(re.search(r"checked: (\d+) pairs", out)[1])
+    assert 0 < checked < kinds["never"] + 1000
 
 
 def test_picture_is_what_its_script_draws(tmp_path, monkeypatch):

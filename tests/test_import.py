@@ -6,7 +6,7 @@ import sys
 
 import loewner
 
-OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx")
+OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl")
 
 
 def modules_after(code: str) -> set[str]:

@@ -1,7 +1,7 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
 from loewner.bodies import Bodies, Body, Piece
-from loewner.checkers import CollisionChecker, Settled, StateDistance
+from loewner.checkers import CollisionChecker, Settled, StateDistance, pairs_by_sampling
 from loewner.crowds import overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
@@ -13,6 +13,7 @@ from loewner.errors import (
     InputError,
     LoewnerError,
     MissingExtraError,
+    PlanningError,
     PoseError,
     UnknownNameError,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "MissingExtraError",
     "NearPoints",
     "Piece",
+    "PlanningError",
     "Polytope",
     "PoseError",
     "Problem",
@@ -64,6 +66,7 @@ __all__ = [
     "near_points",
     "overlap",
     "overlapping_pairs",
+    "pairs_by_sampling",
     "read_motion_bench_maker",
     "save_scene",
 ]

@@ -6,6 +6,7 @@ kernel walks through (`loewner._kernels.states`). It notices when the scene chan
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -37,6 +38,9 @@ AT_LEAST = 64
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
 
+# Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
+BY_PAIR = 1024
+
 # Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 
@@ -44,6 +48,7 @@ STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 AT_ONCE = 50_000
 
 _OPEN = int(Verdict.AMBIGUOUS)
+_NO_FRACTIONS = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +141,8 @@ class _Prepared:
     pairs: Ints
     margins: Floats
     arrays: tuple[Any, ...]
+    # Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
+    hits: NDArray[np.int64]
     table: NDArray[np.int64]
     handle: int = 0
 
@@ -149,7 +156,7 @@ class CollisionChecker:
     scene : Scene, optional
         May be changed afterwards; the next query sees it. None: the robot alone.
     allowed : iterable of pairs of str, optional
-        Links that may touch, besides the robot's `disabled_pairs`: for instance the keys of `never_meeting`.
+        Links that may touch, besides the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
     skip_adjacent : bool, optional
         Leave out links that a joint joins, which mostly overlap by design. Default: only if the robot came without an
         SRDF, which usually disables those that must be.
@@ -197,14 +204,8 @@ class CollisionChecker:
         skipped = set(robot.disabled_pairs)
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
-        for a, b in allowed:
-            for name in (a, b):
-                if name not in robot.link_names:
-                    raise _check.unknown_name("link", name, robot.link_names)
-            skipped.add((min(a, b), max(a, b)))
-        self._skipped = frozenset(skipped)
+        self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared: _Prepared | None = None
-        self._hits: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __repr__(self) -> str:
@@ -318,21 +319,21 @@ class CollisionChecker:
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        if a.ndim == 1 and b.ndim == 1:
-            return self._valid_edge(a, b, _parts(self.robot.distances(a, b), step))
+        if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
+            return self._valid_edge(a, b, step)
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
             texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
-        shape, dof = a.shape[:-1], self.robot.dof
-        a, b = a.reshape(-1, dof), b.reshape(-1, dof)
-        parts = _parts(self.robot.distances(a, b), step)
+        shape = a.shape[:-1]
+        a, b = _flat(a), _flat(b)
+        parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in _rounds(parts, valid):
             out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
-        return valid.reshape(shape)
+        return valid.reshape(shape) if shape else bool(valid[0])
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -364,6 +365,34 @@ class CollisionChecker:
             Contact(*pair, d.distance, d.witness_a, d.witness_b, d.normal) for pair, d in zip(names, found, strict=True)
         )
 
+    def collide_by_pair(self, Q: ArrayLike) -> NDArray[np.bool_]:
+        """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        ndarray of bool, shape (..., pairs)
+            Pairs as `checked_pairs`.
+
+        Raises
+        ------
+        InputError, UnknownNameError, ConvergenceError
+            As for `collide`.
+        """
+        checked = self.robot.checked(Q)
+        ready = self._ready()
+        flat = _flat(checked)
+        out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
+        for k in range(0, len(flat), BY_PAIR):
+            T = self._body_poses(ready, flat[k : k + BY_PAIR])
+            for p, (a, b) in enumerate(ready.pairs.tolist()):
+                one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
+                out[k : k + BY_PAIR, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
+        return out.reshape(*checked.shape[:-1], len(ready.pairs))
+
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
         """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
 
@@ -389,7 +418,7 @@ class CollisionChecker:
         ready = self._ready()
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
-        flat = checked.reshape(-1, self.robot.dof)
+        flat = _flat(checked)
         each = max(1, AT_ONCE // len(ready.pairs))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
@@ -405,34 +434,54 @@ class CollisionChecker:
     def _settle(self, mode: int, Q: Floats) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
         """Verdict and tier of every configuration."""
         ready = self._ready()
-        flat = Q.reshape(-1, self.robot.dof)
+        flat = _flat(Q)
         total = len(flat)
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
-        def run(first: int, last: int) -> NDArray[np.int64]:
-            hits = np.zeros(len(ready.pairs), dtype=np.int64)
-            states.check_states(mode, first, last, flat, pack, ready.handle, out, tiers, hits)
-            return hits
+        def run(first: int, last: int) -> None:
+            states.check_states(mode, first, last, flat, _NO_FRACTIONS, pack, ready.handle, out, tiers, ready.hits)
 
         if total <= LEAST_SHARE:
-            hits = run(0, total)
+            run(0, total)
         else:
-            hits = np.sum(list(over_blocks(run, total, share(total, LEAST_SHARE))), axis=0)
-        self._learn(ready, hits, total)
+            for _ in over_blocks(run, total, share(total, LEAST_SHARE)):
+                pass
+        self._learn(ready, total)
         if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
                 out[k] = self._settle_with_care(ready, flat[k])
         return out, tiers
 
-    def _valid_edge(self, a: Floats, b: Floats, parts: Ints) -> bool:
-        """The same for one motion, by the shortest way."""
-        fractions = _coarse_first(int(parts))
-        for k in range(0, len(fractions), AT_LEAST):
-            out, _ = self._settle(verdicts.EXACT, self.robot.between(a, b, fractions[k : k + AT_LEAST]))
-            if out.any():
-                return False
-        return True
+    def _parts(self, a: Floats, b: Floats, step: float) -> Any:
+        """How many steps motions are divided into."""
+        lengths = self.robot._distances(a, b)
+        longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
+        if not longest / step <= MOST_STEPS:
+            raise InputError(
+                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+            )
+        if isinstance(lengths, np.ndarray):
+            return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+        return max(math.ceil(lengths / step), 1)
+
+    def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
+        """The same for one motion of joints that run straight, in one call."""
+        ready = self._ready()
+        fractions = _coarse_first(self._parts(a, b, step))
+        total = len(fractions)
+        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
+        ends, pack = np.array((a, b)), ready.bodies._packed.handle
+        done = states.check_states(
+            verdicts.EXACT, 0, total, ends, fractions, pack, ready.handle, out, tiers, ready.hits
+        )
+        self._learn(ready, done)
+        if not out[:done].any():
+            return True
+        if (out[:done] == Verdict.COLLIDING).any():
+            return False
+        still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
+        return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
 
     def _settle_with_care(self, ready: _Prepared, q: Floats) -> int:
         """One configuration that the fast searches left open, pair by pair."""
@@ -453,15 +502,12 @@ class CollisionChecker:
             )
         return int(Verdict.FREE)
 
-    def _learn(self, ready: _Prepared, hits: NDArray[np.int64], count: int) -> None:
+    def _learn(self, ready: _Prepared, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
-        if count == 1 or len(hits) != len(self._hits):
-            return  # a look at single ones would cost more than it can spare
-        self._hits += hits
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
             self._next_look = 2 * self._seen
-            self._prepared = _ordered(ready, self._hits)
+            self._prepared = _ordered(ready)
 
     def _ready(self) -> _Prepared:
         """What the kernel takes, made anew if the scene has changed."""
@@ -470,7 +516,6 @@ class CollisionChecker:
             return ready
         if ready is None or ready.structure_version != scene.structure_version:
             ready = self._prepare()
-            self._hits = np.zeros(len(ready.pairs), dtype=np.int64)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
             ready = _with_poses(ready, scene)
@@ -508,7 +553,7 @@ class CollisionChecker:
         )  # fmt: skip
         ready = _Prepared(
             scene.version, scene.structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
-            np.zeros(0, dtype=np.int64),
+            np.zeros(len(pairs), dtype=np.int64), np.zeros(0, dtype=np.int64),
         )  # fmt: skip
         return _with_poses(ready, scene)
 
@@ -564,6 +609,68 @@ class CollisionChecker:
                 column[rows] = values[better]
         names = np.array(ready.names)[ready.pairs[nearest]]
         return lower, upper, best, names, *vectors
+
+
+def pairs_by_sampling(
+    robot: Robot,
+    samples: int = 10_000,
+    seed: int = 0,
+    *,
+    known_free: ArrayLike | None = None,
+    always: float = 0.95,
+) -> dict[Pair, str]:
+    """Pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant finds them.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its `disabled_pairs` are not looked at.
+    samples : int
+        Random configurations within the limits, see `Robot.random_configurations`.
+    seed : int
+    known_free : array_like, shape (..., dof), optional
+        Configurations that the robot is known to be free at, such as one that it stands in: what collides there does so
+        because its bodies are larger than the links.
+    always : float
+        Share of the samples, above 0 and up to 1, from which on two links count as always colliding.
+
+    Returns
+    -------
+    dict
+        Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
+        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
+        checked, and not in it.
+
+    Notes
+    -----
+    "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
+    samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+    """
+    if not isinstance(samples, (int, np.integer)) or samples < 1:
+        raise InputError(f"samples: expected an integer >= 1, found {samples!r}")
+    if not 0 < _check.positive_scalar(always, "always") <= 1:
+        raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
+    counts = checker.collide_by_pair(robot.random_configurations(int(samples), seed)).sum(axis=0)
+    known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
+    overlapping = checker.collide_by_pair(_flat(known)).sum(axis=0).tolist()
+    found = {}
+    for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
+        pair = (min(a, b), max(a, b))
+        if pair in robot.adjacent_pairs:
+            found[pair] = "adjacent"
+        elif overlaps:
+            found[pair] = "default"
+        elif count >= always * samples:
+            found[pair] = "always"
+        elif count == 0:
+            found[pair] = "never"
+    return dict(sorted(found.items()))
+
+
+def _flat(Q: Floats) -> Floats:
+    """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
+    return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])
 
 
 def _no_distances(exact: bool) -> list[Any]:
@@ -622,9 +729,9 @@ def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
     return _with_arrays(replace(ready, version=scene.version, structure_version=scene.structure_version), arrays)
 
 
-def _ordered(ready: _Prepared, hits: NDArray[np.int64]) -> _Prepared:
+def _ordered(ready: _Prepared) -> _Prepared:
     """The same with the pairs that hit most often first."""
-    arrays = (*ready.arrays[:10], np.argsort(-hits, kind="stable"), *ready.arrays[11:])
+    arrays = (*ready.arrays[:10], np.argsort(-ready.hits, kind="stable"), *ready.arrays[11:])
     return _with_arrays(ready, arrays)
 
 
@@ -683,16 +790,6 @@ def _corners(packed: Packed, p: int, T: Floats) -> Floats:
 
 
 # -- motions ----------------------------------------------------------------------------------
-
-
-def _parts(lengths: Floats, step: float) -> Ints:
-    """How many steps motions are divided into."""
-    longest = float(lengths.max(initial=0.0))
-    if longest / step > MOST_STEPS:
-        raise InputError(
-            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
-        )
-    return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
 
 
 def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:

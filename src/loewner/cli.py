@@ -1,22 +1,29 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding; 2 error; 3 ambiguous (``loewner check --method certified`` only).
+Exit status: 0 done, or free; 1 colliding (of many configurations, one or more); 2 error; 3 ambiguous (only for
+``loewner check --method certified``).
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 import sys
+import time
 import traceback
+import warnings
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import loewner
+from loewner import _check as border
 from loewner._check import Floats
 from loewner._rotations import from_quaternion
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
@@ -27,6 +34,10 @@ if TYPE_CHECKING:
     from loewner import paper
 
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
+
+# Configurations between two steps of the progress bar, and pairs that a table lists at most.
+AT_ONCE = 50_000
+LISTED = 20
 
 FIT_EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies
@@ -41,6 +52,23 @@ CHECK_EXAMPLES = """examples:
 poses: "x y z" in metres, "x y z qw qx qy qz" (quaternion in the order wxyz), or a 4x4 matrix in a .npy or .txt file
 
 exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (--method certified only)
+"""
+ROBOT_EXAMPLES = """examples:
+  loewner robot info panda.urdf --srdf panda.srdf
+  loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 10000
+"""
+INFO_EXAMPLES = """examples:
+  loewner robot info panda.urdf
+  loewner robot info ~/robots/panda.urdf --srdf panda.srdf --package-dir ~/robots --package-dir ~/meshes
+"""
+ROBOT_CHECK_EXAMPLES = """examples:
+  loewner robot check panda.urdf --srdf panda.srdf --state ready
+  loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 100000 --seed 7
+  loewner robot check panda.urdf --scene shelf.yaml --configs path.csv --margin 0.02 --json
+
+configurations: a .npy file of shape (N, dof), or a .csv file with one line each, whose first line may name the columns
+
+exit status: 0 all free, 1 one or more colliding, 2 error
 """
 PAPER_EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs
@@ -90,6 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_mesh_options(check)
     check.set_defaults(run=_check)
 
+    robot = commands.add_parser("robot", help="a robot: what it is, is it free?", epilog=ROBOT_EXAMPLES, **raw)
+    _add_robot_commands(robot.add_subparsers(required=True, metavar="COMMAND"), raw)
+
+    compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
+    compiling.set_defaults(run=_compile)
+
     paper = commands.add_parser("paper", help="the paper's experiment, its tables", epilog=PAPER_EXAMPLES, **raw)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
@@ -105,6 +139,48 @@ def _add_mesh_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
+
+
+def _add_robot_commands(commands: Any, raw: dict[str, Any]) -> None:
+    info = commands.add_parser("info", help="links, joints and pairs of a robot", epilog=INFO_EXAMPLES, **raw)
+    info.set_defaults(run=_robot_info)
+    check = commands.add_parser(
+        "check", help="which configurations are in collision?", epilog=ROBOT_CHECK_EXAMPLES, **raw
+    )
+    check.set_defaults(run=_robot_check)
+    for command in (info, check):
+        command.add_argument("urdf", type=Path, metavar="URDF")
+        command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
+        command.add_argument(
+            "--package-dir",
+            type=Path,
+            metavar="DIR",
+            action="append",
+            default=[],
+            help="folder of packages; repeatable",
+        )
+        command.add_argument("--decompose", action="store_true", help="split meshes that are not convex")
+    check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    which = check.add_mutually_exclusive_group(required=True)
+    which.add_argument("--random", type=int, metavar="N", help="N random configurations within the limits")
+    which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy or .csv)")
+    which.add_argument("--state", metavar="NAME", help="a state of the SRDF")
+    check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
+    check.add_argument("--margin", type=float, metavar="M", help="metres to keep from the scene (the scene's own)")
+    check.add_argument("--json", action="store_true", help="print JSON")
+
+
+# -- loewner compile ----------------------------------------------------------------------------
+
+
+def _compile(options: argparse.Namespace) -> int:
+    from loewner.compilation import compile_kernels
+
+    with _progress() as bar:
+        task = bar.add_task("compiling", total=None)
+        folder = compile_kernels(lambda done, total: bar.update(task, completed=done, total=total))
+    print(f"compiled into {folder}")
+    return 0
 
 
 # -- loewner fit --------------------------------------------------------------------------------
@@ -272,6 +348,181 @@ def _pose_file(path: Path) -> Floats:
     if np.shape(T) != (4, 4):
         raise PoseError(f"{path}: expected shape (4, 4), found {np.shape(T)}")
     return np.asarray(T)
+
+
+# -- loewner robot ------------------------------------------------------------------------------
+
+
+def _robot(options: argparse.Namespace) -> loewner.Robot:
+    """Read the robot, with progress; warnings become lines of their own."""
+    with warnings.catch_warnings(record=True) as caught, _progress() as progress:
+        warnings.simplefilter("always", UserWarning)
+        task = progress.add_task(options.urdf.name, total=None)
+        robot = loewner.Robot.from_urdf(
+            options.urdf,
+            srdf=options.srdf,
+            package_dirs=options.package_dir,
+            decompose=options.decompose,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    for warning in caught:
+        print(f"loewner: warning: {warning.message}", file=sys.stderr)
+    return robot
+
+
+def _robot_info(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    robot = _robot(options)
+    links = Table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
+    for name in robot.link_names:
+        links.add_row(name, *(_link_row(robot.bodies[name]) if name in robot.bodies else ("-",) * 4))
+    columns = Table("column", "lower", "upper", title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
+    for name, lower, upper in zip(robot.configuration_names, robot.lower, robot.upper, strict=True):
+        columns.add_row(name, f"{lower:.6g}", f"{upper:.6g}")
+    _print(links)
+    _print(columns)
+    count = len(robot.bodies)
+    checked = len(loewner.CollisionChecker(robot).checked_pairs)
+    print(f"pairs     {count * (count - 1) // 2} of links with bodies, {checked} checked")
+    print(f"          {len(robot.disabled_pairs)} disabled by the SRDF, {len(robot.adjacent_pairs)} adjacent")
+    print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
+    print(f"states    {', '.join(robot.states) or '-'}")
+    return 0
+
+
+def _link_row(body: loewner.Body) -> tuple[str, ...]:
+    vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
+    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", _covering_text(body.covering)
+
+
+def _robot_check(options: argparse.Namespace) -> int:
+    if options.margin is not None and options.scene is None:
+        raise InputError("--margin: expected --scene beside it, found none: it is kept from the bodies of the scene")
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    if options.margin is not None and scene is not None:
+        scene.set_margin(options.margin)
+    robot = _robot(options)
+    checker = loewner.CollisionChecker(robot, scene)
+    answer = _checked_configurations(checker, _configurations(robot, options))
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_checked(answer)
+    return COLLIDING if answer["colliding"] else FREE
+
+
+def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
+    """The configurations asked for, shape (N, dof)."""
+    if options.state is not None:
+        return robot.configuration(options.state)[None]
+    if options.configs is not None:
+        Q = np.atleast_2d(robot.checked(_configuration_file(options.configs, robot), str(options.configs)))
+        return border.finite_array(Q, str(options.configs), (None, robot.dof))
+    if options.random < 1 or options.seed < 0:
+        what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, options.seed)
+        raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
+    return robot.random_configurations(options.random, options.seed)
+
+
+def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
+    """Numbers of a .npy or .csv file, in the order of the robot's columns."""
+    if path.suffix.lower() not in (".npy", ".csv"):
+        raise FileError(f"{path}: expected a .npy or .csv file, found {path.suffix or 'no suffix'}")
+    try:
+        if path.suffix.lower() == ".npy":
+            return np.asarray(np.load(path, allow_pickle=False))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(path.read_text().splitlines()) if any(row)]
+    except OSError as error:
+        raise FileError(f"{path}: expected configurations, found {(error.strerror or str(error)).lower()}") from None
+    except (ValueError, EOFError):
+        raise FileError(f"{path}: expected an array of numbers, found something else") from None
+    names = list(robot.configuration_names)
+    order = names
+    if rows and not _are_numbers(rows[0]):
+        order = rows.pop(0)
+        if sorted(order) != sorted(names):
+            raise FileError(f"{path}: expected columns {', '.join(names)}, found {', '.join(order)}")
+    for k, row in enumerate(rows):
+        if len(row) != len(names) or not _are_numbers(row):
+            raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
+    numbers = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    return np.asarray(numbers[:, [order.index(name) for name in names]])
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    try:
+        return all(np.isfinite(float(cell)) for cell in cells)
+    except ValueError:
+        return False
+
+
+def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
+    """All that is told about configurations."""
+    robot = checker.robot
+    if len(Q) == 0:
+        raise InputError("--configs: expected one configuration or more, found none")
+    checker.tiers(Q[:1])  # compiles, if this machine has not before
+    tiers: Counter[str] = Counter()
+    hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
+    colliding, seconds = [], 0.0
+    with _progress() as progress:
+        task = progress.add_task("configurations", total=len(Q))
+        for first in range(0, len(Q), AT_ONCE):
+            part = Q[first : first + AT_ONCE]
+            started = time.perf_counter()
+            found = np.flatnonzero(checker.collide(part))
+            seconds += time.perf_counter() - started
+            tiers.update(asdict(checker.tiers(part)))
+            hits += checker.collide_by_pair(part[found]).sum(axis=0)
+            colliding += (found + first).tolist()
+            progress.advance(task, len(part))
+    outside = (robot.lower > Q) | (robot.upper < Q)
+    often = np.argsort(-hits, kind="stable")
+    return {
+        "robot": robot.name,
+        "configurations": len(Q),
+        "free": len(Q) - len(colliding),
+        "colliding": len(colliding),
+        "colliding_rows": colliding,
+        "tiers": dict(tiers),
+        "checked_pairs": len(hits),
+        "pairs": [[*checker.checked_pairs[p], int(hits[p])] for p in often if hits[p]],
+        "outside_limits": np.flatnonzero(outside.any(axis=1)).tolist(),
+        "outside_limits_of": [robot.configuration_names[k] for k in np.flatnonzero(outside.any(axis=0))],
+        "per_second": len(Q) / seconds,
+    }
+
+
+def _print_checked(answer: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    count, colliding = answer["configurations"], answer["colliding"]
+    print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
+    table = Table(
+        "settled by", "free", "colliding", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
+    )
+    for name, title in (
+        ("bounds", "bounding spheres and boxes"),
+        ("ellipsoids", "ellipsoids"),
+        ("planes", "planes about the pieces"),
+        ("search", "exact search"),
+    ):
+        cells = (answer["tiers"].get(f"{kind}_by_{name}") for kind in ("free", "colliding"))
+        table.add_row(title, *("-" if cell is None else f"{cell:,}" for cell in cells))
+    _print(table)
+    if answer["pairs"]:
+        table = Table("pair", "", "collides", "of all")
+        for a, b, hits in answer["pairs"][:LISTED]:
+            table.add_row(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %")
+        if len(answer["pairs"]) > LISTED:
+            table.add_row(f"and {len(answer['pairs']) - LISTED} more")
+        _print(table)
+    if answer["outside_limits"]:
+        rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
+        print(f"note: {len(rows):,} configurations are outside the limits, the first in row {rows[0]}: {names}")
+    if count > 1:
+        print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")
 
 
 # -- loewner paper ------------------------------------------------------------------------------

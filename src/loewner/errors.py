@@ -75,6 +75,10 @@ class ConvergenceError(LoewnerError, ArithmeticError):
     """
 
 
+class PlanningError(LoewnerError, RuntimeError):
+    """No motion can be given: start or goal is not free, or no path was found; the message says which and why."""
+
+
 class FileError(LoewnerError, OSError):
     """A file is missing, empty, truncated, of the wrong kind, or could not be written.
 

@@ -1,4 +1,4 @@
-"""Figures of bodies and of pairs, with matplotlib."""
+"""Figures of bodies, of pairs, and of robots in scenes, with matplotlib."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._files import replacing
 from loewner.bodies import Body
+from loewner.checkers import CollisionChecker
 from loewner.errors import FileError, InputError, MissingExtraError
 from loewner.queries import Verdict, classify, collide
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
+SCENE, COLLIDING = "#bbbbbb", "#cc3311"
 
 
 def body(
@@ -103,6 +105,45 @@ def pair(
         title += ", exact: " + ("colliding" if collide(a, Ta, b, Tb) else "free")
     ax.set_title(title)
     _legend(ax, [("a", COLOURS[0]), ("b", COLOURS[1])] + ([("inner", INNER), ("outer", OUTER)] if ellipsoids else []))
+    return ax
+
+
+def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) -> Any:
+    """Draw a robot in its scene; what collides is red, the title says how many pairs do.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+    q : array_like, shape (dof,)
+    ax : matplotlib 3-D axes, optional
+
+    Returns
+    -------
+    matplotlib 3-D axes
+
+    Raises
+    ------
+    InputError
+        As `CollisionChecker.pairs`.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    robot, scene = checker.robot, checker.scene
+    contacts = checker.pairs(q)
+    touching = {name for contact in contacts for name in (contact.name_a, contact.name_b)}
+    poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
+    drawn = [(name, body, poses[name], COLOURS[0]) for name, body in robot.bodies.items()]
+    drawn += [
+        (name, scene[name], poses[held.link] @ held.T_link_body, COLOURS[0]) for name, held in scene.attachments.items()
+    ]
+    drawn += [(name, scene[name], scene.pose(name), SCENE) for name in scene.static_names]
+    ax = _axes() if ax is None else ax
+    for name, body, T, colour in drawn:
+        curved = any(piece.triangles is None for piece in body.pieces)
+        _draw(ax, body, T, COLLIDING if name in touching else colour, curved)
+    _frame(ax, np.concatenate([_corners(body, T) for _, body, T, _ in drawn]))
+    pairs = "1 pair" if len(contacts) == 1 else f"{len(contacts)} pairs"
+    ax.set_title(f"colliding, {pairs}" if contacts else "free")
     return ax
 
 

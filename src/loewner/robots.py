@@ -238,6 +238,40 @@ class Robot:
         constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
         return replace(self, tree=(*self.tree[:5], constants))
 
+    def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+        """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+            For instance what `pairs_by_sampling` returns.
+        """
+        return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
+
+    def link_pairs(self, pairs: Iterable[tuple[str, str]], name: str = "pairs") -> frozenset[tuple[str, str]]:
+        """Pairs of two different links of this robot, checked, each sorted by name.
+
+        Parameters
+        ----------
+        pairs : iterable of pairs of str
+        name : str
+            What the caller calls them, for messages.
+        """
+        if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+            raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
+        found = set()
+        for pair in pairs:
+            names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+            if len(names) != 2:
+                raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
+            for link in names:
+                if link not in self.link_names:
+                    raise _check.unknown_name("link", link, self.link_names)
+            if names[0] == names[1]:
+                raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
+            found.add((min(names), max(names)))
+        return frozenset(found)
+
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
 
@@ -380,7 +414,7 @@ class Robot:
                 Q[:, at.start + 3 : at.stop] = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
         return Q
 
-    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Floats:
+    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
 
         Parameters
@@ -390,21 +424,32 @@ class Robot:
 
         Returns
         -------
-        ndarray, shape (...)
+        float, or ndarray, shape (...)
 
         Examples
         --------
         >>> Robot.from_urdf("arm.urdf").distances([0, 0], [[3, 4], [0, 1]])
         array([5., 1.])
         """
-        squares = np.square(self.checked(Q1, "Q1") - self.checked(Q0, "Q0"))
-        for quaternion in self._quaternions:
-            # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
-            a, b = np.broadcast_arrays(np.asarray(Q0, float)[..., quaternion], np.asarray(Q1, float)[..., quaternion])
-            chord = np.minimum(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
-            squares[..., quaternion] = 0.0
-            squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
-        return np.asarray(np.sqrt(squares.sum(axis=-1)))
+        return self._distances(self.checked(Q0, "Q0"), self.checked(Q1, "Q1"))
+
+    def _distances(self, a: Floats, b: Floats) -> Any:
+        if a.ndim == b.ndim == 1 and self.runs_straight:
+            return math.dist(a.tolist(), b.tolist())
+        with np.errstate(over="ignore"):
+            squares = np.square(b - a)
+            for quaternion in self._quaternions:
+                # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
+                p, q = np.broadcast_arrays(a[..., quaternion], b[..., quaternion])
+                chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+                squares[..., quaternion] = 0.0
+                squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
+            return np.sqrt(squares.sum(axis=-1))
+
+    @cached_property
+    def runs_straight(self) -> bool:
+        """Whether all that lies between two configurations is straight: no joint has an orientation of its own."""
+        return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
         """Configurations on the way: values run straight, orientations along the shorter arc.
@@ -428,7 +473,7 @@ class Robot:
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
-        Q = a + at * (b - a)
+        Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions:
             p, q = a[..., quaternion], b[..., quaternion]
             cosine = (p * q).sum(axis=-1, keepdims=True)

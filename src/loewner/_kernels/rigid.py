@@ -69,7 +69,8 @@ def _rigid(tolerance, largest):
 
 is_rigid = _rigid(QUICK_TOLERANCE, np.finfo(np.float64).max)
 
-# Rounding the entries to single precision and multiplying them costs 3e-7 at most: what passes here is rigid.
+# Rounding the entries to single precision and multiplying them costs 3e-7 at most: what passes here is rigid, but for a
+# last row that rounds to (0, 0, 0, 1), which no certificate reads.
 is_rigid_single = _rigid(0.6 * ROTATION_TOLERANCE, 1e30)
 
 

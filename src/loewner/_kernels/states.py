@@ -23,7 +23,7 @@ import numpy as np
 
 from loewner._kernels import lanes, trees
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.contact import SHAPE_ROUNDINGS, rotated
+from loewner._kernels.contact import POSITION_ROUNDINGS, SHAPE_ROUNDINGS, rotated
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of, checking_of
 from loewner._kernels.kinematics import POSE, place_links, room
@@ -287,6 +287,12 @@ def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, res
         for r in range(3):
             size += abs(T[kb, r, 3] - T[ka, r, 3])
         p = waiting[n, PAIR_NUMBER]
+        reach = table[i, REACH] + table[j, REACH] + margins[p]
+        widest = max(abs(T[kb, 0, 3] - T[ka, 0, 3]), abs(T[kb, 1, 3] - T[ka, 1, 3]), abs(T[kb, 2, 3] - T[ka, 2, 3]))
+        if widest - POSITION_ROUNDINGS * size > reach:
+            # Far beyond what single precision tells, where the squares of the search overflow.
+            tiers[s] = max(tiers[s], BY_OUTER)
+            continue
         verdict, tier = exact_piece_pair(
             table, layout, points, i, T, ka, table, layout, points, j, T, kb, margins[p], size, N[n, 0], N[n, 1],
             N[n, 2], W, result,
@@ -315,10 +321,6 @@ def _certify(
     mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held, P, result
 ):  # fmt: skip
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
-    if held > WAITING - BLOCK:
-        held = _settle_waiting(
-            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
-        )
     hot, rows, T, L, G, tier, V = (
         borrowed(a[4]), borrowed(rows), borrowed(T), borrowed(L), borrowed(G), borrowed(tier), borrowed(V),
     )  # fmt: skip
@@ -353,18 +355,26 @@ def _certify(
             held += 1
         elif tier[lane] == OPEN:
             _leave(s, verdicts, tiers)
+    # Last of all: it makes lists of its own in L.
+    if held > WAITING - BLOCK:
+        held = _settle_waiting(
+            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
+        )
     return held
 
 
 @njit()
-def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
-    """Settle the configurations start .. stop.
+def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out, hits):
+    """Settle the configurations start .. stop: rows of Q, or until the first collision on the way from Q[0] to Q[1].
 
     Parameters
     ----------
     mode : int
         CERTIFY or EXACT.
     Q : ndarray, shape (N, dof)
+        Configurations; or the two ends of a motion.
+    fractions : ndarray, shape (0,) or (N,)
+        Of the motion, one for each configuration; none if Q are configurations themselves.
     pack : int
         Handle of the packed bodies, see `handles`: those that move, each in the frame of its link, then the others.
     problem : int
@@ -376,13 +386,21 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
         found the collision otherwise.
     hits : ndarray of int64, shape (pairs,)
         Collisions found are added here, by pair.
+
+    Returns
+    -------
+    int
+        Configurations up to here are settled; less than `stop` if a motion met a collision.
     """
     a = arrays_of(pack)
     tree, link, ball, pairs, margins, order, standing, standing_rows, standing_poses = checking_of(problem)
     moving, still = link.size, len(standing)
     piece_start = a[3]
     moving_pieces = piece_start[moving]
-    S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
+    moves = fractions.size > 0
+    # A motion that collides mostly does so at one of its first configurations.
+    S = np.int64(SINGLE_LANES if moves or stop - start <= SINGLE_LANES else MOST)
+    way = np.empty((SINGLE_LANES if moves else 0, Q.shape[1]))
     numbers = np.empty(LANES, np.int64)
     W = np.empty(room(len(tree[0]), Q.shape[1]))
     T = np.empty((moving * S + still, 4, 4))
@@ -410,7 +428,15 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
     result = np.empty(9)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
-        _place(tree, Q, first, last, S, link, ball, piece_start, a[4], W, numbers, T, rows, bounds)
+        for k in range(first, last + 1 if moves else first):
+            for c in range(Q.shape[1]):
+                straight = Q[0, c] + fractions[k] * (Q[1, c] - Q[0, c])
+                way[k - first, c] = straight if fractions[k] != 1.0 else Q[1, c]
+        at = np.int64(0) if moves else np.int64(first)
+        _place(
+            tree, way if moves else Q, at, at + (last - first), S, link, ball, piece_start, a[4], W, numbers, T, rows,
+            bounds,
+        )  # fmt: skip
         for group in range(S // SINGLE_LANES):
             rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
             live[group] = (np.int64(1) << rest) - 1
@@ -480,3 +506,8 @@ def check_states(mode, start, stop, Q, pack, problem, out, tiers_out, hits):
         for s in range(last + 1 - first):
             out[first + s] = verdicts[s]
             tiers_out[first + s] = tiers[s]
+        if moves:
+            for s in range(last + 1 - first):
+                if verdicts[s] == COLLIDING:
+                    return last + 1
+    return stop

@@ -1,0 +1,113 @@
+"""Compile ahead of first use, on all cores, what queries otherwise compile when they are first called."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from loewner._kernels._jit import CACHE_FOLDER
+from loewner.errors import FileError
+
+_ARM = """<robot name="arm">
+  <link name="base"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+  <link name="hand"><collision><geometry><sphere radius="0.5"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="base"/><child link="hand"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="9" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def _poses() -> np.ndarray:
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, 0, 3] = 0.3, 1.05, 4.0
+    return T
+
+
+def _verdicts() -> None:
+    import loewner
+
+    a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
+    loewner.classify(a, None, b, _poses())
+    loewner.collide(a, None, b, _poses(), margin=0.1)
+    loewner.collide(a, None, b, _poses(), method="estimate")
+    loewner.overlapping_pairs(loewner.Bodies([a, b, b]), _poses())
+
+
+def _distances() -> None:
+    import loewner
+
+    box, ball, tube = loewner.Body.box([1, 1, 1]), loewner.Body.ellipsoid([1, 2, 3]), loewner.Body.cylinder(1, 1)
+    for body in (box, ball, tube):
+        loewner.distance(box, None, body, _poses(), exact=True)
+    loewner.distance(ball, None, ball, _poses(), exact=True)
+
+
+def _fits() -> None:
+    import loewner
+
+    points = np.random.default_rng(0).normal(size=(12, 3))
+    loewner.Body.from_points(points)
+    loewner.mvce(points)
+    loewner.mvie(points)
+    one, other = (loewner.Ellipsoids([x, 0.0, 0.0], np.eye(3)) for x in (0.0, 3.0))
+    loewner.near_points(one, other)
+
+
+def _robots() -> None:
+    import loewner
+
+    with tempfile.TemporaryDirectory() as folder:
+        urdf = Path(folder, "arm.urdf")
+        urdf.write_text(_ARM, encoding="utf-8")
+        robot = loewner.Robot.from_urdf(urdf)
+    robot.forward_kinematics([[0.0]])
+    loewner.CollisionChecker(robot, skip_adjacent=False).collide([[0.0], [5.0]])
+
+
+# The longest first. Each leaves out what another one compiles, so that no two do the same.
+_PARTS = {"distances": _distances, "verdicts": _verdicts, "robots": _robots, "fits": _fits}
+
+
+def compile_kernels(progress: Callable[[int, int], None] | None = None) -> Path:
+    """Compile all kernels for this machine now, in as many processes as it has cores.
+
+    What has been compiled before is only looked up, which takes some seconds.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each part.
+
+    Returns
+    -------
+    Path
+        The folder that holds the compiled code.
+
+    Raises
+    ------
+    FileError
+        If a part cannot be compiled, or the folder not be written; with what the process said.
+    """
+    done = 0
+    with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
+        running = [pool.submit(_compile_apart, name) for name in _PARTS]
+        for part in as_completed(running):
+            part.result()
+            done += 1
+            if progress is not None:
+                progress(done, len(_PARTS))
+    return CACHE_FOLDER
+
+
+def _compile_apart(name: str) -> None:
+    """One part in a process of its own: Numba compiles one function at a time in each."""
+    command = [sys.executable, "-c", f"from loewner.compilation import _PARTS; _PARTS[{name!r}]()"]
+    ran = subprocess.run(command, env={**os.environ, "LOEWNER_QUIET": "1"}, capture_output=True, text=True, check=False)
+    if ran.returncode:
+        raise FileError(f"{CACHE_FOLDER}: the kernels for {name} could not be compiled:\n{ran.stderr.strip()[-2000:]}")

@@ -1,0 +1,424 @@
+"""Checkers of configurations: what the queries say pair by pair, for any robot, scene and batch."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from checker_oracle import (
+    TOUCHING,
+    agrees,
+    cluster,
+    composed_bodies,
+    expected_pairs,
+    pairwise,
+    pose,
+    random_robot,
+    random_scene,
+    robot_of,
+    simple_bodies,
+)  # fmt: skip
+from loewner import Body, CollisionChecker, InputError, LoewnerError, Scene, UnknownNameError, Verdict, queries
+
+SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    rng = np.random.default_rng(1)
+    return simple_bodies(rng), composed_bodies(rng)
+
+
+def at(*x):
+    T = np.eye(4)
+    T[:3, 3] = x
+    return T
+
+
+def slider(folder, body=None):
+    """A box that slides along x."""
+    return robot_of(folder, [("prismatic", 0, SLIDE)], {"l1": body or Body.box([1.0, 1.0, 1.0])})
+
+
+def arm(folder, bodies, seed=0, links=5):
+    return random_robot(np.random.default_rng(seed), folder, links, bodies)
+
+
+# -- the answers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_checker_says_what_the_queries_say_pair_by_pair(seed, bodies, tmp_path):
+    """Any kinds of joints, bodies and margins; before and after bodies move, come, are grasped, put down and go."""
+    rng = np.random.default_rng(seed)
+    pool = bodies[0] if seed % 2 else [*bodies[0], *bodies[1]]
+    robot = random_robot(rng, tmp_path, int(rng.integers(2, 7)), pool)
+    scene = random_scene(rng, robot, int(rng.choice([0, 1, 4, 9])), pool)
+    checker = CollisionChecker(robot, scene, skip_adjacent=bool(seed % 3))
+    skipped = robot.adjacent_pairs if seed % 3 else frozenset()
+    Q = robot.random_configurations(70, seed)
+    assert {frozenset(pair) for pair in checker.checked_pairs} == expected_pairs(robot, scene, skipped)
+    agrees(checker, Q)
+    for name in scene.static_names:
+        scene.move(name, pose(rng, 0.6))
+    agrees(checker, Q)
+    scene.add("new", pool[seed % len(pool)], pose(rng, 0.4))
+    scene.attach("new", robot.link_names[-1], pose(rng, 0.2))
+    assert {frozenset(pair) for pair in checker.checked_pairs} == expected_pairs(robot, scene, skipped)
+    agrees(checker, Q)
+    scene.detach("new", pose(rng, 0.4))
+    agrees(checker, Q)
+    scene.remove("new")
+    agrees(checker, Q)
+
+
+@pytest.mark.parametrize("far", [0.0, 1e4, 1e6])
+def test_bodies_of_many_pieces_far_away(far, tmp_path):
+    """Far away single precision settles next to nothing, so that thousands of piece pairs wait for the double one."""
+    rng = np.random.default_rng(5)
+    body = cluster(rng, 100)
+    robot = robot_of(tmp_path, [("floating", 0, "")], {"l1": body})
+    scene, center = Scene(), np.array([2.0, -0.5, 0.9]) * far
+    scene.add("c", body, at(*center))
+    apart = rng.normal(size=(200, 3))
+    apart *= (rng.uniform(0.3, 0.6, 200) / np.linalg.norm(apart, axis=1))[:, None]
+    Q = np.concatenate([center + apart, Rotation.random(200, random_state=2).as_quat()], axis=1)
+    assert 0.1 < agrees(CollisionChecker(robot, scene), Q).mean() < 0.9
+
+
+@pytest.mark.parametrize("size", [1e-5, 2e3])
+def test_tiny_and_huge_bodies_beside_ordinary_ones(size, bodies, tmp_path):
+    """Sizes that single precision is not used for."""
+    rng = np.random.default_rng(3)
+    odd = [Body.box([size, size, 0.1]), Body.sphere(size), Body.from_points(rng.normal(size=(12, 3)) * size)]
+    robot = arm(tmp_path, [*odd, *bodies[0], *bodies[1]], seed=4)
+    scene = random_scene(rng, robot, 4, [*odd, *bodies[0]])
+    agrees(CollisionChecker(robot, scene), robot.random_configurations(100))
+
+
+def test_crowd_of_three_hundred_bodies(bodies, tmp_path):
+    """Most pairs are far apart."""
+    rng = np.random.default_rng(6)
+    robot, scene = arm(tmp_path, bodies[0], seed=1), Scene()
+    for k in range(300):
+        scene.add(f"b{k}", bodies[0][k % len(bodies[0])], pose(rng, 3.0))
+    agrees(CollisionChecker(robot, scene), robot.random_configurations(40))
+
+
+@pytest.mark.parametrize("where", [0.0, 1.0, 1e4])
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+def test_boxes_face_to_face(where, margin, tmp_path):
+    """At all gaps down to rounding: free when clearly apart, colliding when touching or deeper."""
+    scene = Scene(margin=margin)
+    scene.add("wall", Body.box([1.0, 1.0, 1.0]), at(where, 0, 0))
+    checker = CollisionChecker(slider(tmp_path), scene)
+    gaps = np.concatenate([[0.0], *(10.0 ** -np.arange(2, 16.0) * sign for sign in (1, -1))])
+    found = checker.collide((where - 1 - margin - gaps)[:, None])
+    # A position is off by a rounding of `where`, the search by a few more.
+    band = 64 * 2.0**-53 * (where + 4)
+    assert found[gaps <= -band].all()
+    assert not found[gaps >= band].any()
+    assert found[np.abs(gaps) < 1e-18].all() or margin > 0 or where > 1
+
+
+@pytest.mark.parametrize("value", [1e8, 1e19, 1e30, 1e38, 1e39, 1e100, 1e150])
+def test_huge_values(value, bodies, tmp_path):
+    """Where single precision overflows, answers are right still, and the same for those beside."""
+    joints = [("prismatic", 0, SLIDE), ("planar", 1, ""), ("floating", 1, "")]
+    robot = robot_of(tmp_path, joints, {f"l{k}": bodies[k % 2][k] for k in range(4)})
+    scene = random_scene(np.random.default_rng(2), robot, 4, bodies[0])
+    checker, Q = CollisionChecker(robot, scene, skip_adjacent=False), robot.random_configurations(60)
+    plain = checker.collide(Q), checker.classify(Q)
+    rng = np.random.default_rng(0)
+    big = rng.random(60) < 0.3
+    columns = rng.integers(0, 3, 60)  # those of lengths
+    Q[big, columns[big]] = value
+    agrees(checker, Q)
+    np.testing.assert_array_equal(checker.collide(Q)[~big], plain[0][~big])
+    np.testing.assert_array_equal(checker.classify(Q)[~big], plain[1][~big])
+
+
+def test_curved_bodies_at_contact(bodies, tmp_path):
+    """Placed at distances down to nothing: free and colliding as the distance says, but for a documented hair."""
+    rng = np.random.default_rng(8)
+    gaps = np.array([s * 10.0**-k for k in range(2, 17) for s in (1, -1)])
+    for a in bodies[0][2:7]:
+        for b in bodies[0][:7]:
+            T, scene = pose(rng, 1.0), Scene()
+            scene.add("b", b, T)
+            Ta = np.array([pose(rng, 0.05, T[:3, 3]) for _ in gaps])
+            for _ in range(3):
+                d = queries.distance(a, Ta, b, T, exact=True)
+                Ta[:, :3, 3] += (d.distance - gaps)[:, None] * d.normal
+            robot = robot_of(tmp_path, [("floating", 0, "")], {"l1": a})
+            turn = Rotation.from_matrix(Ta[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+            Q = np.concatenate([Ta[:, :3, 3], turn], axis=1)
+            found = CollisionChecker(robot, scene).collide(Q)
+            placed = queries.distance(a, robot.forward_kinematics(Q)[:, 1], b, T, exact=True).distance
+            clear = np.abs(placed) > 4 * TOUCHING
+            np.testing.assert_array_equal(found[clear], placed[clear] < 0)
+            assert clear.sum() > 15
+
+
+# -- in any company -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 63, 64, 65, 1000])
+def test_verdicts_do_not_depend_on_company(count, bodies, tmp_path):
+    """One by one, in batches of any size and order, and after the order of the pairs was learnt."""
+    pool = [*bodies[0], *bodies[1]]
+    robot = arm(tmp_path, pool, seed=2)
+    scene = random_scene(np.random.default_rng(7), robot, 6, pool)
+    Q = robot.random_configurations(1000)
+    fresh, learnt = CollisionChecker(robot, scene), CollisionChecker(robot, scene)
+    expected = learnt.collide(Q), learnt.classify(Q)
+    for _ in range(3):
+        learnt.collide(Q)
+    order = np.random.default_rng(count).permutation(1000)[:count]
+    for checker in (fresh, learnt):
+        np.testing.assert_array_equal(checker.collide(Q[order]), expected[0][order])
+        np.testing.assert_array_equal(checker.classify(Q[order]), expected[1][order])
+        assert checker.tiers(Q[order]).total == count
+    for k in order[:20]:
+        assert fresh.collide(Q[k]) is bool(expected[0][k])
+        assert fresh.classify(Q[k]) is Verdict(int(expected[1][k]))
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="Numba may use one thread only")
+def test_verdicts_do_not_depend_on_the_number_of_threads(bodies, tmp_path):
+    """The same from one and from two."""
+    robot = arm(tmp_path, bodies[0], seed=3)
+    checker = CollisionChecker(robot, random_scene(np.random.default_rng(1), robot, 5, bodies[0]))
+    Q, before, found = robot.random_configurations(3000), numba.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            found.append((checker.collide(Q), checker.classify(Q)))
+    finally:
+        numba.set_num_threads(before)
+    for one, two in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_several_threads_share_a_checker(bodies, tmp_path):
+    """Also while it learns the order of the pairs."""
+    robot = arm(tmp_path, bodies[0], seed=3)
+    scene = random_scene(np.random.default_rng(1), robot, 5, bodies[0])
+    Q = robot.random_configurations(400)
+    expected = CollisionChecker(robot, scene).collide(Q)
+    shared = CollisionChecker(robot, scene)
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: shared.collide(Q), range(40)):
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_any_array_of_configurations(bodies, tmp_path):
+    """Shapes, strides, precision and read-only arrays; lists."""
+    robot = arm(tmp_path, bodies[0], seed=3)
+    joints = robot.random_configurations(6).astype(np.float32).astype(float)
+    checker = CollisionChecker(robot, random_scene(np.random.default_rng(1), robot, 5, bodies[0]))
+    expected = checker.collide(joints)
+    fixed = joints.copy()
+    fixed.setflags(write=False)
+    wide = np.zeros((6, 2 * robot.dof))
+    wide[:, ::2] = joints
+    for Q in (fixed, wide[:, ::2], joints.astype(np.float32), np.asfortranarray(joints), joints.tolist()):
+        np.testing.assert_array_equal(checker.collide(Q), expected)
+    for query in (checker.collide, checker.classify):
+        np.testing.assert_array_equal(query(joints.reshape(2, 3, -1)), query(joints).reshape(2, 3))
+    assert checker.distance(joints.reshape(2, 3, -1), exact=True).witness_a.shape == (2, 3, 3)
+    assert checker.collide(np.empty((0, 3, robot.dof))).shape == (0, 3)
+
+
+def test_robots_without_joints_or_bodies(tmp_path):
+    """One link, none with a body; with and without a scene: every query answers."""
+    box = Body.box([1.0, 1.0, 1.0])
+    for robot, hits in (
+        (robot_of(tmp_path, [], {"l0": box}), True),
+        (robot_of(tmp_path, []), False),
+        (slider(tmp_path, box), True),
+        (robot_of(tmp_path, [("prismatic", 0, SLIDE)]), False),
+    ):
+        for scene in (None, Scene()):
+            if scene is not None:
+                scene.add("o", box)
+            checker, hit = CollisionChecker(robot, scene), hits and scene is not None
+            for shape in ((), (0,), (3,), (1000,), (2, 3)):
+                Q = np.zeros((*shape, robot.dof))
+                assert np.array_equal(checker.collide(Q), np.full(shape, hit))
+                assert np.array_equal(checker.classify(Q), np.full(shape, int(hit)))
+                assert np.array_equal(checker.valid_edges(Q, Q, 0.1), np.full(shape, not hit))
+                if hit:
+                    assert np.array_equal(checker.distance(Q, exact=True).distance, np.full(shape, -1.0))
+                else:
+                    with pytest.raises(InputError, match="pairs to check"):
+                        checker.distance(Q)
+            assert len(checker.pairs(np.zeros(robot.dof))) == hit
+
+
+# -- details ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_and_distances(seed, bodies, tmp_path):
+    """Named are the pairs that collide; the distance is that of the nearest pair and between its bounds."""
+    rng = np.random.default_rng(seed)
+    pool = [*bodies[0], *bodies[1][:2]]
+    robot = arm(tmp_path, pool, seed, links=4)
+    scene = random_scene(rng, robot, 3, pool)
+    checker, Q = CollisionChecker(robot, scene), robot.random_configurations(25, seed)
+    hits = np.array(pairwise(checker, Q, queries.collide))
+    nearest = np.array([d.distance for d in pairwise(checker, Q, queries.distance, exact=True)])
+    found, bounds = checker.distance(Q, exact=True), checker.distance(Q)
+    np.testing.assert_allclose(found.distance, nearest.min(axis=0), atol=1e-9)
+    np.testing.assert_array_equal(found.lower, bounds.lower)
+    np.testing.assert_array_equal(found.upper, bounds.upper)
+    assert (found.lower <= found.distance + 1e-12).all()
+    assert (found.distance <= found.upper + 1e-12).all()
+    between = found.distance[:, None] * found.normal
+    np.testing.assert_allclose(found.witness_b - found.witness_a, between, atol=1e-9)
+    for k, q in enumerate(Q):
+        contacts = checker.pairs(q)
+        assert {(c.name_a, c.name_b) for c in contacts} == {
+            checker.checked_pairs[p] for p in np.flatnonzero(hits[:, k])
+        }
+        assert bool(contacts) is checker.collide(q)
+        for c in contacts:
+            p = checker.checked_pairs.index((c.name_a, c.name_b))
+            assert c.distance == pytest.approx(nearest[p, k], abs=1e-9)
+            np.testing.assert_allclose(c.witness_b - c.witness_a, c.distance * c.normal, atol=1e-9)
+        one = checker.distance(q, exact=True)
+        assert one.distance == found.distance[k]
+        assert one.names == tuple(found.names[k])
+
+
+# -- motions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.3, 50.0])
+def test_motions_are_free_if_all_between_are(resolution, bodies, tmp_path):
+    """The same as collide along the way, quaternions included, at least as densely as asked for."""
+    joints = [("revolute", 0, f'<origin xyz="0.3 0 0"/>{SLIDE}'), ("floating", 0, ""), ("planar", 1, "")]
+    robot = robot_of(tmp_path, joints, {"l1": bodies[0][3], "l2": bodies[1][0], "l3": bodies[0][0]})
+    scene = Scene()
+    scene.add("o", Body.sphere(0.2), at(0.5, 0.5, 0))
+    checker = CollisionChecker(robot, scene, skip_adjacent=False)
+    a, b = robot.random_configurations(40, 1) * 0.5, robot.random_configurations(40, 2) * 0.5
+    for Q in (a, b):
+        Q[:, 4:8] *= 2
+    b[:5] = a[:5]
+    expected = []
+    for p, q, length in zip(a, b, robot.distances(a, b), strict=True):
+        steps = max(1, int(np.ceil(length / resolution)))
+        way = robot.between(p, q, np.arange(steps + 1) / steps)
+        assert (robot.distances(way[:-1], way[1:]) <= resolution * (1 + 1e-9)).all()
+        expected.append(not checker.collide(way).any())
+    np.testing.assert_array_equal(checker.valid_edges(a, b, resolution), expected)
+    assert 0 < np.sum(expected) < 40
+    assert checker.valid_edges(a[0], b[0], resolution) is expected[0]
+    np.testing.assert_array_equal(checker.valid_edges(a[0], b[:, None][:3], resolution).shape, (3, 1))
+
+
+def test_ends_of_a_motion_are_checked_exactly(tmp_path):
+    """Not at a + (b - a), which may miss b by a rounding of a."""
+    scene = Scene()
+    scene.add("o", Body.box([0.1, 0.1, 0.1]))
+    robot = slider(tmp_path, Body.box([0.1, 0.1, 0.1]))
+    checker = CollisionChecker(robot, scene)
+    start, end = np.array([1e16]), np.array([0.05])
+    assert start + (end - start) != end
+    np.testing.assert_array_equal(robot.between(start, end, 1.0), end)
+    for values in (-0.05, 0.05):
+        scene.move("o", at(values, 0, 0))
+        assert not checker.valid_edges(start, [values], 1e16)
+        assert not checker.valid_edges([values], start, 1e16)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("resolution", [0.0, -1.0, np.nan, np.inf, 1e-320, 1e-9, "x", None])
+def test_resolutions_that_make_no_sense(resolution, tmp_path):
+    """Refused without a warning from inside."""
+    checker = CollisionChecker(slider(tmp_path))
+    with pytest.raises(InputError, match="resolution"):
+        checker.valid_edges([0.0], [1.0], resolution)
+
+
+@pytest.mark.filterwarnings("error")
+def test_motions_longer_than_numbers_reach(tmp_path):
+    checker = CollisionChecker(slider(tmp_path))
+    with pytest.raises(InputError, match="longest motion"):
+        checker.valid_edges([-1e308], [1e308], 1e300)
+
+
+# -- bad input ----------------------------------------------------------------------------------
+
+QUERIES = ("collide", "classify", "tiers", "pairs", "distance")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda scene: scene.allow("o", "nobody"),
+        lambda scene: scene.attach("o", "nobody"),
+        lambda scene: scene.attach("o", "l1", touch_links=["nobody"]),
+        lambda scene: scene.set_margin(0.1, "nobody"),
+        lambda scene: scene.set_margin(0.1, "o", "nobody"),
+    ],
+)
+def test_links_that_the_robot_does_not_have(change, tmp_path):
+    """Each query says which there are, also if the slip comes after the checker was made."""
+    scene = Scene()
+    scene.add("o", Body.sphere(1.0))
+    checker = CollisionChecker(slider(tmp_path), scene)
+    assert checker.collide([0.0])
+    change(scene)
+    for query in QUERIES:
+        for _ in range(2):
+            with pytest.raises(UnknownNameError, match=r"o, l0, l1.*'nobody'"):
+                getattr(checker, query)([0.0])
+
+
+def test_bodies_named_like_links(tmp_path):
+    scene = Scene()
+    scene.add("l0", Body.sphere(1.0))
+    for query in QUERIES:
+        with pytest.raises(UnknownNameError, match="'l0', which is also a link"):
+            getattr(CollisionChecker(slider(tmp_path), scene), query)([0.0])
+
+
+@pytest.mark.parametrize(
+    "q", [[np.nan], [-np.inf], [1.0, 2.0], [], 3.0, "x", [1j], None, [None], [[1.0], [1.0, 2.0]], {"j": 1}]
+)
+def test_what_is_no_configuration(q, tmp_path):
+    checker = CollisionChecker(slider(tmp_path))
+    for query in QUERIES:
+        with pytest.raises(InputError, match="expected"):
+            getattr(checker, query)(q)
+    with pytest.raises(InputError, match="Q1"):
+        checker.valid_edges([0.0], q, 0.1)
+
+
+def test_pairs_wants_one_configuration_and_motions_shapes_that_fit(tmp_path):
+    checker = CollisionChecker(slider(tmp_path))
+    with pytest.raises(InputError, match="one configuration"):
+        checker.pairs([[0.0]])
+    with pytest.raises(InputError, match="broadcast"):
+        checker.valid_edges(np.zeros((2, 1)), np.zeros((3, 1)), 1.0)
+
+
+@pytest.mark.parametrize(
+    "allowed", [None, 3, "l0", ["l0"], [("l0",)], [("l0", "l1", "l0")], [("l0", "l0")], [("l0", "l9")], [(0, 1)], [3]]
+)
+def test_allowed_pairs_that_are_none(allowed, tmp_path):
+    """Nothing is silently skipped."""
+    with pytest.raises(LoewnerError, match="expected"):
+        CollisionChecker(slider(tmp_path), allowed=allowed)
+
+
+def test_neither_robot_nor_scene(tmp_path):
+    with pytest.raises(InputError, match=r"robot: expected loewner\.Robot, found str"):
+        CollisionChecker("panda.urdf")
+    with pytest.raises(InputError, match=r"scene: expected loewner\.Scene or None, found dict"):
+        CollisionChecker(slider(tmp_path), {})
