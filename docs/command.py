@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from loewner import cli
@@ -17,12 +18,19 @@ def write(target: Path) -> None:
 
 
 def page() -> str:
-    """Help of the program and of each of its commands."""
-    top = _help()
-    parts = ["# Command line", "`loewner`, or `python -m loewner`.", f"```text\n{top}```"]
-    for command in re.findall(r"^    (\w+)  ", top, flags=re.M):
-        parts += [f"## loewner {command}", f"```text\n{_help(command)}```"]
+    """Help of the program, of each of its commands, and of theirs."""
+    parts = ["# Command line", "`loewner`, or `python -m loewner`.", *_sections()]
     return "\n\n".join(parts) + "\n"
+
+
+def _sections(*command: str) -> Iterator[str]:
+    text = _help(*command)
+    if command:
+        yield f"## loewner {' '.join(command)}"
+    yield f"```text\n{text}```"
+    commands = re.search(r"^  COMMAND\n((?:    .*\n)+)", text, flags=re.M)
+    for name in re.findall(r"^    (\w+)", commands[1], flags=re.M) if commands else ():
+        yield from _sections(*command, name)
 
 
 def _help(*command: str) -> str:

@@ -52,10 +52,19 @@ pygments_dark_style = "native"
 
 
 def setup(app):
-    """Write the pages that are made by programs, before Sphinx looks for pages."""
+    """Write the pages that are made by programs before Sphinx looks for pages; find public names from any module."""
     app.connect("builder-inited", _write_pages)
+    app.connect("missing-reference", _public_name)
 
 
 def _write_pages(app):
     measured.write(Path(app.srcdir) / "measured.md")
     command.write(Path(app.srcdir) / "reference" / "command.md")
+
+
+def _public_name(app, env, node, content):
+    """Where a docstring of a module such as loewner.planners names `Robot`, it means loewner.Robot."""
+    python, target = env.get_domain("py"), "loewner." + node["reftarget"]
+    if node.get("refdomain") != "py" or target not in python.objects:
+        return None
+    return python.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, content)

@@ -13,6 +13,10 @@ TITLES = {
     "pieces": "Bodies of 500 pieces",
     "crowd": "Crowds, beside trees of boxes",
     "robots": "Robots, beside pinocchio and Coal",
+    "robot-batches": "Robots, by size of the batch",
+    "mbm-planning": "MotionBenchMaker: motions in OMPL's RRT-Connect",
+    "mbm-tiers": "MotionBenchMaker: what settled a configuration",
+    "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
     "memory": "Memory of a batch",
     "fits": "Fits, beside conic solvers",
 }

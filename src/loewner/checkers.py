@@ -645,6 +645,12 @@ def pairs_by_sampling(
     -----
     "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
     samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+
+    Examples
+    --------
+    >>> from loewner import pairs_by_sampling
+    >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
+    {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
     """
     if not isinstance(samples, (int, np.integer)) or samples < 1:
         raise InputError(f"samples: expected an integer >= 1, found {samples!r}")

@@ -76,7 +76,18 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
 
 class PlanningError(LoewnerError, RuntimeError):
-    """No motion can be given: start or goal is not free, or no path was found; the message says which and why."""
+    """No motion can be given: start or goal is not free, or no path was found; the message says which and why.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> from loewner import planners
+    >>> checker = loewner.CollisionChecker(loewner.Robot.from_urdf("arm.urdf"))
+    >>> planners.plan(checker, [0.0, 0.0], [3.0, 0.0], joints="rail")
+    Traceback (most recent call last):
+        ...
+    loewner.errors.PlanningError: goal: expected a free configuration within the limits, found rail = 3 outside 0 .. 2
+    """
 
 
 class FileError(LoewnerError, OSError):

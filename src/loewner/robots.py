@@ -245,6 +245,22 @@ class Robot:
         ----------
         pairs : iterable of pairs of str
             For instance what `pairs_by_sampling` returns.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If they are no pairs of two different links.
+
+        Examples
+        --------
+        >>> sorted(Robot.from_urdf("arm.urdf").disabling([("rail", "forearm")]).disabled_pairs)
+        [('forearm', 'rail')]
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
@@ -256,6 +272,17 @@ class Robot:
         pairs : iterable of pairs of str
         name : str
             What the caller calls them, for messages.
+
+        Returns
+        -------
+        frozenset of pairs of str
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If they are no pairs of two different links.
         """
         if isinstance(pairs, str) or not isinstance(pairs, Iterable):
             raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
