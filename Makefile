@@ -37,6 +37,7 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m loewner compile
 	$(PYTEST) -q src
 
 # Every warning is an error, a link that leads nowhere among them. Nothing is downloaded.

@@ -7,6 +7,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import command
 import measured
+from pygments.lexers.special import TextLexer
 
 import loewner
 
@@ -46,6 +47,8 @@ html_theme = "furo"
 html_title = f"loewner {release}"
 html_show_copyright = False
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 html_theme_options = {"source_repository": "", "navigation_with_keys": True}
 pygments_style = "friendly"
 pygments_dark_style = "native"
@@ -53,6 +56,7 @@ pygments_dark_style = "native"
 
 def setup(app):
     """Write the pages that are made by programs before Sphinx looks for pages; find public names from any module."""
+    app.add_lexer("mermaid", TextLexer)
     app.connect("builder-inited", _write_pages)
     app.connect("missing-reference", _public_name)
 

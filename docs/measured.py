@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
@@ -20,23 +21,6 @@ TITLES = {
     "memory": "Memory of a batch",
     "fits": "Fits, beside conic solvers",
 }
-
-# What the columns of the comparisons are called in print, in this order; any other file keeps its own.
-COLUMNS = {
-    "case": "case",
-    "items": "items",
-    "us": "ours",
-    "us_ns_cpu": "ours, ns",
-    "rival": "beside",
-    "rival_ns_cpu": "beside, ns",
-    "ratio": "ratio",
-    "ratio_wall": "ratio by wall time",
-    "required": "asked for",
-    "met": "met",
-    "differing": "answers that differ",
-    "note": "note",
-}
-
 
 INTRODUCTION = """# Measured
 
@@ -81,23 +65,35 @@ def _machine(facts: dict) -> str:
 def _section(path: Path) -> str:
     with path.open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    names = list(rows[0]) if rows else []
-    origin = sorted({(row["commit"], row["date"]) for row in rows}) if "commit" in names else []
-    shown = [name for name in COLUMNS if name in names] if "case" in names else names
-    # A column in which nothing stands tells nothing.
-    shown = [name for name in shown if any(row[name] for row in rows)]
-    header = [COLUMNS.get(name, name.replace("_", " ")) for name in shown]
-    lines = [f"### {TITLES.get(path.stem, path.stem)}", ""]
+    title = f"### {TITLES.get(path.stem, path.stem)}"
     if not rows:
-        return "\n".join([*lines, "Nothing was measured."])
-    lines += [_row(header), _row(["---"] * len(header))]
-    lines += [_row([_cell(row[name]) for name in shown]) for row in rows]
-    if origin:
-        lines += ["", "From " + ", ".join(f"commit {commit} ({date})" for commit, date in origin) + "."]
+        return f"{title}\n\nNothing was measured."
+    shown = [_comparison(row) for row in rows] if "rival" in rows[0] else rows
+    header = [name.replace("_", " ") for name in shown[0]]
+    lines = [title, "", _line(header), _line(["---"] * len(header))]
+    lines += [_line(_cell(text) for text in row.values()) for row in shown]
+    if "commit" in rows[0]:
+        origin = sorted({f"commit {row['commit']} ({row['date']})" for row in rows})
+        lines += ["", f"From {', '.join(origin)}."]
     return "\n".join(lines)
 
 
-def _row(cells: list[str]) -> str:
+def _comparison(row: dict[str, str]) -> dict[str, str]:
+    """One line of ours beside another's, without the columns that only programs need."""
+    return {
+        "case": row["case"],
+        "items": row["items"],
+        "ours": f"{row['us']}: {_cell(row['us_ns_cpu'])} ns" if row["us_ns_cpu"] else row["us"],
+        "beside": f"{row['rival']}: {_cell(row['rival_ns_cpu'])} ns" if row["rival_ns_cpu"] else row["rival"],
+        "ratio": row["ratio"],
+        "by wall time": row["ratio_wall"],
+        "asked for": f"{_cell(row['required'])}: {row['met']}" if row["required"] else "",
+        "answers that differ": row["differing"],
+        "note": row["note"],
+    }
+
+
+def _line(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
