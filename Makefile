@@ -2,6 +2,7 @@
 #   make demo     the main job on robot meshes, a picture, the paper, an arm in a shelf
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
+#   make docs     the documentation, as pages in docs/_build/html
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
 PYTHON ?= python3
@@ -12,9 +13,9 @@ PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 
-.PHONY: help demo test verify bench check clean
+.PHONY: help demo test verify bench check docs clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 5
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 6
 
 demo: $(VENV)/.demo
 	$(BIN)/python -m loewner compile
@@ -36,10 +37,15 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m loewner compile
 	$(PYTEST) -q src
 
+# Every warning is an error, a link that leads nowhere among them. Nothing is downloaded.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
+
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
+	rm -rf $(VENV) docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
 
 # A stamp file says that what it depends on was installed; a half-done installation leaves none.
 $(BIN)/python:
@@ -59,4 +65,8 @@ $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 
 $(VENV)/.bench: requirements/bench.txt $(VENV)/.dev
 	$(PIP) --no-deps -r requirements/bench.txt
+	@touch $@
+
+$(VENV)/.docs: requirements/docs.txt $(VENV)/.demo
+	$(PIP) -r requirements/docs.txt
 	@touch $@

@@ -225,6 +225,14 @@ class Piece:
         Largest ellipsoid inside, smallest around.
     inner_gap, outer_gap : float
         Certified bounds on the log-volume distance from the optimum.
+
+    Examples
+    --------
+    >>> piece = Body.box([2, 2, 2]).pieces[0]
+    >>> piece.kind, piece.vertices.shape, piece.normals.shape
+    ('polytope', (8, 3), (6, 3))
+    >>> piece.inner.semi_axes, piece.inner_gap < 1e-12
+    (array([1., 1., 1.]), True)
     """
 
     kind: str
@@ -312,12 +320,36 @@ class Body(_Bodies):
         ------
         GeometryError
             If there are too few points, or they are flat, collinear or all the same.
+
+        Examples
+        --------
+        >>> Body.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.1, 0.1, 0.1]])
+        Body(polytope, 4 vertices)
         """
         return cls.from_pieces([points], tol=tol)
 
     @classmethod
     def from_pieces(cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4) -> Body:
-        """Union of the convex hulls of several point sets, each of shape (m_i, 3)."""
+        """Union of the convex hulls of several point sets, each of shape (m_i, 3).
+
+        Parameters
+        ----------
+        point_sets : iterable of array_like, each of shape (m_i, 3)
+            In metres.
+        tol : float
+            Certified log-volume gap of all fits.
+
+        Raises
+        ------
+        GeometryError
+            If there is no set, or one is flat; the message gives its number.
+
+        Examples
+        --------
+        >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+        >>> Body.from_pieces([corners, corners + [2, 0, 0]])
+        Body(2 pieces, 8 vertices)
+        """
         sets = list(point_sets)
         if not sets:
             raise GeometryError("point_sets: expected at least one piece, found none")
@@ -345,6 +377,13 @@ class Body(_Bodies):
             If the file is missing, empty, truncated or no mesh.
         MissingExtraError
             If a package of the extra "meshes" is needed and missing.
+
+        Examples
+        --------
+        >>> import trimesh
+        >>> body = Body.from_mesh(trimesh.creation.box((0.1, 0.2, 0.3)))
+        >>> body, body.covering.kind
+        (Body(polytope, 8 vertices), 'convex')
         """
         known = inspect.signature(meshes.convex_pieces).parameters
         for name in options:
@@ -357,7 +396,23 @@ class Body(_Bodies):
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
-        """Axis-aligned box about the origin with full edge lengths `size`, shape (3,), in metres."""
+        """Axis-aligned box about the origin with full edge lengths `size`, shape (3,), in metres.
+
+        Parameters
+        ----------
+        size : array_like, shape (3,)
+            Full edge lengths along x, y, z, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.box([2, 4, 6]).outer.volume / Body.box([2, 4, 6]).inner.volume  # 3 sqrt(3)
+        array([5.19615242])
+        """
         half = _check.positive_vector(size, "size", 3) / 2
         signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
         hull = polytopes.hulls([signs * half])
@@ -377,19 +432,67 @@ class Body(_Bodies):
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
-        """Ball about the origin, radius in metres; its own inner and outer ellipsoid."""
+        """Ball about the origin, radius in metres; its own inner and outer ellipsoid.
+
+        Parameters
+        ----------
+        radius : float
+            In metres.
+
+        Raises
+        ------
+        InputError
+            If the radius is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.sphere(0.5).outer.semi_axes
+        array([[0.5, 0.5, 0.5]])
+        """
         r = _check.positive_scalar(radius, "radius")
         return _primitive(shapes.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
-        """Ellipsoid about the origin along the axes, semi-axes of shape (3,), in metres."""
+        """Ellipsoid about the origin along the axes, semi-axes of shape (3,), in metres.
+
+        Parameters
+        ----------
+        semi_axes : array_like, shape (3,)
+            Along x, y, z, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.ellipsoid([1, 2, 3])
+        Body(ellipsoid, 0 vertices)
+        """
         s = _check.positive_vector(semi_axes, "semi_axes", 3)
         return _primitive(shapes.ELLIPSOID, 0.0, s, s, s, 0.0)
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> Body:
-        """Cylinder about the origin along z, in metres."""
+        """Cylinder about the origin along z, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            In metres; the axis runs from -length/2 to length/2.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.cylinder(radius=1, length=4).inner.semi_axes
+        array([[2., 1., 1.]])
+        """
         r = _check.positive_scalar(radius, "radius")
         h = _check.positive_scalar(length, "length") / 2
         wide = r * np.sqrt(1.5)
@@ -397,7 +500,23 @@ class Body(_Bodies):
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
-        """Cone along z with its apex at +length/2 and its base at -length/2, in metres."""
+        """Cone along z with its apex at +length/2 and its base at -length/2, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            Of the base, and from base to apex, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.cone(radius=1, length=4).inner.center
+        array([[ 0.,  0., -1.]])
+        """
         r = _check.positive_scalar(radius, "radius")
         H = _check.positive_scalar(length, "length")
         narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
@@ -405,7 +524,23 @@ class Body(_Bodies):
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
-        """Capsule about the origin along z; `length` is that of the straight part, in metres."""
+        """Capsule about the origin along z; `length` is that of the straight part, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            In metres; from tip to tip it measures length + 2 radius.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.capsule(radius=1, length=4).inner.semi_axes
+        array([[3., 1., 1.]])
+        """
         r = _check.positive_scalar(radius, "radius")
         h = _check.positive_scalar(length, "length") / 2
         # Smallest (a, a, b) around: its support must exceed h|cos| + r, that is
@@ -418,7 +553,25 @@ class Body(_Bodies):
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
-        """One body of all the pieces of several, in the frame they share."""
+        """One body of all the pieces of several, in the frame they share.
+
+        Parameters
+        ----------
+        bodies : iterable of Body
+            At least one.
+
+        Raises
+        ------
+        InputError
+            If one is no body.
+        GeometryError
+            If there is none.
+
+        Examples
+        --------
+        >>> Body.union([Body.sphere(1.0), Body.box([4, 0.5, 0.5])])
+        Body(2 pieces, 8 vertices)
+        """
         if isinstance(bodies, Body):
             raise InputError("bodies: expected several bodies in a list, found one body")
         listed = list(bodies)
@@ -433,6 +586,29 @@ class Body(_Bodies):
 
         The moved vertices are rounded to float64, so the ellipsoids are grown and shrunk by what
         that rounding can do to containment.
+
+        Parameters
+        ----------
+        T : array_like, shape (4, 4)
+            Translation in metres.
+
+        Returns
+        -------
+        Body
+
+        Raises
+        ------
+        PoseError
+            If T is no rigid motion.
+        GeometryError
+            If the translation leaves no digits for a piece that is thin.
+
+        Examples
+        --------
+        >>> T = np.eye(4)
+        >>> T[0, 3] = 5.0
+        >>> Body.sphere(1.0).transformed(T).outer.center
+        array([[5., 0., 0.]])
         """
         P = _check.poses(T, "T")
         if P.shape != (4, 4):
@@ -440,17 +616,47 @@ class Body(_Bodies):
         return Body(_moved(self._packed, P), self.covering)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed."""
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> Body.sphere(1.0).save("ball.npz")
+        >>> Body.load("ball.npz")
+        Body(sphere, 0 vertices)
+        """
         _save(self._packed, path, self.covering)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
         """Read what `save` wrote.
 
+        Parameters
+        ----------
+        path : path
+
         Raises
         ------
         FileError
             If the file is missing, broken, altered, newer, or holds several bodies.
+
+        Examples
+        --------
+        >>> Body.load("none.npz")
+        Traceback (most recent call last):
+            ...
+        loewner.errors.FileError: none.npz: expected a file, found none
         """
         packed, covering = _load(path)
         if len(packed.piece_start) != 2:
@@ -495,13 +701,34 @@ class Bodies(_Bodies):
             Certified log-volume gap of all fits.
         progress : callable, optional
             Called as ``progress(done, total)`` now and then.
+
+        Raises
+        ------
+        GeometryError
+            If a set is flat or too small; the message gives its number.
+
+        Examples
+        --------
+        >>> Bodies.from_points(np.random.default_rng(0).normal(size=(100, 12, 3)))
+        Bodies(100 bodies, 100 pieces)
         """
         sets = list(point_sets)
         return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress))
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
-        """One ball about the origin per radius, shape (n,), in metres; as `Body.sphere`."""
+        """One ball about the origin per radius, shape (n,), in metres; as `Body.sphere`.
+
+        Parameters
+        ----------
+        radii : array_like, shape (n,)
+            In metres.
+
+        Examples
+        --------
+        >>> Bodies.spheres([0.5, 1.0])
+        Bodies(2 bodies, 2 pieces)
+        """
         r = _check.positive_vector(radii, "radii", None)
         axes = np.repeat(r[:, None], 3, axis=1)
         return cls._wrap(_primitives(shapes.POINT, r, axes, axes, axes, 0.0))
@@ -509,6 +736,11 @@ class Bodies(_Bodies):
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
         """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; as `Body.ellipsoid`.
+
+        Parameters
+        ----------
+        semi_axes : array_like, shape (n, 3)
+            Along x, y, z, in metres.
 
         Examples
         --------
@@ -540,12 +772,34 @@ class Bodies(_Bodies):
         return self._packed.piece_start
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed."""
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Examples
+        --------
+        >>> Bodies.spheres([0.5, 1.0]).save("balls.npz")
+        >>> Bodies.load("balls.npz")
+        Bodies(2 bodies, 2 pieces)
+        """
         _save(self._packed, path, None)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
-        """Read what `save` of a body or of bodies wrote."""
+        """Read what `save` of a body or of bodies wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        FileError
+            If the file is missing, broken, altered or newer.
+        """
         return cls._wrap(_load(path)[0])
 
 

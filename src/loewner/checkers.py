@@ -69,6 +69,15 @@ class StateDistance:
         That pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
         Where it is nearest; see `Distance`.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> found = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance([0.5, 0.0], exact=True)
+    >>> found.names, round(found.distance, 9), found.lower <= found.distance <= found.upper
+    (('rail', 'post'), 0.35, True)
     """
 
     lower: Any
@@ -91,6 +100,14 @@ class Settled:
         the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> settled = CollisionChecker(robot).tiers(robot.random_configurations(100))
+    >>> settled.total, settled.colliding
+    (100, 0)
     """
 
     free_by_bounds: int
@@ -161,8 +178,17 @@ class CollisionChecker:
 
     Examples
     --------
-    >>> checker = CollisionChecker(robot, scene)  # doctest: +SKIP
-    >>> checker.collide(robot.random_configurations(10_000))  # doctest: +SKIP
+    >>> from loewner import Body
+    >>> scene = Scene(margin=0.01)
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> checker = CollisionChecker(robot, scene)
+    >>> checker.collide([[0.0, 1.57], [1.0, 1.57]])  # the cart beside the post, and in it
+    array([False,  True])
+    >>> [(contact.name_a, contact.name_b) for contact in checker.pairs([1.0, 1.57])]
+    [('cart', 'post')]
+    >>> checker.collide(robot.random_configurations(10_000)).shape
+    (10000,)
     """
 
     def __init__(
@@ -251,6 +277,10 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        Settled
         """
         out, tiers = self._settle(verdicts.EXACT, self.robot.checked(Q))
         free, hit = (np.bincount(tiers[out == verdict], minlength=verdicts.TIERS).tolist() for verdict in (0, 1))
@@ -282,6 +312,15 @@ class CollisionChecker:
         -----
         Joint values run straight, quaternions along the shorter arc. A motion is checked at its ends, then in its
         middle, then at quarters: collisions tend to be found early.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
+        array([ True, False])
         """
         step = _check.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
@@ -361,6 +400,11 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         exact : bool
             Also compute the distance or depth, the pair, witnesses and normal.
+
+        Returns
+        -------
+        StateDistance
+            In metres; of one configuration floats and names, of a batch arrays.
 
         Raises
         ------
@@ -605,6 +649,12 @@ def pairs_by_sampling(
     -----
     "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
     samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+
+    Examples
+    --------
+    >>> from loewner import pairs_by_sampling
+    >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
+    {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
     """
     if not isinstance(samples, (int, np.integer)) or samples < 1:
         raise InputError(f"samples: expected an integer >= 1, found {samples!r}")

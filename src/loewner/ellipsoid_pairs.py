@@ -38,9 +38,17 @@ class NearPoints:
         On the first and on the second ellipsoid, in metres. Where an overlap was found both are the
         same point, which lies in both.
     distance : ndarray, shape (...)
-        |point_2 - point_1|, in metres; 0 where an overlap was found.
+        ``|point_2 - point_1|``, in metres; 0 where an overlap was found.
     iterations : ndarray of int, shape (...)
         Steps taken; 1 for the closed-form methods.
+
+    Examples
+    --------
+    >>> a = Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
+    >>> b = Ellipsoids.from_semi_axes([5, 0, 0], [2, 1, 1])
+    >>> near = near_points(a, b)
+    >>> near.point_1.round(6) + 0.0, near.point_2.round(6) + 0.0, round(float(near.distance), 6)
+    (array([1., 0., 0.]), array([3., 0., 0.]), 2.0)
     """
 
     point_1: Floats
@@ -112,6 +120,13 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     ------
     InputError
         If an argument is not 3-D or batch shapes do not broadcast.
+
+    Examples
+    --------
+    >>> a = Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
+    >>> b = Ellipsoids.from_semi_axes([4, 0, 0], [1, 2, 3])
+    >>> round(float(contact_function(a, b)), 9)  # both twice as large would touch
+    4.0
     """
     pair = _Pair(E1, E2, "contact_function")
     value = np.empty(len(pair.offset))

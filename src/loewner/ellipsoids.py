@@ -23,7 +23,7 @@ class Ellipsoids:
     center : array_like, shape (..., n)
         Centers, in metres.
     factor : array_like, shape (..., n, n)
-        Invertible F with E = {c + F u : |u| <= 1}, in metres.
+        Invertible F with E = ``{c + F u : |u| <= 1}``, in metres.
 
     Raises
     ------
@@ -85,6 +85,11 @@ class Ellipsoids:
         ------
         GeometryError
             If Q is not symmetric (to 1e-9 of its largest entry) and positive definite.
+
+        Examples
+        --------
+        >>> Ellipsoids.from_shape_matrix([0, 0], [[4, 0], [0, 1]]).semi_axes
+        array([2., 1.])
         """
         Q = _check.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
         if Q.shape[-1] != Q.shape[-2]:
@@ -107,6 +112,18 @@ class Ellipsoids:
             Lengths > 0, in metres.
         rotation : array_like, shape (..., n, n), optional
             Orthogonal; the identity by default.
+
+        Raises
+        ------
+        GeometryError
+            If a length is not positive.
+        InputError
+            If shapes do not broadcast, or `rotation` is not orthogonal.
+
+        Examples
+        --------
+        >>> Ellipsoids.from_semi_axes([[0, 0, 0], [1, 0, 0]], [3, 2, 1])  # two of one shape
+        Ellipsoids((2,), n=3)
         """
         axes = _check.finite_array(semi_axes, "semi_axes", ("...", None))
         if not (axes > 0).all():
@@ -193,6 +210,11 @@ class Ellipsoids:
         Returns
         -------
         ndarray, shape (..., n)
+
+        Examples
+        --------
+        >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).support([1, 0])
+        array([4., 0.])
         """
         d = _check.finite_array(direction, "direction", ("...", self.dim))
         w = np.einsum("...ji,...j->...i", self.factor, d)
@@ -208,6 +230,15 @@ class Ellipsoids:
         ----------
         points : array_like, shape (..., n)
             Broadcasts with the batch.
+
+        Returns
+        -------
+        ndarray of bool, shape (...)
+
+        Examples
+        --------
+        >>> Ellipsoids.from_semi_axes([0, 0], [3, 2]).contains([[2.9, 0], [0, 2.1]])
+        array([ True, False])
         """
         x = _check.finite_array(points, "points", ("...", self.dim)) - self.center
         batch = np.broadcast_shapes(x.shape[:-1], self.batch_shape)
@@ -217,7 +248,18 @@ class Ellipsoids:
         return np.asarray((u * u).sum(axis=-1) <= 1.0)
 
     def bounding_box(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner of the axis-aligned box, each of shape (..., n)."""
+        """Lower and upper corner of the axis-aligned box, each of shape (..., n).
+
+        Returns
+        -------
+        lower, upper : ndarray, shape (..., n)
+            In metres.
+
+        Examples
+        --------
+        >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).bounding_box()
+        (array([-2., -2.]), array([4., 2.]))
+        """
         half = np.sqrt((self.factor**2).sum(axis=-1))
         return self.center - half, self.center + half
 
@@ -230,6 +272,24 @@ class Ellipsoids:
         ----------
         T : array_like, shape (..., 4, 4), or None
             Broadcasts with the batch; ``None`` is the identity.
+
+        Returns
+        -------
+        Ellipsoids
+
+        Raises
+        ------
+        PoseError
+            If T is no rigid motion.
+        InputError
+            If the ellipsoids are not in space.
+
+        Examples
+        --------
+        >>> T = np.eye(4)
+        >>> T[2, 3] = 1.0
+        >>> Ellipsoids.from_semi_axes([0, 0, 0], [3, 2, 1]).transformed(T).center
+        array([0., 0., 1.])
         """
         if self.dim != 3:
             raise InputError(f"transformed: expected ellipsoids in 3-D, found dimension {self.dim}; use affine")
@@ -237,7 +297,29 @@ class Ellipsoids:
         return self._mapped(P[..., :3, :3], P[..., :3, 3])
 
     def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
-        """Image under x -> A x + b, with A of shape (..., n, n) invertible and b of shape (..., n)."""
+        """Image under x -> A x + b.
+
+        Parameters
+        ----------
+        A : array_like, shape (..., n, n)
+            Invertible.
+        b : array_like, shape (..., n)
+            In metres.
+
+        Returns
+        -------
+        Ellipsoids
+
+        Raises
+        ------
+        GeometryError
+            If A is singular.
+
+        Examples
+        --------
+        >>> Ellipsoids.from_semi_axes([0, 0], [1, 1]).affine([[2, 0], [0, 3]], [5, 5]).semi_axes
+        array([3., 2.])
+        """
         A_ = _check.finite_array(A, "A", ("...", self.dim, self.dim))
         b_ = _check.finite_array(b, "b", ("...", self.dim))
         if A_.size and not (np.linalg.svd(A_, compute_uv=False)[..., -1] > 0).all():

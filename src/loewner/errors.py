@@ -6,35 +6,114 @@ Each also derives from the built-in exception a caller would expect, so that
 
 
 class LoewnerError(Exception):
-    """Base of all errors raised by `loewner`."""
+    """Base of all errors raised by `loewner`.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> try:
+    ...     loewner.Body.sphere(-1.0)
+    ... except loewner.LoewnerError as error:
+    ...     print(error)
+    radius: expected a finite number > 0, found -1.0
+    """
 
 
 class InputError(LoewnerError, ValueError):
-    """An argument has the wrong shape, type or value."""
+    """An argument has the wrong shape, type or value.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.Body.box([1.0, 2.0])
+    Traceback (most recent call last):
+        ...
+    loewner.errors.InputError: size: expected shape (3,), found (2,)
+    """
 
 
 class GeometryError(InputError):
-    """The geometry is empty, flat, unbounded or too small to carry an ellipsoid."""
+    """The geometry is empty, flat, unbounded or too small to carry an ellipsoid.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.Body.from_points([[0, 0, 0], [1, 0, 0]])
+    Traceback (most recent call last):
+        ...
+    loewner.errors.GeometryError: point_sets[0]: expected at least 4 points in dimension 3, found 2
+    """
 
 
 class PoseError(InputError):
-    """A pose does not end in (4, 4), is not a rigid motion, or does not broadcast."""
+    """A pose does not end in (4, 4), is not a rigid motion, or does not broadcast.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> ball = loewner.Body.sphere(1.0)
+    >>> loewner.collide(ball, None, ball, [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    Traceback (most recent call last):
+        ...
+    loewner.errors.PoseError: T_world_b: expected a rotation (RᵀR = 1 within 1e-06), found a departure of 3
+    """
 
 
 class ConvergenceError(LoewnerError, ArithmeticError):
-    """An iteration did not reach its certificate; nothing is returned instead of a guess."""
+    """An iteration did not reach its certificate; nothing is returned instead of a guess.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import loewner
+    >>> far = 1 + 1e-8 * np.random.default_rng(0).normal(size=(9, 2))  # coordinates with few digits left
+    >>> try:
+    ...     loewner.mvce(far, tol=1e-12)
+    ... except loewner.ConvergenceError as error:
+    ...     print(str(error).split(";")[1])
+     a thin body far from the origin may not have that many digits: ask for a larger tol, or move it to the origin
+    """
 
 
 class PlanningError(LoewnerError, RuntimeError):
-    """No motion can be given: start or goal is not free, or no path was found; the message says which and why."""
+    """No motion can be given: start or goal is not free, or no path was found; the message says which and why.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> from loewner import planners
+    >>> checker = loewner.CollisionChecker(loewner.Robot.from_urdf("arm.urdf"))
+    >>> planners.plan(checker, [0.0, 0.0], [3.0, 0.0], joints="rail")
+    Traceback (most recent call last):
+        ...
+    loewner.errors.PlanningError: goal: expected a free configuration within the limits, found rail = 3 outside 0 .. 2
+    """
 
 
 class FileError(LoewnerError, OSError):
-    """A file is missing, empty, truncated, of the wrong kind, or could not be written."""
+    """A file is missing, empty, truncated, of the wrong kind, or could not be written.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.Body.load("none.npz")
+    Traceback (most recent call last):
+        ...
+    loewner.errors.FileError: none.npz: expected a file, found none
+    """
 
 
 class UnknownNameError(LoewnerError, KeyError):
-    """A name (link, joint, body, rule) is not known; the message lists the valid ones."""
+    """A name (link, joint, body, rule) is not known; the message lists the valid ones.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.Robot.from_urdf("arm.urdf").configuration("rest")
+    Traceback (most recent call last):
+        ...
+    loewner.errors.UnknownNameError: expected the name of a state, found 'rest'; there are none
+    """
 
     def __str__(self) -> str:
         # KeyError prints the repr of its argument; a message for people is a plain sentence.
@@ -42,8 +121,27 @@ class UnknownNameError(LoewnerError, KeyError):
 
 
 class BodyIndexError(LoewnerError, IndexError):
-    """There is no body of this number."""
+    """There is no body of this number.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.Bodies.spheres([1.0, 2.0])[2]
+    Traceback (most recent call last):
+        ...
+    loewner.errors.BodyIndexError: expected an index from -2 to 1, found 2
+    """
 
 
 class MissingExtraError(LoewnerError, ImportError):
-    """An optional package is needed; the message names the extra to install."""
+    """An optional package is needed; the message names the extra to install.
+
+    Examples
+    --------
+    Without trimesh:
+
+    >>> loewner.Body.from_mesh("part.stl")  # doctest: +SKIP
+    Traceback (most recent call last):
+        ...
+    loewner.errors.MissingExtraError: reading and decomposing meshes needs trimesh: pip install "loewner[meshes]"
+    """

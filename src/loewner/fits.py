@@ -51,9 +51,15 @@ class Fit:
     ellipsoid : Ellipsoids
         One ellipsoid; its factor is lower triangular.
     gap : float
-        Certified bound on |log(volume / optimal volume)|, at most the tolerance asked for.
+        Certified bound on ``|log(volume / optimal volume)|``, at most the tolerance asked for.
     iterations : int
         Interior-point steps taken.
+
+    Examples
+    --------
+    >>> fit = mvce([[0, 0], [2, 0], [0, 2], [2, 2]])
+    >>> fit.ellipsoid.center.round(6), fit.gap <= 1e-4
+    (array([1., 1.]), True)
     """
 
     ellipsoid: Ellipsoids

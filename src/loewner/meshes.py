@@ -65,6 +65,13 @@ class Covering:
         (overlaps counted twice). NaN if the mesh is not closed, for it then has no volume.
     samples : int
         Points of the surface that were tested, all mesh vertices included.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner import Body
+    >>> Body.from_mesh(trimesh.creation.box((1, 1, 1))).covering.exact
+    True
     """
 
     kind: str
@@ -162,11 +169,6 @@ def convex_pieces(
     FileError, GeometryError, MissingExtraError
         As `load`; GeometryError also for a flat mesh.
 
-    References
-    ----------
-    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
-    collision-aware concavity and tree search", ACM Trans. Graph. 41(4), doi:10.1145/3528223.3530103.
-
     Notes
     -----
     A mesh whose connected parts are all closed and convex (its volume is its hull's, to 1e-3)
@@ -176,6 +178,11 @@ def convex_pieces(
     none is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With
     `cover`, such a rest is added to the piece nearest to it; without, the distance to a convex piece
     being a convex function, it is greatest at a corner of the rest.
+
+    References
+    ----------
+    Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
+    collision-aware concavity and tree search", ACM Trans. Graph. 41(4), doi:10.1145/3528223.3530103.
     """
     threshold = _check.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:

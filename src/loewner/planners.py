@@ -82,6 +82,14 @@ def plan(
         If there is no such group, joint or planner.
     MissingExtraError
         If OMPL is not installed.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> path = plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], joints="rail")
+    >>> path[[0, -1]]
+    array([[0., 0.],
+           [2., 0.]])
     """
     timeout = _check.positive_scalar(timeout, "timeout")
     if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32 - 1:

@@ -97,6 +97,11 @@ class Polytope:
         References
         ----------
         Barber, Dobkin and Huhdanpaa, The Quickhull algorithm (1996), doi:10.1145/235815.235821.
+
+        Examples
+        --------
+        >>> Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+        Polytope(4 vertices, 4 faces, n=3)
         """
         return cls(*_hull(_check.finite_array(points, "points", (None, None)), "points"))
 
@@ -116,6 +121,12 @@ class Polytope:
             On wrong shapes or entries that are not finite.
         GeometryError
             If the intersection is empty, flat or unbounded.
+
+        Examples
+        --------
+        >>> A, b = [[1, 0], [-1, 0], [0, 1], [0, -1]], [1, 1, 2, 2]
+        >>> Polytope.from_halfspaces(A, b)
+        Polytope(4 vertices, 4 faces, n=2)
         """
         rows, bounds = check_halfspaces(A, b)
         if rows.shape[1] < 2:

@@ -31,7 +31,14 @@ METHODS = ("exact", "estimate")
 
 
 class Verdict(IntEnum):
-    """Certified answer about a pair of bodies."""
+    """Certified answer about a pair of bodies.
+
+    Examples
+    --------
+    >>> verdict = Verdict(2)
+    >>> verdict, verdict.name, verdict == 2
+    (<Verdict.AMBIGUOUS: 2>, 'AMBIGUOUS', True)
+    """
 
     FREE = 0
     """The outer ellipsoids are apart, by more than the margin: proven."""
@@ -65,6 +72,15 @@ class Distance:
         Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (..., 3), or None
         Unit vector from a to b; moving b along it parts those two pieces fastest.
+
+    Examples
+    --------
+    >>> from loewner import Body, distance
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 3.0
+    >>> found = distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True)
+    >>> found.witness_a.round(9) + 0.0, found.normal.round(9) + 0.0
+    (array([1., 0., 0.]), array([1., 0., 0.]))
     """
 
     lower: Any

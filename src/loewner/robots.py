@@ -70,7 +70,18 @@ class Robot:
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies.
     tree : tuple of ndarray
-        What kernels take; described in `loewner._kernels.kinematics`.
+        What kernels take; described in ``loewner/_kernels/kinematics.py``.
+
+    Examples
+    --------
+    A cart on a rail of 2 m that carries an arm (``arm.urdf``):
+
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> robot.configuration_names, robot.lower, robot.upper
+    (('rail', 'elbow'), array([  0., -inf]), array([ 2., inf]))
+    >>> robot.forward_kinematics([[0.0, 0.0], [1.5, 0.0]])[:, 1, :3, 3]  # where the cart is
+    array([[0. , 0. , 0. ],
+           [1.5, 0. , 0. ]])
     """
 
     name: str
@@ -120,6 +131,10 @@ class Robot:
         progress : callable, optional
             Called as ``progress(done, total)`` after each collision shape.
 
+        Returns
+        -------
+        Robot
+
         Raises
         ------
         FileError
@@ -135,6 +150,11 @@ class Robot:
         -----
         UserWarning
             If the SRDF names some links or joints that the robot does not have.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf")
+        Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
         tol = _check.positive_scalar(tol, "tol")
         robot = read_urdf(path)
@@ -183,6 +203,26 @@ class Robot:
         """The same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
         Of a robot that is placed already, the new pose is that of the frame which the old one was given in.
+
+        Parameters
+        ----------
+        T_world_base : array_like, shape (4, 4)
+            Translation in metres.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        PoseError
+            If the pose is no rigid motion.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf").placed([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]])
+        >>> robot.forward_kinematics(robot.configuration())[0, :3, 3]
+        array([0., 0., 5.])
         """
         T = _check.poses(T_world_base, "T_world_base")
         if T.shape != (4, 4):
@@ -205,6 +245,22 @@ class Robot:
         ----------
         pairs : iterable of pairs of str
             For instance what `pairs_by_sampling` returns.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If they are no pairs of two different links.
+
+        Examples
+        --------
+        >>> sorted(Robot.from_urdf("arm.urdf").disabling([("rail", "forearm")]).disabled_pairs)
+        [('forearm', 'rail')]
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
@@ -216,6 +272,17 @@ class Robot:
         pairs : iterable of pairs of str
         name : str
             What the caller calls them, for messages.
+
+        Returns
+        -------
+        frozenset of pairs of str
+
+        Raises
+        ------
+        UnknownNameError
+            If the robot has no such link.
+        InputError
+            If they are no pairs of two different links.
         """
         if isinstance(pairs, str) or not isinstance(pairs, Iterable):
             raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
@@ -249,6 +316,12 @@ class Robot:
         ------
         InputError
             If the width is not dof, an entry is not finite, or a quaternion is not of norm 1.
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> robot.forward_kinematics(robot.random_configurations(1000)).shape
+        (1000, 3, 4, 4)
         """
         checked = self.checked(Q)
         batch, links = checked.shape[:-1], len(self.link_names)
@@ -316,6 +389,11 @@ class Robot:
         ------
         UnknownNameError
             With the valid names.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").configuration({"elbow": 0.5})
+        array([0. , 0.5])
         """
         if isinstance(values, str):
             if values not in self.states:
@@ -338,6 +416,22 @@ class Robot:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform.
+
+        Parameters
+        ----------
+        n : int
+        seed : int
+
+        Returns
+        -------
+        ndarray, shape (n, dof)
+
+        Examples
+        --------
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> Q = robot.random_configurations(1000)
+        >>> Q.shape, bool((Q[:, 0] >= 0).all() and (Q[:, 0] <= 2).all())
+        ((1000, 2), True)
         """
         rng = np.random.default_rng(seed)
         lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
@@ -360,6 +454,11 @@ class Robot:
         Returns
         -------
         float, or ndarray, shape (...)
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").distances([0, 0], [[3, 4], [0, 1]])
+        array([5., 1.])
         """
         return self._distances(self.checked(Q0, "Q0"), self.checked(Q1, "Q1"))
 
@@ -393,6 +492,13 @@ class Robot:
         Returns
         -------
         ndarray, shape (..., dof)
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").between([0, 0], [1, 2], [0.0, 0.5, 1.0])
+        array([[0. , 0. ],
+               [0.5, 1. ],
+               [1. , 2. ]])
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]

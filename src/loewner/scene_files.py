@@ -59,12 +59,23 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     path : path
         Files that it names are looked for relative to its folder.
 
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     FileError
         If the file, or one that it names, is missing or malformed. The message gives line and key.
     MissingExtraError
         If PyYAML is not installed, or what a mesh needs.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("table.yaml").write_text("bodies: {table: {box: [1, 1, 0.1], position: [0, 0, 0.5]}}")
+    >>> load_scene("table.yaml")
+    Scene(1 bodies, 0 of them attached)
     """
     file = Path(path)
     root = _Entry(file, "", _composed(file))
@@ -103,6 +114,15 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
         If a file could not be written.
     MissingExtraError
         If PyYAML is not installed.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> scene = Scene(margin=0.01)
+    >>> scene.add("ball", Body.sphere(0.1))
+    >>> save_scene(scene, "ball.yaml")
+    >>> load_scene("ball.yaml").margin
+    0.01
     """
     yaml = _yaml()
     file = Path(path)
@@ -430,6 +450,12 @@ class Problem:
         Obstacles, in the frame of the robot's base.
     valid : bool or None
         The file's own word on whether the problem is sound, not checked here; None if it says nothing.
+
+    Examples
+    --------
+    >>> (problem,) = read_motion_bench_maker("problems.json")
+    >>> problem.group, problem.start, problem.scene.names
+    ('shelf', array([0., 0.]), ('board',))
     """
 
     group: str
@@ -475,6 +501,11 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Chamzas, Quintero-Peña, Kingston, Orthey, Rakita, Gleicher, Toussaint and Kavraki (2022), "MotionBenchMaker: a
     tool to generate and benchmark motion planning datasets", IEEE Robot. Autom. Lett. 7(2),
     doi:10.1109/LRA.2021.3133603.
+
+    Examples
+    --------
+    >>> [(problem.group, problem.index) for problem in read_motion_bench_maker("problems.json")]
+    [('shelf', 1)]
     """
     file = Path(path)
     try:

@@ -38,6 +38,15 @@ class Contact:
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
         Unit vector from a to b.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("ball", Body.sphere(1.0))
+    >>> scene.add("box", Body.box([1, 1, 1]))
+    >>> (contact,) = scene.pairs()
+    >>> contact.name_a, contact.name_b, contact.distance < 0
+    ('ball', 'box', True)
     """
 
     name_a: str
@@ -49,7 +58,18 @@ class Contact:
 
     @classmethod
     def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
-        """One contact per pair of names, from exact distances of as many pairs."""
+        """One contact per pair of names, from exact distances of as many pairs.
+
+        Parameters
+        ----------
+        names : iterable of pairs of str
+        found : Distance
+            Of as many pairs, with ``exact=True``.
+
+        Returns
+        -------
+        tuple of Contact
+        """
         rows = zip(names, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
         return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
 
@@ -66,6 +86,14 @@ class Attachment:
         Where it sits in the frame of the link; translation in metres.
     touch_links : tuple of str
         Links that it may touch while it hangs there: those asked for and the one that carries it, sorted.
+
+    Examples
+    --------
+    >>> scene = Scene()
+    >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+    >>> scene.attach("can", "hand", touch_links=["finger"])
+    >>> scene.attachments["can"].touch_links
+    ('finger', 'hand')
     """
 
     link: str
@@ -170,6 +198,15 @@ class Scene:
     def pose(self, name: str) -> Floats:
         """Pose in the world of a body, shape (4, 4), as a new array.
 
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        ndarray, shape (4, 4)
+            T_world_body; translation in metres.
+
         Raises
         ------
         InputError
@@ -178,7 +215,13 @@ class Scene:
         return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return another scene with the same bodies, which changes on its own from now on."""
+        """Return another scene with the same bodies, which changes on its own from now on.
+
+        Returns
+        -------
+        Scene
+            With the same bodies, margins and rules; the bodies themselves are shared, since they never change.
+        """
         other = Scene(margin=self._margin)
         other._bodies = dict(self._bodies)
         other._poses = dict(self._poses)
@@ -223,7 +266,17 @@ class Scene:
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Take a body out, and with it all margins and allowed pairs that name it."""
+        """Take a body out, and with it all margins and allowed pairs that name it.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body.
+        """
         del self._bodies[self._known(name)]
         self._poses.pop(name, None)
         self._attachments.pop(name, None)
@@ -272,6 +325,14 @@ class Scene:
             Where the body sits in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
+        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"])
+        >>> scene.static_names
+        ()
         """
         self._known(name)
         _check_name(link, "link")
@@ -327,6 +388,11 @@ class Scene:
     def forbid(self, a: str, b: str) -> None:
         """Take back what `allow` allowed.
 
+        Parameters
+        ----------
+        a, b : str
+            In any order.
+
         Raises
         ------
         UnknownNameError
@@ -359,6 +425,13 @@ class Scene:
             Metres. None takes the margin of the pair, body or link away again.
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.01)
+        >>> scene.set_margin(0.05, "person")
+        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
+        (0.05, 0.01)
         """
         keep = None if margin is None else _check.positive_scalar(margin, "margin", zero=True)
         if a is None:
@@ -379,6 +452,16 @@ class Scene:
         """Metres that two bodies or links keep.
 
         The pair's own margin if it has one; else the larger of those that the two have; else the scene's.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, known or not.
+
+        Returns
+        -------
+        float
+            Metres.
         """
         pair = _pair(a, b)
         if pair in self._margins:
@@ -415,13 +498,39 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details."""
+        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details.
+
+        Returns
+        -------
+        bool
+            Touching, or coming within the margin, is colliding.
+        """
         return len(self._meeting()) > 0
 
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
         """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
 
         See `loewner.distance`.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies that stand in the world.
+        exact : bool
+            Also compute the distance or depth, witnesses and normal.
+
+        Returns
+        -------
+        Distance
+            In metres.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("a", Body.sphere(1.0))
+        >>> scene.add("b", Body.sphere(1.0), [[1, 0, 0, 3], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> round(scene.distance("a", "b", exact=True).distance, 9)
+        1.0
         """
         return queries.distance(self[a], self.pose(a), self[b], self.pose(b), exact=exact)
 

@@ -1,0 +1,74 @@
+"""Settings of the documentation site: `make docs` builds it, without network, and every warning is an error."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import command
+import measured
+from pygments.lexers.special import TextLexer
+
+import loewner
+
+project = "loewner"
+author = "The loewner developers"
+copyright = author
+version = release = loewner.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+root_doc = "index"
+exclude_patterns = ["_build"]
+templates_path = ["_templates"]
+
+# -- pages in Markdown --------------------------------------------------------------------------
+
+myst_enable_extensions = ["attrs_inline", "deflist"]
+myst_heading_anchors = 3
+suppress_warnings = ["myst.header"]  # ARCHITECTURE.md and its like are whole pages on their own and included here
+
+# -- reference ----------------------------------------------------------------------------------
+
+nitpicky = True
+# Arguments that are called like a module: links to them lead nowhere.
+nitpick_ignore = [("py:obj", "bodies"), ("py:obj", "dataset")]
+default_role = "autolink"
+autosummary_generate = True
+# Shapes and units are in the docstrings; annotations can say neither.
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+# -- looks --------------------------------------------------------------------------------------
+
+html_theme = "furo"
+html_title = f"loewner {release}"
+html_show_copyright = False
+html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
+html_theme_options = {"source_repository": "", "navigation_with_keys": True}
+pygments_style = "friendly"
+pygments_dark_style = "native"
+
+
+def setup(app):
+    """Write the pages that are made by programs before Sphinx looks for pages; find public names from any module."""
+    app.add_lexer("mermaid", TextLexer)
+    app.connect("builder-inited", _write_pages)
+    app.connect("missing-reference", _public_name)
+
+
+def _write_pages(app):
+    measured.write(Path(app.srcdir) / "measured.md")
+    command.write(Path(app.srcdir) / "reference" / "command.md")
+
+
+def _public_name(app, env, node, content):
+    """Where a docstring of a module such as loewner.planners names `Robot`, it means loewner.Robot."""
+    python, target = env.get_domain("py"), "loewner." + node["reftarget"]
+    if node.get("refdomain") != "py" or target not in python.objects:
+        return None
+    return python.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, content)

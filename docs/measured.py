@@ -1,0 +1,106 @@
+"""The page of measurements: every CSV under benchmarks/results/<machine>/, as tables in Markdown."""
+
+import csv
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
+
+TITLES = {
+    "pairs": "Pairs, beside Coal and python-fcl",
+    "singles": "One pair per call, from Python",
+    "threads": "Two threads, beside one",
+    "pieces": "Bodies of 500 pieces",
+    "crowd": "Crowds, beside trees of boxes",
+    "robots": "Robots, beside pinocchio and Coal",
+    "robot-batches": "Robots, by size of the batch",
+    "mbm-planning": "MotionBenchMaker: motions in OMPL's RRT-Connect",
+    "mbm-tiers": "MotionBenchMaker: what settled a configuration",
+    "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
+    "memory": "Memory of a batch",
+    "fits": "Fits, beside conic solvers",
+}
+
+INTRODUCTION = """# Measured
+
+Made from the files in `benchmarks/results` when this site was built. Times are of one item (a pair, a body, a
+configuration), in nanoseconds of processor time; a ratio is the other's time over ours, from one run in which both took
+turns. Ratios below 1 are cases where the other is faster. How it is kept fair, and what the limits are:
+[](benchmarks.md)."""
+
+
+def write(target: Path) -> None:
+    """Write the page, unless it says the same already: Sphinx rebuilds what is new."""
+    text = page(RESULTS)
+    if not target.exists() or target.read_text() != text:
+        target.write_text(text)
+
+
+def page(results: Path) -> str:
+    """All results of all machines."""
+    parts = [INTRODUCTION]
+    for machine in sorted(folder for folder in results.iterdir() if folder.is_dir()):
+        parts.append(f"## {machine.name}")
+        described = machine / "machine.json"
+        if described.exists():
+            parts.append(_machine(json.loads(described.read_text())))
+        for path in sorted(machine.glob("*.csv"), key=_place):
+            parts.append(_section(path))
+    return "\n\n".join(parts) + "\n"
+
+
+def _place(path: Path) -> tuple[int, str]:
+    """Files in the order of the titles, unknown ones last."""
+    known = list(TITLES)
+    return (known.index(path.stem) if path.stem in known else len(known)), path.stem
+
+
+def _machine(facts: dict) -> str:
+    packages = ", ".join(f"{name} {number}" for name, number in facts.get("packages", {}).items())
+    others = "; ".join(f"{name}: {value}" for name, value in facts.items() if name != "packages")
+    return f"{others}; {packages}."
+
+
+def _section(path: Path) -> str:
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    title = f"### {TITLES.get(path.stem, path.stem)}"
+    if not rows:
+        return f"{title}\n\nNothing was measured."
+    shown = [_comparison(row) for row in rows] if "rival" in rows[0] else rows
+    header = [name.replace("_", " ") for name in shown[0]]
+    lines = [title, "", _line(header), _line(["---"] * len(header))]
+    lines += [_line(_cell(text) for text in row.values()) for row in shown]
+    if "commit" in rows[0]:
+        origin = sorted({f"commit {row['commit']} ({row['date']})" for row in rows})
+        lines += ["", f"From {', '.join(origin)}."]
+    return "\n".join(lines)
+
+
+def _comparison(row: dict[str, str]) -> dict[str, str]:
+    """One line of ours beside another's, without the columns that only programs need."""
+    return {
+        "case": row["case"],
+        "items": row["items"],
+        "ours": f"{row['us']}: {_cell(row['us_ns_cpu'])} ns" if row["us_ns_cpu"] else row["us"],
+        "beside": f"{row['rival']}: {_cell(row['rival_ns_cpu'])} ns" if row["rival_ns_cpu"] else row["rival"],
+        "ratio": row["ratio"],
+        "by wall time": row["ratio_wall"],
+        "asked for": f"{_cell(row['required'])}: {row['met']}" if row["required"] else "",
+        "answers that differ": row["differing"],
+        "note": row["note"],
+    }
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _cell(text: str) -> str:
+    """Plain text in a table; numbers in their usual form."""
+    try:
+        number = float(text)
+    except ValueError:
+        return text.replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_")
+    return f"{number:,.0f}" if abs(number) >= 1000 or number == int(number) else f"{number:.3g}"
