@@ -87,6 +87,13 @@ def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
     return value
 
 
+def whole_number(x: Any, name: str, least: int) -> int:
+    """Check an integer that is not below `least`."""
+    if not isinstance(x, (int, np.integer)) or x < least:
+        raise InputError(f"{name}: expected an integer >= {least}, found {x!r}")
+    return int(x)
+
+
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
     """Check shape, and that all numbers are finite and above zero."""
     array = finite_array(x, name, shape)

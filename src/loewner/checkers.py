@@ -165,6 +165,13 @@ class CollisionChecker:
         Leave out links that a joint joins, which mostly overlap by design. Default: only if the robot came without an
         SRDF, which usually disables those that must be.
 
+    Raises
+    ------
+    InputError
+        If the robot has no collision geometry: it would always be free.
+    UnknownNameError
+        If a link in `allowed` is not the robot's.
+
     Notes
     -----
     Checked are all pairs of links that can move against each other, and of links and what is attached to them with
@@ -173,6 +180,9 @@ class CollisionChecker:
 
     The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if one of the two,
     or the pair, was given one by `Scene.set_margin`.
+
+    Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
+    `checked_pairs`.
 
     A checker may be used by several threads at once.
 
@@ -203,6 +213,11 @@ class CollisionChecker:
             raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
         if scene is not None and not isinstance(scene, Scene):
             raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
+        if not any(body._packed.piece_start[-1] > 0 for body in robot.bodies.values()):
+            raise InputError(
+                f"robot: expected a robot with collision geometry, found none in {robot.name!r}; "
+                f"links with <visual> only: {', '.join(robot._only_visual) or 'none'}"
+            )
         self.robot = robot
         self.scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
@@ -559,9 +574,17 @@ class CollisionChecker:
 
     def _check_names(self) -> None:
         robot, scene = self.robot, self.scene
-        for name in sorted(scene.foreign_names):
-            if name not in robot.link_names:
-                raise _check.unknown_name("body or link", name, (*scene.names, *robot.link_names))
+        links, all_names = robot.link_names, (*scene.names, *robot.link_names)
+        for body, held in scene.attachments.items():
+            if held.link not in links:
+                raise _check.unknown_name(f"link in attach of {body!r}", held.link, links)
+            for name in held.touch_links:
+                if name not in all_names:
+                    raise _check.unknown_name(f"touch link in attach of {body!r}", name, links)
+        for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
+            for name in (name for names in sorted(named) for name in names):
+                if name not in all_names:
+                    raise _check.unknown_name(f"body or link in {place}", name, all_names)
         for name in scene.names:
             if name in robot.link_names:
                 raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
@@ -656,12 +679,11 @@ def pairs_by_sampling(
     >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
     {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
     """
-    if not isinstance(samples, (int, np.integer)) or samples < 1:
-        raise InputError(f"samples: expected an integer >= 1, found {samples!r}")
+    samples = _check.whole_number(samples, "samples", 1)
     if not 0 < _check.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
-    counts = checker.collide_by_pair(robot.random_configurations(int(samples), seed)).sum(axis=0)
+    counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
     overlapping = checker.collide_by_pair(_flat(known)).sum(axis=0).tolist()
     found = {}

@@ -68,12 +68,18 @@ INFO_EXAMPLES = """examples:
   loewner robot info panda.urdf
   loewner robot info ~/robots/panda.urdf --srdf panda.srdf --package-dir ~/robots --package-dir ~/meshes
 """
+MARGIN_HELP = (
+    "metres that each pair with a body of the scene keeps at least, whatever margins the scene gives; those that are "
+    "larger stay; links keep none among each other unless the scene gives one"
+)
 ROBOT_CHECK_EXAMPLES = """examples:
   loewner robot check panda.urdf --srdf panda.srdf --state ready
   loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 100000 --seed 7
   loewner robot check panda.urdf --scene shelf.yaml --configs path.csv --margin 0.02 --json
 
 configurations: a .npy file of shape (N, dof), or a .csv file with one line each, whose first line may name the columns
+
+margins: --margin only ever adds to what the scene asks for
 
 exit status: 0 all free, 1 one or more colliding, 2 error
 """
@@ -189,7 +195,7 @@ def _add_robot_commands(commands: Any, raw: dict[str, Any]) -> None:
     which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy or .csv)")
     which.add_argument("--state", metavar="NAME", help="a state of the SRDF")
     check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
-    check.add_argument("--margin", type=float, metavar="M", help="metres to keep from the scene (the scene's own)")
+    check.add_argument("--margin", type=float, metavar="M", help=MARGIN_HELP)
     check.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -451,11 +457,13 @@ def _robot_info(options: argparse.Namespace) -> int:
     _print(links)
     _print(columns)
     count = len(robot.bodies)
-    checked = len(loewner.CollisionChecker(robot).checked_pairs)
+    checked = len(loewner.CollisionChecker(robot).checked_pairs) if count else 0
     print(f"pairs     {count * (count - 1) // 2} of links with bodies, {checked} checked")
-    print(f"          {len(robot.disabled_pairs)} disabled by the SRDF, {len(robot.adjacent_pairs)} adjacent")
-    print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
-    print(f"states    {', '.join(robot.states) or '-'}")
+    disabled = f"{len(robot.disabled_pairs)} disabled by the SRDF" if options.srdf is not None else "no SRDF"
+    print(f"          {disabled}, {len(robot.adjacent_pairs)} adjacent")
+    if options.srdf is not None:
+        print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
+        print(f"states    {', '.join(robot.states) or '-'}")
     return 0
 
 
@@ -467,17 +475,42 @@ def _link_row(body: loewner.Body) -> tuple[str, ...]:
 def _robot_check(options: argparse.Namespace) -> int:
     if options.margin is not None and options.scene is None:
         raise InputError("--margin: expected --scene beside it, found none: it is kept from the bodies of the scene")
+    if options.state is not None and options.srdf is None:
+        raise InputError(
+            f"--state: expected --srdf beside it, which has the states; no SRDF was given for {options.state!r}"
+        )
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if options.margin is not None and scene is not None:
-        scene.set_margin(options.margin)
+        _widen(scene, options.margin)
     robot = _robot(options)
     checker = loewner.CollisionChecker(robot, scene)
+    if not checker.checked_pairs:
+        raise InputError(
+            f"{options.urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
+            "there is nothing of a scene to meet; any configuration would count as free"
+        )
     answer = _checked_configurations(checker, _configurations(robot, options))
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
         _print_checked(answer)
     return COLLIDING if answer["colliding"] else FREE
+
+
+def _widen(scene: loewner.Scene, least: float) -> None:
+    """Let every pair with a body of the scene keep at least `least` metres, and leave pairs of links as they are."""
+    least = border.positive_scalar(least, "--margin", zero=True)
+    own = scene.margins
+    for names, margin in own.items():
+        if margin >= least:
+            continue
+        if any(name in scene for name in names):
+            scene.set_margin(least, *names)
+        elif len(names) == 1:  # a link's own goes before the scene's, but holds for other links as well
+            for body in scene:
+                if (body,) not in own and tuple(sorted((body, *names))) not in own:
+                    scene.set_margin(least, body, *names)
+    scene.set_margin(max(least, scene.margin))
 
 
 def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
@@ -500,22 +533,36 @@ def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
     try:
         if path.suffix.lower() == ".npy":
             return np.asarray(np.load(path, allow_pickle=False))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(path.read_text().splitlines()) if any(row)]
+        lines = path.read_text().splitlines()
+        rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if any(row)]
     except OSError as error:
         raise FileError(f"{path}: expected configurations, found {(error.strerror or str(error)).lower()}") from None
     except (ValueError, EOFError):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = list(robot.configuration_names)
+    if rows and ";" in lines[0] and "," not in lines[0]:
+        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {lines[0]}")
     order = names
-    if rows and not _are_numbers(rows[0]):
+    if rows and not any(_are_numbers([cell]) for cell in rows[0]):
         order = rows.pop(0)
-        if sorted(order) != sorted(names):
-            raise FileError(f"{path}: expected columns {', '.join(names)}, found {', '.join(order)}")
+        _check_columns(order, names, path)
     for k, row in enumerate(rows):
         if len(row) != len(names) or not _are_numbers(row):
             raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
     numbers = np.array(rows, dtype=np.float64).reshape(-1, len(names))
     return np.asarray(numbers[:, [order.index(name) for name in names]])
+
+
+def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> None:
+    """Check that each column is named once."""
+    for name in order:
+        if name not in names:
+            raise border.unknown_name(f"{path}, column", name, names)
+        if order.count(name) > 1:
+            raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
+    missing = [name for name in names if name not in order]
+    if missing:
+        raise FileError(f"{path}: expected a column for each joint value, found none for {', '.join(missing)}")
 
 
 def _are_numbers(cells: Sequence[str]) -> bool:

@@ -41,6 +41,13 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
 # What pinocchio calls the free base that it puts under a robot; its SRDF files name it without declaring it.
 UNDECLARED_BASE = "root_joint"
 
+# Elements of SRDF files that are known, to us or to programs that add their own; any other is most likely a slip.
+SRDF_TAGS = frozenset((
+    "group", "group_state", "disable_collisions", "enable_collisions", "disable_default_collisions", "virtual_joint",
+    "end_effector", "passive_joint", "joint_property", "link_sphere_approximation",
+    "gripper", "handle", "contact", "position", "rotor_params", "specificities",
+))  # fmt: skip
+
 # An SRDF that knows less than this share of the names it could know was written for another robot.
 LEAST_IN_COMMON = 0.25
 
@@ -112,6 +119,8 @@ class Description:
         Joint name to joint, as in the file. No joint mimics one that mimics another: such chains are resolved.
     joint_above : dict
         Link name to the joint it hangs on, for all links but the root.
+    only_visual : tuple of str
+        Links with visual geometry and no collision shapes.
     """
 
     name: str
@@ -119,6 +128,7 @@ class Description:
     shapes: dict[str, tuple[Shape, ...]]
     joints: dict[str, Joint]
     joint_above: dict[str, Joint]
+    only_visual: tuple[str, ...]
 
     @property
     def driven(self) -> tuple[str, ...]:
@@ -198,6 +208,10 @@ class _Element:
 
 def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
     """Root element of a robot description."""
+    if isinstance(path, str) and path.lstrip().startswith("<"):
+        raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError(f"expected a path to {what}, found {path!r}")
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -249,7 +263,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     FileError
         If there is no such file, or it is no XML or no URDF.
     InputError
-        If the links and joints are no tree, or a joint is not well defined.
+        If `path` is no path, if the links and joints are no tree, or a joint is not well defined.
     GeometryError
         If a shape has no size, or a negative one.
     UnknownNameError
@@ -283,6 +297,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
         shapes={name: tuple(_shape(e) for e in links[name].all("collision")) for name in order},
         joints=joints,
         joint_above=joint_above,
+        only_visual=tuple(name for name in order if links[name].first("visual") and not links[name].first("collision")),
     )
 
 
@@ -519,15 +534,34 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     -----
     UserWarning
         If some are not (an SRDF is often shared with a bigger variant of the robot), or a group is named that is
-        nowhere in the file.
+        nowhere in the file; if it names nothing of this robot at all, if it is said to be for a robot of another name,
+        or if it has elements that no SRDF has.
     """
     root = _read_xml(path, "an SRDF")
+    urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
+    if urdf is not None:
+        urdf.fault("an SRDF, with groups, states and rules on pairs", f"a URDF, with a <{urdf.tag}>")
     names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
     disabled = _disabled_pairs(root, names)
     groups = _groups(root, names)
     states = _states(root, names, groups)
     names.settle(root.path)
+    for fault in _oddities(root, names):
+        warnings.warn(f"{root.path}: {fault}", stacklevel=3)
     return Semantics(groups, states, disabled)
+
+
+def _oddities(root: _Element, names: _Names) -> Iterator[str]:
+    """What is no error in an SRDF, but mostly a slip."""
+    robot, name = names.robot, root.attributes.get("name", "")
+    if name and name != robot.name:
+        yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
+    odd = [e for e in root.children if e.tag not in SRDF_TAGS]
+    if odd:
+        found = ", ".join(dict.fromkeys(f"<{e.tag}>" for e in odd))
+        yield f"left out elements that an SRDF does not have: {found}, first in line {odd[0].line}"
+    if not names.known:
+        yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
 
 
 def _disabled_pairs(root: _Element, names: _Names) -> frozenset[tuple[str, str]]:

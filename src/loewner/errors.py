@@ -112,7 +112,7 @@ class UnknownNameError(LoewnerError, KeyError):
     >>> loewner.Robot.from_urdf("arm.urdf").configuration("rest")
     Traceback (most recent call last):
         ...
-    loewner.errors.UnknownNameError: expected the name of a state, found 'rest'; there are none
+    loewner.errors.UnknownNameError: state: expected one of (there are none); found 'rest'
     """
 
     def __str__(self) -> str:

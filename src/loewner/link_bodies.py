@@ -66,11 +66,15 @@ def link_bodies(
     Raises
     ------
     FileError
-        If a mesh cannot be found or read; the message names the link and where it was looked for.
+        If a mesh cannot be found or read, and the message names the link and where it was looked for; or if one of
+        `package_dirs` is no folder.
     GeometryError
         If a mesh is flat or empty.
     """
     folders = list(package_dirs)
+    for folder in folders:
+        if not os.path.isdir(folder):
+            raise FileError(f"{folder}: expected a folder of packages, found no such folder")
     total, done, made = sum(len(shapes) for shapes in robot.shapes.values()), 0, {}
     for link, shapes in robot.shapes.items():
         parts = []
@@ -158,7 +162,8 @@ def _mesh_file(shape: Shape, link: str, urdf: Path, folders: list[str | os.PathL
             return path
     raise FileError(
         f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found no such file; "
-        f"looked at {', '.join(map(str, looked)) or 'no place'}. package_dirs= names the folders of packages"
+        f"looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given (package_dirs, "
+        "--package-dir)"
     )
 
 

@@ -18,7 +18,7 @@ from loewner._check import Floats
 from loewner._kernels import kinematics
 from loewner._threads import over_blocks, share
 from loewner.bodies import Body, Progress
-from loewner.descriptions import VALUES, Description, Joint, Semantics, known, read_srdf, read_urdf
+from loewner.descriptions import VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
 from loewner.link_bodies import link_bodies
 
@@ -97,6 +97,9 @@ class Robot:
     adjacent_pairs: frozenset[tuple[str, str]]
     tree: Tree
     _columns: dict[str, slice] = field(repr=False)
+    # For messages: which joint a mimicking one follows; links that have visual geometry only.
+    _mimics: dict[str, str] = field(repr=False)
+    _only_visual: tuple[str, ...] = field(repr=False)
 
     @classmethod
     def from_urdf(
@@ -139,8 +142,9 @@ class Robot:
         ------
         FileError
             If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
+            If one of `package_dirs` is no folder.
         InputError
-            If the links are no tree, or a joint is not well defined; GeometryError if a shape is flat or has no size.
+            If a path is none (XML text, for instance), the SRDF is a URDF, the links are no tree, or a joint is not well defined; GeometryError if a shape is flat or has no size.
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
         MissingExtraError
@@ -149,7 +153,8 @@ class Robot:
         Warns
         -----
         UserWarning
-            If the SRDF names some links or joints that the robot does not have.
+            If the SRDF names some links or joints that the robot does not have, or none that it has; if it is said to
+            be for a robot of another name, or has elements that no SRDF has.
 
         Examples
         --------
@@ -160,6 +165,8 @@ class Robot:
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        if not isinstance(folders, Iterable):
+            raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
         bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
@@ -186,6 +193,8 @@ class Robot:
             adjacent_pairs=_adjacent_pairs(robot),
             tree=_tree(robot, columns),
             _columns=columns,
+            _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
+            _only_visual=robot.only_visual,
         )
 
     @property
@@ -389,6 +398,8 @@ class Robot:
         ------
         UnknownNameError
             With the valid names.
+        InputError
+            If `values` is neither names nor the name of a state, or a value is no number or not finite.
 
         Examples
         --------
@@ -397,16 +408,24 @@ class Robot:
         """
         if isinstance(values, str):
             if values not in self.states:
-                raise UnknownNameError(f"expected the name of a state, found {values!r}; {known(self.states)}")
+                raise _check.unknown_name("state", values, self.states)
             values = self.states[values][1]
+        if values is not None and not isinstance(values, Mapping):
+            raise InputError(f"values: expected a dict by names of joints or the name of a state, found {values!r}")
         q = np.zeros(self.dof)
         for at in self._columns.values():
             if at.stop - at.start == len(VALUES["floating"]):
                 q[at.start + 3] = 1.0
         places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
         for name, value in (values or {}).items():
+            if name in self._mimics:
+                followed = self._mimics[name]
+                raise UnknownNameError(
+                    f"joint: expected one with a value of its own, found {name!r}: {name} mimics {followed}; "
+                    f"set {followed!r}"
+                )
             if name not in places:
-                raise UnknownNameError(f"expected the name of a joint, found {name!r}; {known(places)}")
+                raise _check.unknown_name("joint", name, places)
             at = places[name]
             given = np.atleast_1d(_check.float_array(value, name))
             q[at] = _check.finite_array(given, name, (at.stop - at.start,))
@@ -421,10 +440,16 @@ class Robot:
         ----------
         n : int
         seed : int
+            Neither is below 0.
 
         Returns
         -------
         ndarray, shape (n, dof)
+
+        Raises
+        ------
+        InputError
+            If one is no such integer, or n configurations do not fit into memory.
 
         Examples
         --------
@@ -433,7 +458,9 @@ class Robot:
         >>> Q.shape, bool((Q[:, 0] >= 0).all() and (Q[:, 0] <= 2).all())
         ((1000, 2), True)
         """
-        rng = np.random.default_rng(seed)
+        n = _check.whole_number(n, "n", 0)
+        _check.fits_memory(n * self.dof * 8, f"{n} configurations")
+        rng = np.random.default_rng(_check.whole_number(seed, "seed", 0))
         lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
         upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(np.pi, lower + 2 * np.pi))
         Q = rng.uniform(lower, upper, (n, self.dof))
