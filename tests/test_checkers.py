@@ -20,7 +20,18 @@ from checker_oracle import (
     robot_of,
     simple_bodies,
 )  # fmt: skip
-from loewner import Body, CollisionChecker, InputError, LoewnerError, Scene, UnknownNameError, Verdict, queries
+from loewner import (
+    Body,
+    CollisionChecker,
+    InputError,
+    LoewnerError,
+    Robot,
+    Scene,
+    UnknownNameError,
+    Verdict,
+    pairs_by_sampling,
+    queries,
+)
 
 SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
 
@@ -233,13 +244,12 @@ def test_any_array_of_configurations(bodies, tmp_path):
 
 
 def test_robots_without_joints_or_bodies(tmp_path):
-    """One link, none with a body; with and without a scene: every query answers."""
+    """One link, or one with a body; with and without a scene: every query answers."""
     box = Body.box([1.0, 1.0, 1.0])
     for robot, hits in (
         (robot_of(tmp_path, [], {"l0": box}), True),
-        (robot_of(tmp_path, []), False),
         (slider(tmp_path, box), True),
-        (robot_of(tmp_path, [("prismatic", 0, SLIDE)]), False),
+        (robot_of(tmp_path, [("prismatic", 0, SLIDE)], {"l0": box}), True),
     ):
         for scene in (None, Scene()):
             if scene is not None:
@@ -357,18 +367,36 @@ def test_motions_longer_than_numbers_reach(tmp_path):
 QUERIES = ("collide", "classify", "tiers", "pairs", "distance")
 
 
+def test_a_robot_without_collision_geometry_is_refused(tmp_path):
+    """It would be free everywhere; the links that have visual geometry only are named."""
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="r"><link name="a"><visual><geometry><sphere radius="1"/></geometry></visual></link>'
+        '<link name="b"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>'
+    )
+    for query in (CollisionChecker, pairs_by_sampling):
+        with pytest.raises(
+            InputError, match="with collision geometry, found none in 'r'; links with <visual> only: a$"
+        ):
+            query(Robot.from_urdf(path))
+
+
 @pytest.mark.parametrize(
-    "change",
+    ("change", "message"),
     [
-        lambda scene: scene.allow("o", "nobody"),
-        lambda scene: scene.attach("o", "nobody"),
-        lambda scene: scene.attach("o", "l1", touch_links=["nobody"]),
-        lambda scene: scene.set_margin(0.1, "nobody"),
-        lambda scene: scene.set_margin(0.1, "o", "nobody"),
+        (lambda scene: scene.allow("o", "l7"), "in an allowed pair: expected one of o, l0, l1; found 'l7'"),
+        (lambda scene: scene.attach("o", "l7"), "link in attach of 'o': expected one of l0, l1; found 'l7'"),
+        (lambda scene: scene.attach("o", "p"), "link in attach of 'o': expected one of l0, l1; found 'p'"),
+        (
+            lambda scene: scene.attach("o", "l1", touch_links=["l7"]),
+            "touch link in attach of 'o': expected one of l0, l1; found 'l7'",
+        ),
+        (lambda scene: scene.set_margin(0.1, "l7"), "in margins: expected one of o, l0, l1; found 'l7'"),
+        (lambda scene: scene.set_margin(0.1, "o", "l7"), "in margins: expected one of o, l0, l1; found 'l7'"),
     ],
 )
-def test_links_that_the_robot_does_not_have(change, tmp_path):
-    """Each query says which there are, also if the slip comes after the checker was made."""
+def test_links_that_the_robot_does_not_have(change, message, tmp_path):
+    """Each query says where the name stands and which there are, also if the slip comes after the checker was made."""
     scene = Scene()
     scene.add("o", Body.sphere(1.0))
     checker = CollisionChecker(slider(tmp_path), scene)
@@ -376,7 +404,7 @@ def test_links_that_the_robot_does_not_have(change, tmp_path):
     change(scene)
     for query in QUERIES:
         for _ in range(2):
-            with pytest.raises(UnknownNameError, match=r"o, l0, l1.*'nobody'"):
+            with pytest.raises(UnknownNameError, match=message):
                 getattr(checker, query)([0.0])
 
 

@@ -205,6 +205,7 @@ def folder(tmp_path, monkeypatch):
 
 
 ROBOT = ("gantry.urdf", "--srdf", "gantry.srdf")
+WITH_WALL = (*ROBOT, "--scene", "wall.yaml")
 
 
 def row(out, *cells):
@@ -267,6 +268,37 @@ def test_robot_check_state(folder, capsys, options, status):
     assert found[1].startswith(["FREE  0 of 1", "COLLIDING  1 of 1"][status])
 
 
+@pytest.mark.parametrize(
+    ("of_wall", "others"), [(True, ""), (False, "[ball, {}]"), (True, "[ball, {}]"), (False, "[ball, wall, {}]")]
+)
+def test_robot_check_margin_is_a_floor(folder, capsys, of_wall, others):
+    """Smaller margins of bodies, links and pairs are raised; larger ones stay. The ball is 0.35 m from the wall."""
+
+    def write(margin):
+        own, listed = (
+            f", margin: {margin}" if of_wall else "",
+            f"margins: [{others.format(margin)}]\n" if others else "",
+        )
+        text = f"bodies:\n  wall: {{box: [0.1, 4, 1]{own}}}\nallow: [[rod, wall]]\n{listed}"
+        Path("wall.yaml").write_text(text)
+
+    write(0.01)
+    check = ("robot", "check", *WITH_WALL, "--state", "left", "--margin")
+    assert [run(capsys, *check, margin)[0] for margin in ("0.34", "0.36")] == [0, 1]
+    write(0.36)
+    assert run(capsys, *check, "0.1")[0] == 1
+
+
+def test_robot_info_without_srdf(folder, capsys):
+    """Says so, and gives no empty groups; a robot without bodies has no pairs."""
+    Path("bare.urdf").write_text('<robot name="bare"><link name="a"/></robot>')
+    for name, pairs, adjacent in (("gantry", 1, 1), ("bare", 0, 0)):
+        status, out, err = run(capsys, "robot", "info", f"{name}.urdf")
+        assert (status, err) == (0, "")
+        assert f"pairs     {pairs} of links with bodies, 0 checked\n          no SRDF, {adjacent} adjacent" in out
+        assert "groups" not in out
+
+
 def test_robot_check_files(folder, capsys):
     """.npy and .csv, with and without names in another order, one and many; what is outside the limits is said."""
     Q = np.array([[-0.5, 0.0, 2.0], [0.0, 0.5, 0.0], [-1.5, 0.0, 2.0]])
@@ -280,7 +312,7 @@ def test_robot_check_files(folder, capsys):
         assert (status, answer["colliding_rows"], answer["outside_limits"]) == (1, [1], [2])
         assert answer["outside_limits_of"] == ["x"]
     assert run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--configs", "one.npy")[0] == 0
-    out = run(capsys, "robot", "check", *ROBOT, "--configs", "many.npy")[1]
+    out = run(capsys, "robot", "check", *WITH_WALL, "--configs", "many.npy")[1]
     assert "note: 1 configurations are outside the limits, the first in row 2: x" in out
 
 
@@ -291,18 +323,28 @@ def test_robot_check_files(folder, capsys):
         ([*ROBOT, "--scene", "none.yaml", "--random", "5"], "none.yaml"),
         ([*ROBOT, "--random", "0"], "--random: expected an integer >= 1, found 0"),
         ([*ROBOT, "--random", "5", "--seed", "-1"], "--seed: expected an integer >= 0, found -1"),
-        ([*ROBOT, "--state", "lefd"], "expected the name of a state, found 'lefd'"),
+        ([*ROBOT, "--state", "lefd"], "state: expected one of left, wall; found 'lefd' (did you mean 'left'?)"),
+        (["gantry.urdf", "--state", "left"], "no SRDF was given"),
+        ([*ROBOT, "--state", "left"], "gantry.urdf: expected pairs to check, found none"),
+        (["bare.urdf", "--random", "5"], "robot: expected a robot with collision geometry, found none in 'bare'"),
         ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene beside it"),
         ([*ROBOT, "--scene", "wall.yaml", "--state", "left", "--margin", "-1"], "margin: expected"),
-        ([*ROBOT, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
-        ([*ROBOT, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy or .csv file, found .urdf"),
-        ([*ROBOT, "--configs", "text.npy"], "text.npy: expected an array of numbers"),
-        ([*ROBOT, "--configs", "narrow.npy"], "narrow.npy: expected shape (..., 3)"),
-        ([*ROBOT, "--configs", "deep.npy"], "deep.npy: expected shape (n, 3), found (2, 2, 3)"),
-        ([*ROBOT, "--configs", "nan.npy"], "nan.npy[1]: expected finite numbers, found nan for y"),
-        ([*ROBOT, "--configs", "names.csv"], "names.csv: expected columns x, y, turn, found x, y, twist"),
-        ([*ROBOT, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
-        ([*ROBOT, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
+        ([*WITH_WALL, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
+        ([*WITH_WALL, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy or .csv file, found .urdf"),
+        ([*WITH_WALL, "--configs", "text.npy"], "text.npy: expected an array of numbers"),
+        ([*WITH_WALL, "--configs", "narrow.npy"], "narrow.npy: expected shape (..., 3)"),
+        ([*WITH_WALL, "--configs", "deep.npy"], "deep.npy: expected shape (n, 3), found (2, 2, 3)"),
+        ([*WITH_WALL, "--configs", "nan.npy"], "nan.npy[1]: expected finite numbers, found nan for y"),
+        (
+            [*WITH_WALL, "--configs", "names.csv"],
+            "names.csv, column: expected one of x, y, turn; found 'turm' (did you",
+        ),
+        ([*WITH_WALL, "--configs", "two.csv"], "two.csv: expected a column for each joint value, found none for turn"),
+        ([*WITH_WALL, "--configs", "twice.csv"], "twice.csv: expected each column once, found x 2 times"),
+        ([*WITH_WALL, "--configs", "half.csv"], "half.csv: expected 3 numbers in each row, found 1,2,a in row 1"),
+        ([*WITH_WALL, "--configs", "german.csv"], "german.csv: expected numbers divided by commas, found semicolons"),
+        ([*WITH_WALL, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
+        ([*WITH_WALL, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
     ],
 )
 def test_robot_check_errors(folder, capsys, arguments, message):
@@ -311,7 +353,12 @@ def test_robot_check_errors(folder, capsys, arguments, message):
     np.save("narrow.npy", np.zeros((4, 2)))
     np.save("deep.npy", np.zeros((2, 2, 3)))
     np.save("nan.npy", [[0, 0, 0], [0, np.nan, 0]])
-    Path("names.csv").write_text("x,y,twist\n1,2,3\n")
+    Path("names.csv").write_text("x,y,turm\n1,2,3\n")
+    Path("two.csv").write_text("y,x\n1,2\n")
+    Path("twice.csv").write_text("x,y,x,turn\n1,2,1,0\n")
+    Path("half.csv").write_text("1,2,a\n1,2,3\n")
+    Path("german.csv").write_text("0,5;1;2\n")
+    Path("bare.urdf").write_text('<robot name="bare"><link name="a"/></robot>')
     Path("ragged.csv").write_text("1,2,3\n1,2\n")
     Path("empty.csv").touch()
     status, out, err = run(capsys, "robot", "check", *arguments)
@@ -326,7 +373,8 @@ def test_robot_warnings_are_lines(folder, capsys):
     text = Path("gantry.srdf").read_text()
     pair = '<disable_collisions link1="ball" link2="none"/></robot>'
     Path("gantry.srdf").write_text(text.replace("</robot>", pair))
-    status, _, err = run(capsys, "robot", "check", *ROBOT, "--state", "left")
+    Path("wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\nallow: [[rod, wall]]\n")
+    status, _, err = run(capsys, "robot", "check", *WITH_WALL, "--state", "left")
     assert status == 0
     assert err.startswith("loewner: warning: ")
     assert "none" in err

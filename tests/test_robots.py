@@ -644,13 +644,96 @@ def test_bad_srdf_is_refused(inside, words, tmp_path):
 
 def test_unknown_names_of_a_configuration(tmp_path):
     """Valid ones are listed."""
-    robot = with_srdf(tmp_path, '<group name="g"/><group_state name="home" group="g"/>')
-    with pytest.raises(UnknownNameError, match="found 'hom'; known are home"):
+    robot = with_srdf(tmp_path, '<group name="g"><joint name="ab"/></group><group_state name="home" group="g"/>')
+    with pytest.raises(UnknownNameError, match=r"state: expected one of home; found 'hom' \(did you mean 'home'"):
         robot.configuration("hom")
-    with pytest.raises(UnknownNameError, match="found 'x'; known are ab, be, be/qw"):
+    with pytest.raises(UnknownNameError, match="joint: expected one of ab, cd, .*be/qw.*, be; found 'x'"):
         robot.configuration({"x": 1})
     with pytest.raises(InputError, match=r"be: expected shape \(7,\), found \(1,\)"):
         robot.configuration({"be": 1})
+
+
+def test_a_mimicking_joint_has_no_value_to_set(tmp_path):
+    mimic = joint("follow", "continuous", "b", "c", '<mimic joint="lead"/>')
+    robot = read(tmp_path, links("abc") + joint("lead", "revolute", "a", "b") + mimic)
+    with pytest.raises(UnknownNameError, match="'follow': follow mimics lead; set 'lead'"):
+        robot.configuration({"follow": 0.1})
+
+
+@pytest.mark.parametrize("values", [3, [0.0, 1.0], {"ab"}])
+def test_what_names_no_configuration(values, tmp_path):
+    with pytest.raises(InputError, match="values: expected a dict by names of joints or the name of a state, found"):
+        read(tmp_path, TREE).configuration(values)
+
+
+@pytest.mark.parametrize("n", [-1, 1.5, "a", None, 10**18])
+def test_numbers_of_random_configurations_that_are_none(n, tmp_path):
+    """A batch that fits no memory is none either."""
+    with pytest.raises(InputError, match="integer >= 0|fit into memory"):
+        read(tmp_path, TREE).random_configurations(n)
+
+
+@pytest.mark.parametrize("seed", [-1, 0.5, "a", None])
+def test_seeds_that_are_none(seed, tmp_path):
+    with pytest.raises(InputError, match="seed: expected an integer >= 0"):
+        read(tmp_path, TREE).random_configurations(3, seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("path", "found"), [(None, "None"), (3, "3"), ('\n<robot name="r"/>', "XML text"), (b"r.urdf", "b'r.urdf'")]
+)
+def test_paths_that_are_none(path, found, tmp_path):
+    with pytest.raises(InputError, match=f"expected a path to a URDF, found {found}"):
+        Robot.from_urdf(path)
+    if path is not None:
+        with pytest.raises(InputError, match=f"expected a path to an SRDF, found {found}"):
+            read(tmp_path, TREE, srdf=path)
+
+
+def test_package_dirs_that_are_no_folders(tmp_path):
+    (tmp_path / "file").touch()
+    for name in ("none", "file"):
+        with pytest.raises(FileError, match=f"{name}: expected a folder of packages"):
+            read(tmp_path, TREE, package_dirs=[tmp_path / "file" if name == "file" else "none"])
+    with pytest.raises(InputError, match="package_dirs: expected a path or several, found 3"):
+        read(tmp_path, TREE, package_dirs=3)
+
+
+# -- SRDF files that are none, or another robot's -------------------------------------------------
+
+PAIR = '<disable_collisions link1="a" link2="b"/>'
+
+
+def test_a_urdf_is_no_srdf(tmp_path):
+    path = urdf(tmp_path, TREE)
+    with pytest.raises(InputError, match="line 3: expected an SRDF, with .*, found a URDF, with a <link>"):
+        Robot.from_urdf(path, srdf=path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<robot name="r"/>', "of 'r', found none of its links and joints named"),
+        ('<robot name="r"><virtual_joint name="v" child_link="a"/></robot>', "none of its links and joints named"),
+        (f'<robot name="other">{PAIR}</robot>', "expected an SRDF for 'r', as .* calls it, found one for 'other'"),
+        (
+            f'<robot name="r">\n{PAIR}<disable_colisions link1="a" link2="c"/></robot>',
+            "<disable_colisions>, first in line 2",
+        ),
+    ],
+)
+def test_odd_srdf_files_are_told(text, message, tmp_path):
+    path = tmp_path / "robot.srdf"
+    path.write_text(text)
+    with pytest.warns(UserWarning, match=message):
+        read(tmp_path, TREE, srdf=path)
+
+
+def test_an_srdf_without_a_name_is_no_other_robots(tmp_path):
+    """With a pair disabled, and elements of other programs: no warning (they are errors here)."""
+    path = tmp_path / "robot.srdf"
+    path.write_text(f'<robot>{PAIR}<end_effector name="e"/><passive_joint name="ab"/><gripper name="g"/></robot>')
+    assert read(tmp_path, TREE, srdf=path).disabled_pairs == {("a", "b")}
 
 
 def test_adjacent_pairs_reach_through_links_without_bodies(tmp_path):

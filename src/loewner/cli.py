@@ -484,12 +484,13 @@ def _robot_check(options: argparse.Namespace) -> int:
         _widen(scene, options.margin)
     robot = _robot(options)
     checker = loewner.CollisionChecker(robot, scene)
+    Q = _configurations(robot, options)
     if not checker.checked_pairs:
         raise InputError(
             f"{options.urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
             "there is nothing of a scene to meet; any configuration would count as free"
         )
-    answer = _checked_configurations(checker, _configurations(robot, options))
+    answer = _checked_configurations(checker, Q)
     if options.json:
         print(json.dumps(answer, indent=2))
     else:
@@ -533,15 +534,14 @@ def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
     try:
         if path.suffix.lower() == ".npy":
             return np.asarray(np.load(path, allow_pickle=False))
-        lines = path.read_text().splitlines()
-        rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if any(row)]
+        rows = [[cell.strip() for cell in row] for row in csv.reader(path.read_text().splitlines()) if any(row)]
     except OSError as error:
         raise FileError(f"{path}: expected configurations, found {(error.strerror or str(error)).lower()}") from None
     except (ValueError, EOFError):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = list(robot.configuration_names)
-    if rows and ";" in lines[0] and "," not in lines[0]:
-        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {lines[0]}")
+    if rows and any(";" in cell for cell in rows[0]):
+        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
     order = names
     if rows and not any(_are_numbers([cell]) for cell in rows[0]):
         order = rows.pop(0)

@@ -144,7 +144,8 @@ class Robot:
             If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
             If one of `package_dirs` is no folder.
         InputError
-            If a path is none (XML text, for instance), the SRDF is a URDF, the links are no tree, or a joint is not well defined; GeometryError if a shape is flat or has no size.
+            If a path is none (XML text, for instance), the SRDF is a URDF, the links are no tree, or a joint is not
+            well defined; GeometryError if a shape is flat or has no size.
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
         MissingExtraError
