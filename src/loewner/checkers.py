@@ -668,6 +668,11 @@ def pairs_by_sampling(
         "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
         checked, and not in it.
 
+    Raises
+    ------
+    InputError
+        If the robot has no collision geometry, or an argument is none of what it should be.
+
     Notes
     -----
     "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand

@@ -79,8 +79,6 @@ ROBOT_CHECK_EXAMPLES = """examples:
 
 configurations: a .npy file of shape (N, dof), or a .csv file with one line each, whose first line may name the columns
 
-margins: --margin only ever adds to what the scene asks for
-
 exit status: 0 all free, 1 one or more colliding, 2 error
 """
 PAPER_EXAMPLES = """examples:
