@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 CODE = r"^```python\n(.*?)^```"
 # test_docs.py runs the code of these.
-GUIDES = {"meshes.md", "robots.md", "scenes.md"}
+GUIDES = {"meshes.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
@@ -128,4 +128,4 @@ def test_command_line_is_shown_whole(monkeypatch):
     import command
 
     found = re.findall(r"^usage: loewner(.*?) \[", command.page(), flags=re.M)
-    assert found == ["", " fit", " check", " robot", " robot info", " robot check", " compile", " paper"]
+    assert found == ["", " fit", " check", " robot", " robot info", " robot check", " view", " compile", " paper"]
