@@ -18,6 +18,7 @@ from xml.parsers import expat
 import numpy as np
 
 from loewner._check import Floats
+from loewner._rotations import from_rpy
 from loewner.errors import FileError, GeometryError, InputError, UnknownNameError
 
 # Names of the values of a joint, by kind; a joint of one value gives it its own name.
@@ -430,13 +431,7 @@ def _origin(element: _Element) -> Floats:
     if origin is None:
         return T
     T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
-    roll, pitch, yaw = origin.finite("rpy", 3, "0 0 0")
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in (roll, pitch, yaw))
-    T[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    T[:3, :3] = from_rpy(*origin.finite("rpy", 3, "0 0 0"))
     return T
 
 
