@@ -273,9 +273,10 @@ def test_operands_are_checked(arm):
 
 
 def test_nothing_to_check(tmp_path):
-    """A robot without bodies in an empty scene is refused, for there is nothing to show."""
-    path = tmp_path / "bare.urdf"
-    path.write_text('<robot name="bare"><link name="base"/></robot>')
+    """A robot of one body in an empty scene is refused, for there is nothing to check."""
+    path = tmp_path / "lonely.urdf"
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
     with pytest.raises(loewner.InputError, match="checker: expected pairs to check, found none"):
         viewer.show_robot(CollisionChecker(Robot.from_urdf(path)))
 
