@@ -1,5 +1,10 @@
 """Checkers of configurations: what the queries say pair by pair, for any robot, scene and batch."""
 
+import copy
+import gc
+import pickle
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -450,3 +455,31 @@ def test_neither_robot_nor_scene(tmp_path):
         CollisionChecker("panda.urdf")
     with pytest.raises(InputError, match=r"scene: expected loewner\.Scene or None, found dict"):
         CollisionChecker(slider(tmp_path), {})
+
+
+# -- copies -------------------------------------------------------------------------------------
+
+ASK = """
+import pickle, sys
+import numpy as np
+with open(sys.argv[1], "rb") as stream:
+    checker, Q = pickle.load(stream)
+print("".join(str(int(x)) for x in checker.collide(Q)))
+"""
+
+
+def test_a_checker_survives_its_original(bodies, tmp_path):
+    """Copies do not lean on what they were copied from: in another process, and after that is gone."""
+    robot = arm(tmp_path, bodies[0])
+    checker = CollisionChecker(robot, random_scene(np.random.default_rng(3), robot, 4, bodies[0]))
+    Q = robot.random_configurations(300, 5)
+    expected = checker.collide(Q)
+    assert expected.any()
+    twin = copy.deepcopy(checker)
+    saved = tmp_path / "checker.pickle"
+    saved.write_bytes(pickle.dumps((checker, Q)))
+    del checker
+    gc.collect()
+    np.testing.assert_array_equal(twin.collide(Q), expected)
+    ran = subprocess.run([sys.executable, "-c", ASK, str(saved)], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "".join(str(int(x)) for x in expected)

@@ -228,6 +228,10 @@ class CollisionChecker:
         self._sides: tuple[Bodies, Bodies, Bodies] | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles prepare anew: a handle is an address, and means nothing anywhere else."""
+        return {**self.__dict__, "_prepared": None}
+
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
 
