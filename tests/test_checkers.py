@@ -483,3 +483,14 @@ def test_a_checker_survives_its_original(bodies, tmp_path):
     np.testing.assert_array_equal(twin.collide(Q), expected)
     ran = subprocess.run([sys.executable, "-c", ASK, str(saved)], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "".join(str(int(x)) for x in expected)
+
+
+def test_no_answers_of_another_scene_or_robot(bodies, tmp_path):
+    """What was prepared is never asked about another scene, nor about the same robot on another base."""
+    robot = arm(tmp_path, bodies[0])
+    checker = CollisionChecker(robot, Scene())
+    checker.collide(robot.random_configurations(3, 0))
+    with pytest.raises(AttributeError):
+        checker.scene = Scene()
+    with pytest.raises(AttributeError):
+        checker.robot = robot.placed(at(1.0, 0.0, 0.0))

@@ -218,8 +218,8 @@ class CollisionChecker:
                 f"robot: expected a robot with collision geometry, found none in {robot.name!r}; "
                 f"links with <visual> only: {', '.join(robot._only_visual) or 'none'}"
             )
-        self.robot = robot
-        self.scene = Scene() if scene is None else scene
+        self._robot = robot
+        self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
@@ -236,6 +236,17 @@ class CollisionChecker:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
 
     # -- queries ------------------------------------------------------------------------------
+
+    # Read-only: what is prepared belongs to these two, and another one would get its answers.
+    @property
+    def robot(self) -> Robot:
+        """The robot that is checked; for another one, or another base, make another checker."""
+        return self._robot
+
+    @property
+    def scene(self) -> Scene:
+        """The scene it is checked in. What is in it may change; for another scene make another checker."""
+        return self._scene
 
     @property
     def checked_pairs(self) -> tuple[Pair, ...]:
