@@ -1,5 +1,6 @@
 """Pairs of ellipsoids built to sit at contact, and a judge of them that does not round."""
 
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ from scipy.optimize import minimize
 
 from exact import ExactEllipsoid, gap_bounds, rational
 from families import rotations
-from loewner import Bodies, Body, Ellipsoids
+from loewner import Bodies, Body, Ellipsoids, distance
 from oracles import exact_ellipsoid_verdict
 
 APART, MEETING, UNDECIDED = 1, -1, 0
@@ -119,7 +120,11 @@ def judge(A: Ellipsoids, B: Ellipsoids, c: Contacts, p: int, margin: float) -> i
     verdict = exact_ellipsoid_verdict(A.center[k], A.factor[k], c.Ta[p], B.center[k], B.factor[k], c.Tb[p])
     if margin == 0 or verdict == MEETING:
         return verdict
-    return _judge_along(a, b, _parting(a, b), margin)
+    for n in _parting(a, b, c.normal[p]):
+        found = _judge_along(a, b, n, margin)
+        if found != UNDECIDED:
+            break
+    return found
 
 
 def _judge_along(a: ExactEllipsoid, b: ExactEllipsoid, n: np.ndarray, margin: float) -> int:
@@ -138,14 +143,23 @@ def _judge_along(a: ExactEllipsoid, b: ExactEllipsoid, n: np.ndarray, margin: fl
     return UNDECIDED
 
 
-def _parting(a: ExactEllipsoid, b: ExactEllipsoid) -> np.ndarray:
-    """Direction of the largest gap as a minimiser finds it: a guess, which proves nothing by itself."""
+def _parting(a: ExactEllipsoid, b: ExactEllipsoid, start: np.ndarray) -> Iterator[np.ndarray]:
+    """Directions in which the gap may be the largest, from a minimiser and from the library: guesses, no proofs."""
     Fa, Fb, r = (np.array(x, dtype=float) for x in (a.factor, b.factor, b.center - a.center))
 
     def overlap(n: np.ndarray) -> float:
         return float((np.linalg.norm(Fa.T @ n) + np.linalg.norm(Fb.T @ n) - r @ n) / np.linalg.norm(n))
 
-    n = r / np.linalg.norm(r)
-    for method in ("Nelder-Mead", "BFGS", "Nelder-Mead"):
-        n = minimize(overlap, n / np.linalg.norm(n), method=method, tol=1e-14).x
-    return n / np.linalg.norm(n)
+    for n in (r, start):
+        for method in ("Nelder-Mead", "BFGS", "Nelder-Mead"):
+            n = minimize(overlap, n / np.linalg.norm(n), method=method, tol=1e-14).x
+        yield n / np.linalg.norm(n)
+    yield distance(*_alone(Fa, np.zeros(3)), *_alone(Fb, r), exact=True).normal
+
+
+def _alone(F: np.ndarray, center: np.ndarray) -> tuple[Body, np.ndarray]:
+    """An ellipsoid along its axes, and the pose that puts it where it is."""
+    axes, lengths, _ = np.linalg.svd(F)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = axes * [1, 1, np.linalg.det(axes)], center
+    return Body.ellipsoid(lengths), T

@@ -36,8 +36,11 @@ AHEAD = 6  # piece pairs between asking for their vertices and their use
 
 LEAD = 2 * BLOCK  # piece pairs between asking for their rows and their use
 
-# Said to `_flush` besides: the list is of consecutive pairs of bodies, one piece pair each; it tells what comes later.
-DISTINCT, ASKING = 4, 8
+# Said to `_flush` besides: the list is of bodies of one piece, no pair twice; of consecutive ones; it tells what comes
+# later; and it is of pairs that need the best s.
+DISTINCT, CONSECUTIVE, ASKING, BEST = 4, 8, 16, 32
+
+ENOUGH = BLOCK // 2  # pairs that need the best s are settled when so many have come together
 
 
 @inline
@@ -75,8 +78,9 @@ def _fill(count, L):
 
 
 @njit()
-def _culled(count, margin, asking, a, Ta, moved_a, b, Tb, moved_b, single, L, tier):
+def _culled(count, margin, asking, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier):
     """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
     done = single and lanes.single_spheres(count, margin, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)
     if not (done or lanes.spheres(count, margin, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier)):
         return -1
@@ -89,38 +93,42 @@ def _culled(count, margin, asking, a, Ta, moved_a, b, Tb, moved_b, single, L, ti
 
 
 @njit()
-def _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V):
-    """Certify the lanes left UNSURE once more, at the best s. How many there were, -1 for a faulty pose."""
-    unsure = 0
+def _wait(count, waiting, L, tier, U):
+    """Copy the listed pairs that are UNSURE to a list that `waiting` pairs are in already; how many are in it then."""
     for lane in range(count):
-        unsure += tier[lane] == lanes.UNSURE
-    if unsure == 0:
-        return 0
+        if tier[lane] == lanes.UNSURE:
+            for row in range(PAIR, POSE_B + 1):
+                U[row * BLOCK + waiting] = L[row * BLOCK + lane]
+            waiting += 1
+    return waiting
+
+
+@njit()
+def _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
+    """Certify the lanes left UNSURE once more, at the best s; False for a faulty pose."""
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
     again = np.empty(LISTS * BLOCK, np.int64)
-    unsure = 0
-    for lane in range(count):
-        for row in range(PIECE_A, POSE_B + 1):
-            again[row * BLOCK + unsure] = L[row * BLOCK + lane]
-        again[PAIR * BLOCK + unsure] = lane
-        unsure += tier[lane] == lanes.UNSURE
+    unsure = _wait(count, np.int64(0), L, tier, again)
     _fill(unsure, again)
     tiers = np.empty(BLOCK, np.int8)
     W = np.empty(ROWS * BLOCK)
     if not lanes.certify_best(unsure, 0.0, a[4], Ta, moved_a, b[4], Tb, moved_b, again, tiers, W):
-        return -1
-    for n in range(unsure):
-        lane = again[PAIR * BLOCK + n]
-        tier[lane] = tiers[n]
-        for row in range(ROWS):
-            V[row * BLOCK + lane] = W[row * BLOCK + n]
-    return unsure
+        return False
+    n = 0
+    for lane in range(count):
+        if tier[lane] == lanes.UNSURE:
+            tier[lane] = tiers[n]
+            for row in range(ROWS):
+                V[row * BLOCK + lane] = W[row * BLOCK + n]
+            n += 1
+    return True
 
 
 @njit()
-def _search(margin, count, a, Ta, b, Tb, S, N, W, result, out, tally):
+def _search(margin, count, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally):
     """Settle listed piece pairs that the ellipsoids left open by the exact searches."""
-    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
-    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
+    ta, la, xa = arrays_of(pack_a)[:3]
+    tb, lb, xb = arrays_of(pack_b)[:3]
     Ta, Tb, S, N, W = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(W)
     for n in range(-AHEAD, count):
         if n + AHEAD < count:
@@ -144,60 +152,76 @@ def _search(margin, count, a, Ta, b, Tb, S, N, W, result, out, tally):
 
 
 @njit()
-def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally):
+def _flush(query, hint, count, held, waiting, lists, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
     Those left open wait for the exact search in S and N, `held` of them, while the next block is certified: their
-    vertices then arrive meanwhile. If the list is not DISTINCT they are searched at once, which may spare the rest.
+    vertices then arrive meanwhile. The few that need the best s wait in U, `waiting` of them, until they fill
+    registers. If the list is not DISTINCT nothing waits: what is found at once may spare the rest.
+
+    Parameters
+    ----------
+    query : tuple
+        Mode, margin; for each operand the handle of its pieces, its poses, and whether they move anything.
+    lists : tuple of ndarray
+        L, the list; tier and V, what certificates write; S and N; U; W and result, for the search to write to.
 
     Returns
     -------
     hint : int
         FAR | CLOSE for how to start with the next block, or FAULTY.
-    held : int
+    held, waiting : int
     """
-    ta, la, xa = borrowed(a[0]), borrowed(a[1]), borrowed(a[2])
-    tb, lb, xb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2])
-    Ta, Tb, L, tier, V = borrowed(Ta), borrowed(Tb), borrowed(L), borrowed(tier), borrowed(V)
-    S, N, W = borrowed(S), borrowed(N), borrowed(W)
+    mode, margin, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
+    L, tier, V, S, N, U, W, result = lists
+    L, tier, V, S, N, U = borrowed(L), borrowed(tier), borrowed(V), borrowed(S), borrowed(N), borrowed(U)
+    Ta, Tb, W = borrowed(Ta), borrowed(Tb), borrowed(W)
     listed = count
     _fill(count, L)
     single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
-        count = _culled(count, margin, hint & ASKING != 0, a, Ta, moved_a, b, Tb, moved_b, single, L, tier)
+        count = _culled(count, margin, hint & ASKING != 0, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier)
         if count < 0:
-            return FAULTY, held
+            return FAULTY, held, waiting
         if count == 0:
             tally[BY_SPHERE] += listed
-            return hint & (FAR | CLOSE), held
+            return hint & (FAR | CLOSE), held, waiting
         _fill(count, L)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
-    if margin > 0.0:
+    if margin > 0.0 or hint & BEST:
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
-            return FAULTY, held
+            return FAULTY, held, waiting
     else:
         asking = hint & (ASKING | FAR) == ASKING
         done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
         if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
-            return FAULTY, held
-        unsure = _improved(count, a, Ta, moved_a, b, Tb, moved_b, L, tier, V)
-        if unsure < 0:
-            return FAULTY, held
+            return FAULTY, held, waiting
+        for lane in range(count):
+            unsure += tier[lane] == lanes.UNSURE
+        if hint & DISTINCT and waiting + unsure <= BLOCK:
+            if unsure > 0:
+                waiting = _wait(count, waiting, L, tier, U)
+        elif unsure > 0 and not _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
+            return FAULTY, held, waiting
 
     # Without branches: nobody can predict how the next pair comes out.
-    far, outer, left = listed - count, 0, 0
+    far, outer, inner, left = listed - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
         outer += tier[lane] == BY_OUTER
+        inner += tier[lane] == BY_INNER
         left += tier[lane] == OPEN
     tally[BY_SPHERE] += far
     tally[BY_OUTER] += outer
-    tally[BY_INNER] += listed - far - outer - left
+    tally[BY_INNER] += inner
     unsettled = np.int8(FREE if mode == EXACT else AMBIGUOUS)
     first = L[PAIR * BLOCK]
-    if hint & DISTINCT and count == listed:
+    if hint & CONSECUTIVE and count == listed:
+        begin = np.uint64(first)  # unsigned for the reason given at `_steps`
         for lane in range(count):
-            out[first + lane] = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
+            verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
+            out[begin + np.uint64(lane)] = verdict
     else:
         for lane in range(count):
             k = L[PAIR * BLOCK + lane]
@@ -207,9 +231,9 @@ def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, t
     hint = FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0)) | hint & DISTINCT
     if mode != EXACT:
         tally[OPEN] += left
-        return hint & (FAR | CLOSE), np.int64(0)
+        return hint & (FAR | CLOSE), np.int64(0), waiting
     if held > 0:
-        _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
+        _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
     held = np.int64(0)
     for lane in range(count):
         for row in range(PAIR, POSE_B + 1):
@@ -218,12 +242,12 @@ def _flush(mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, t
             N[row * BLOCK + held] = V[row * BLOCK + lane]
         held += tier[lane] == OPEN
     for n in range(held):
-        ask_points(ta, la, xa, S[PIECE_A * BLOCK + n])
-        ask_points(tb, lb, xb, S[PIECE_B * BLOCK + n])
+        ask_points(a[0], a[1], a[2], S[PIECE_A * BLOCK + n])
+        ask_points(b[0], b[1], b[2], S[PIECE_B * BLOCK + n])
     if hint & DISTINCT == 0 and held > 0:
-        _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
+        _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
         held = np.int64(0)
-    return hint & (FAR | CLOSE), held
+    return hint & (FAR | CLOSE), held, waiting
 
 
 @inline
@@ -235,12 +259,28 @@ def _put(L, count, k, i, j, ka, kb):
     L[POSE_B * BLOCK + count] = kb
 
 
+# Both write to unsigned places: a signed one might count from the end, and vectors would be scattered one by one.
 @inline
-def _put_later(L, count, i, j, ka, kb):
-    L[(LATER + PIECE_A) * BLOCK + count] = i
-    L[(LATER + PIECE_B) * BLOCK + count] = j
-    L[(LATER + POSE_A) * BLOCK + count] = ka
-    L[(LATER + POSE_B) * BLOCK + count] = kb
+def _steps(L, row, at, more, first, step):
+    """Put an arithmetic progression into one row of the lists; and into that of what comes later, if it has one."""
+    to = np.uint64(row * BLOCK + at)
+    for lane in range(more):
+        L[to + np.uint64(lane)] = first + lane * step
+    if row != PAIR:
+        # Past the end of the axis nobody needs these: no harm in asking.
+        later = np.uint64((LATER + row) * BLOCK + at)
+        for lane in range(more):
+            L[later + np.uint64(lane)] = first + (LEAD + lane) * step
+
+
+@inline
+def _picked(L, row, more, rows, side, k, stop, step):
+    """The same for what pairs k .. k + more that are listed by number use, at the begin of the row."""
+    to, later, begin = np.uint64(row * BLOCK), np.uint64((LATER + row) * BLOCK), np.uint64(k)
+    for lane in range(more):
+        L[to + np.uint64(lane)] = rows[side, begin + np.uint64(lane)] * step
+    for lane in range(min(more, stop - k - LEAD)):
+        L[later + np.uint64(lane)] = rows[side, begin + np.uint64(LEAD + lane)] * step
 
 
 @inline
@@ -287,15 +327,18 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     N = np.empty(ROWS * BLOCK)
     L = np.empty(LISTS * BLOCK, np.int64)
     S = np.empty((POSE_B + 1) * BLOCK, np.int64)
+    U = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
     W = scratch()
     result = np.empty(9)
-    moved_a, moved_b = not is_identity(Ta), not is_identity(Tb)
+    lists, again = (L, tier, V, S, N, U, W, result), (U, tier, V, S, N, L, W, result)
+    query = mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb)
     listed = rows.shape[1] > 0
     # Typed: a constant would have `_flush` compiled twice.
     hint = np.int64(0)
     count = np.int64(0)
     held = np.int64(0)
+    waiting = np.int64(0)
     if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
         # One piece a body: nothing to look up.
         k = start
@@ -303,40 +346,36 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
             count = np.int64(0)
             while count < BLOCK and k < stop:
                 more = min(BLOCK - count, stop - k)
+                last = shape.shape[0] - 1
                 if listed:
-                    for lane in range(more):
-                        ra, rb = rows[0, k + lane], rows[1, k + lane]
-                        _put(L, lane, k + lane, ra * body_a[0], rb * body_b[0], ra * pose_a[0], rb * pose_b[0])
-                        if k + lane + LEAD < stop:
-                            ra, rb = rows[0, k + lane + LEAD], rows[1, k + lane + LEAD]
-                            _put_later(L, lane, ra * body_a[0], rb * body_b[0], ra * pose_a[0], rb * pose_b[0])
+                    _steps(L, PAIR, count, more, k, 1)
+                    _picked(L, PIECE_A, more, rows, 0, k, stop, body_a[0])
+                    _picked(L, PIECE_B, more, rows, 1, k, stop, body_b[0])
+                    _picked(L, POSE_A, more, rows, 0, k, stop, pose_a[0])
+                    _picked(L, POSE_B, more, rows, 1, k, stop, pose_b[0])
                 else:
                     # Along the last axis the rows are arithmetic progressions.
-                    last = shape.shape[0] - 1
                     more = min(more, shape[last] - k % shape[last])
                     ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-                    for lane in range(more):
-                        _put(
-                            L, count + lane, k + lane, ia + lane * body_a[last], ib + lane * body_b[last],
-                            ka + lane * pose_a[last], kb + lane * pose_b[last],
-                        )  # fmt: skip
-                        # Past the end of the axis nobody needs these: no harm in asking.
-                        later = lane + LEAD
-                        _put_later(
-                            L, count + lane, ia + later * body_a[last], ib + later * body_b[last],
-                            ka + later * pose_a[last], kb + later * pose_b[last],
-                        )  # fmt: skip
+                    _steps(L, PAIR, count, more, k, 1)
+                    _steps(L, PIECE_A, count, more, ia, body_a[last])
+                    _steps(L, PIECE_B, count, more, ib, body_b[last])
+                    _steps(L, POSE_A, count, more, ka, pose_a[last])
+                    _steps(L, POSE_B, count, more, kb, pose_b[last])
                 count += more
                 k += more
             out[k - count : k] = FREE
-            hint |= DISTINCT | ASKING * (k + LEAD <= stop)
-            hint, held = _flush(
-                mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally
-            )
+            hint |= DISTINCT | CONSECUTIVE | ASKING * (k + LEAD <= stop)
+            hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
+            if hint != FAULTY and (waiting >= ENOUGH or (waiting > 0 and k == stop)):
+                # They say nothing about the blocks to come.
+                best, none = np.int64(DISTINCT | BEST), np.int64(0)
+                after, held, waiting = _flush(query, best, waiting, held, none, again, out, tally)
+                hint = FAULTY if after == FAULTY else hint
             if hint == FAULTY:
                 return False
         if held > 0:
-            _search(margin, held, a, Ta, b, Tb, S, N, W, result, out, tally)
+            _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
         return True
 
     steps = np.empty(trees.STEPS, np.int64)
@@ -358,15 +397,10 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 _put(L, count, k, found_a[c], found_b[c], ka, kb)
                 count += 1
                 if count == BLOCK:
-                    hint, held = _flush(
-                        mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result,
-                        out, tally,
-                    )  # fmt: skip
+                    hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
                     if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        hint, held = _flush(
-            mode, margin, hint, moved_a, moved_b, a, Ta, b, Tb, count, held, L, tier, V, S, N, W, result, out, tally
-        )
+        hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
     return hint != FAULTY

@@ -258,20 +258,21 @@ def spread(typingctx, x):
 
 @intrinsic
 def share(typingctx, x, y):
-    """√x / (√x + √y) of two vectors > 0, in single precision: a guess.
+    """√x / (√x + √y) of two vectors > 0, as 1 / (1 + √(y/x)): a guess, its root in single precision.
 
-    Single precision has eight square roots in the time that double precision has two.
+    Single precision has eight square roots in the time that double precision has two. Past its range the guess is 0 or
+    1.
     """
 
     def generate(context, builder, sig, args):
-        small = ir.VectorType(ir.FloatType(), x.llvm.count)
-        total = builder.fadd(*args)
-        roots = []
-        for part in args:
-            ratio = builder.fdiv(part, total)
-            roots.append(_call(builder, "sqrt", ratio if x == single else builder.fptrunc(ratio, small)))
-        found = builder.fdiv(roots[0], builder.fadd(*roots))
-        return found if x == single else builder.fpext(found, x.llvm)
+        ratio = builder.fdiv(args[1], args[0])
+        if x == single:
+            apart = _call(builder, "sqrt", ratio)
+        else:
+            small = builder.fptrunc(ratio, ir.VectorType(ir.FloatType(), x.llvm.count))
+            apart = builder.fpext(_call(builder, "sqrt", small), x.llvm)
+        one = ir.Constant(x.llvm, [1.0] * x.llvm.count)
+        return builder.fdiv(one, builder.fadd(one, apart))
 
     return signature(x, x, y), generate
 
