@@ -20,9 +20,6 @@ from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameE
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
 
-# The same for exact distances that need care, each of which takes microseconds.
-CAREFUL_CHUNK = 64
-
 # What `distance` returns for a pair, in bytes: three numbers; and with one more, three vectors and a status.
 BOUND_BYTES, EXACT_BYTES = 24, 105
 
@@ -476,20 +473,18 @@ def distance(
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
     factors = asked.packs[0].factors + asked.packs[1].factors
-    operands = (np.empty(0, dtype=np.int64), *asked.operands, factors, *numbers, *vectors, status)
+    results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        distances.distance_range(exact, code, first, last, *operands)
+        left = distances.distance_range(exact, code, first, last, *asked.operands, factors, *results)
+        if len(left[0]):
+            distances.measure_left(*left, *asked.operands[1:], *results[3:])
 
     for _ in over_blocks(run, n, share(n, CHUNK)):
         pass
-    operands = (np.flatnonzero(status == distances.PUT_OFF), *operands[1:])
-
-    def run_again(first: int, last: int) -> None:
-        distances.careful_range(exact, code, first, last, *operands)
-
-    for _ in over_blocks(run_again, len(operands[0]), share(len(operands[0]), CAREFUL_CHUNK)):
-        pass
+    if exact:
+        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+        np.clip(numbers[3], numbers[0], numbers[1], out=numbers[3])
     _refuse_unsettled(status != 0, "distance")
 
     def shaped(x: Floats) -> Any:

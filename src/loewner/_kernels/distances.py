@@ -65,6 +65,8 @@ ROWS = 102
 PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, LATE = 0, 1, 2, 3, 4, 5
 QUEUE = 6
 
+KEPT = 4  # rows of the scratch array from SHIFT on, and from BELOW on, that are kept of a lane that is left
+
 AHEAD = 2  # lanes between asking for a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
@@ -75,7 +77,7 @@ SETTLED = 1e-9
 # a plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
 
-SETTLED_DISTANCE, NOT_SETTLED, PUT_OFF = 0, 1, 2
+SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
 
 @njit()
@@ -542,131 +544,149 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out):
             witness_b[k, c] = result[6 + c] - rb * result[c] + Ta[ka, c, 3]
 
 
-def _ranges(measure_late):
-    """The last function below, with what is to become of piece pairs that the fast searches leave."""
-
-    @njit()
-    def measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out):
-        """Measure the queued piece pairs and merge them into the results of their pairs."""
-        _bounds(count, queue, a[0], Ta, b[0], Tb, S)
-        lower, upper, estimate = out[0], out[1], out[2]
-        for lane in range(count):
-            k = queue[PAIR, lane]
-            below = S[BELOW * LANES + lane]
-            above = S[ABOVE * LANES + lane]
-            lower[k] = min(lower[k], below)
-            upper[k] = min(upper[k], above)
-            if rule == CONTACT_PRODUCT:
-                guess = estimated_distance(
-                    S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane]
-                )
-            else:
-                guess = _rule_estimate(
-                    rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
-                    b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
-                )  # fmt: skip
-            estimate[k] = min(estimate[k], max(below, min(above, guess)))
-        if exact:
-            late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
-            if late > 0:
-                measure_late(late, queue, a, Ta, b, Tb, S, spaces[3], spaces[4], spaces[1], out)
-
-    @njit()
-    def measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out):
-        """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
-        upper, distance = out[1], out[3]
-        steps = np.empty(trees.STEPS, np.int64)
-        numbers = np.empty(trees.NUMBERS)
-        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
-        # A first bound on the distance spares the walk most pairs.
-        i, j = trees.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
-        queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
-        found = np.int64(1)
-        while found > 0:
-            measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, out)
-            cut = upper[k]
-            if exact:
-                cut = min(cut, distance[k] + SETTLED * numbers[trees.SIZE])
-            found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, numbers, queue)
-
-    @njit()
-    def measure_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                      witness_a, witness_b, normal, status):  # fmt: skip
-        shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-        S = np.empty(ROWS * LANES)
-        queue = np.empty((QUEUE, LANES), np.int64)
-        spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
-        out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
-        count = np.int64(0)
-        for n in range(start, stop):
-            k = which[n] if which.shape[0] > 0 else n
-            ia = row_of(k, shape, body_a)
-            ib = row_of(k, shape, body_b)
-            ka = row_of(k, shape, pose_a)
-            kb = row_of(k, shape, pose_b)
-            lower[k] = np.inf
-            upper[k] = np.inf
-            estimate[k] = np.inf
-            if exact:
-                distance[k] = np.inf
-                status[k] = SETTLED_DISTANCE
-            if a[8][ia] >= 0 or b[8][ib] >= 0:
-                if count > 0:
-                    measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-                    count = np.int64(0)
-                measure_many(exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, out)
-                continue
-            for i in range(a[3][ia], a[3][ia + 1]):
-                for j in range(b[3][ib], b[3][ib + 1]):
-                    queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
-                    queue[POSE_A, count], queue[POSE_B, count] = ka, kb
-                    count += 1
-                    if count == LANES:
-                        measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-                        count = np.int64(0)
-        if count > 0:
-            measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, out)
-        if exact:
-            for n in range(start, stop):
-                k = which[n] if which.shape[0] > 0 else n
-                # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
-                distance[k] = max(lower[k], min(upper[k], distance[k]))
-
-    return measure_range
-
-
 @njit()
-def _put_off(late, queue, a, Ta, b, Tb, S, D, K, result, out):
-    """Leave a pair with such piece pairs to `careful_range`."""
+def _leave(late, queue, S, left, numbers, values):
+    """Note the lanes that the fast search left for `measure_left`, from row `left` of the lists on; where they end."""
     for m in range(late):
-        out[7][queue[PAIR, queue[LATE, m] // 2]] = PUT_OFF
-
-
-_fast_range = _ranges(_put_off)
-_slow_range = _ranges(_measure_late)
-
-# What Python calls are functions of the module's own: those made by `_ranges` hold other compiled functions, by which
-# Numba cannot know them again in the next process, so nothing on disk would ever be found.
+        lane = queue[LATE, m] // 2
+        for row in range(PAIR, LATE):
+            numbers[left, row] = queue[row, lane]
+        numbers[left, LATE] = queue[LATE, m] % 2
+        for row in range(KEPT):
+            values[left, row] = S[(SHIFT + row) * LANES + lane]
+            values[left, KEPT + row] = S[(BELOW + row) * LANES + lane]
+        left += 1
+    return left
 
 
 @njit()
-def distance_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                   witness_a, witness_b, normal, status):  # fmt: skip
-    """Distances of pairs start .. stop, or of which[start] .. which[stop - 1] if that is not empty.
+def _room(left, numbers, values):
+    """Lists of what is left with room for a queue more."""
+    if left + LANES <= len(numbers):
+        return numbers, values
+    more_numbers, more_values = np.empty((2 * left + LANES, QUEUE), np.int64), np.empty((2 * left + LANES, 2 * KEPT))
+    more_numbers[:left] = numbers[:left]
+    more_values[:left] = values[:left]
+    return more_numbers, more_values
 
-    Operands as in `batch`; the last five arrays are written only if `exact`. Pairs that need more care get status
-    PUT_OFF.
+
+@njit()
+def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out):
+    """Measure the queued piece pairs and merge them into the results of their pairs; how many are left by now."""
+    _bounds(count, queue, a[0], Ta, b[0], Tb, S)
+    lower, upper, estimate = out[0], out[1], out[2]
+    for lane in range(count):
+        k = queue[PAIR, lane]
+        below = S[BELOW * LANES + lane]
+        above = S[ABOVE * LANES + lane]
+        lower[k] = min(lower[k], below)
+        upper[k] = min(upper[k], above)
+        if rule == CONTACT_PRODUCT:
+            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
+        else:
+            guess = _rule_estimate(
+                rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
+                b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
+            )  # fmt: skip
+        estimate[k] = min(estimate[k], max(below, min(above, guess)))
+    if exact:
+        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
+        left = _leave(late, queue, S, left, numbers, values)
+    return left
+
+
+@njit()
+def _measure_many(
+    exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
+):  # fmt: skip
+    """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
+    upper, distance = out[1], out[3]
+    steps = np.empty(trees.STEPS, np.int64)
+    places = np.empty(trees.NUMBERS)
+    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, places)
+    # A first bound on the distance spares the walk most pairs.
+    i, j = trees.nearest_centers(a, ia, b, ib, places, SEED_ROUNDS)
+    queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
+    found = np.int64(1)
+    while found > 0:
+        numbers, values = _room(left, numbers, values)
+        left = _measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+        cut = upper[k]
+        if exact:
+            cut = min(cut, distance[k] + SETTLED * places[trees.SIZE])
+        found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, places, queue)
+    return left, numbers, values
+
+
+@njit()
+def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance, witness_a,
+                   witness_b, normal, status):  # fmt: skip
+    """Distances of pairs start .. stop.
+
+    Operands as in `batch`; the last five arrays are written only if `exact`.
+
+    Returns
+    -------
+    numbers, values : ndarray
+        The piece pairs that the fast searches left, for `measure_left`: their pairs are not finished without it.
     """
-    _fast_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                witness_a, witness_b, normal, status)  # fmt: skip
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+    S = np.empty(ROWS * LANES)
+    queue = np.empty((QUEUE, LANES), np.int64)
+    spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
+    out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
+    numbers, values = np.empty((0, QUEUE), np.int64), np.empty((0, 2 * KEPT))
+    count, left = np.int64(0), np.int64(0)
+    for k in range(start, stop):
+        ia = row_of(k, shape, body_a)
+        ib = row_of(k, shape, body_b)
+        ka = row_of(k, shape, pose_a)
+        kb = row_of(k, shape, pose_b)
+        lower[k] = np.inf
+        upper[k] = np.inf
+        estimate[k] = np.inf
+        if exact:
+            distance[k] = np.inf
+            status[k] = SETTLED_DISTANCE
+        numbers, values = _room(left, numbers, values)
+        if a[8][ia] >= 0 or b[8][ib] >= 0:
+            left = _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+            count = np.int64(0)
+            left, numbers, values = _measure_many(
+                exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
+            )
+            continue
+        for i in range(a[3][ia], a[3][ia + 1]):
+            for j in range(b[3][ib], b[3][ib + 1]):
+                queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
+                queue[POSE_A, count], queue[POSE_B, count] = ka, kb
+                count += 1
+                if count == LANES:
+                    left = _measure(
+                        exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
+                    )
+                    count = np.int64(0)
+                    numbers, values = _room(left, numbers, values)
+    left = _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+    return numbers[:left], values[:left]
 
 
 @njit()
-def careful_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                  witness_a, witness_b, normal, status):  # fmt: skip
-    """The same with all the care that pairs may need; compiled only when one does."""
-    _slow_range(exact, rule, start, stop, which, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance,
-                witness_a, witness_b, normal, status)  # fmt: skip
+def measure_left(numbers, values, a, Ta, b, Tb, distance, witness_a, witness_b, normal, status):
+    """Exact distances of the piece pairs that `distance_range` left; compiled only when there is one."""
+    S = np.empty(ROWS * LANES)
+    queue = np.empty((QUEUE, LANES), np.int64)
+    D, K = depth_workspace(True)
+    out = (distance, distance, distance, distance, witness_a, witness_b, normal, status)  # the first three are not used
+    for first in range(0, len(numbers), LANES):
+        count = min(LANES, len(numbers) - first)
+        for lane in range(count):
+            queue[PAIR:LATE, lane] = numbers[first + lane, PAIR:LATE]
+            queue[LATE, lane] = 2 * lane + numbers[first + lane, LATE]
+            for row in range(KEPT):
+                S[(SHIFT + row) * LANES + lane] = values[first + lane, row]
+                S[(BELOW + row) * LANES + lane] = values[first + lane, KEPT + row]
+        _measure_late(count, queue, a, Ta, b, Tb, S, D, K, np.empty(9), out)
 
 
 @njit()
