@@ -20,6 +20,7 @@ TITLES = {
     "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
     "memory": "Memory of a batch",
     "fits": "Fits, beside conic solvers",
+    "accuracy": "The estimate on ambiguous pairs, by family of shapes",
 }
 
 INTRODUCTION = """# Measured
