@@ -252,8 +252,8 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
     ...     "colliding_by_search": ((verdicts == Verdict.AMBIGUOUS) & colliding).sum(),
     ... }
     >>> ax = plots.tiers({"two cubes": counts})
-    >>> ax.get_xlim()
-    (0.0, 100.0)
+    >>> [group.get_text() for group in ax.get_yticklabels()]
+    ['two cubes']
     """
     groups = {str(name): _tiers_of(group, name) for name, group in _named(counts, "counts").items()}
     total = np.array([sum(group.values()) for group in groups.values()])
