@@ -146,7 +146,7 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     assert run.main(["--quick", "--out", str(tmp_path), "--build", str(tmp_path)]) == 0
     written = {path.name for path in tmp_path.iterdir()}
     assert {f"{name}.csv" for name in [*run.BENCHMARKS, "memory"]} | {"machine.json"} <= written
-    assert {f"{name}.png" for name in run.FIGURES} <= written
+    assert {f"{name}.svg" for name in run.FIGURES} <= written
 
 
 def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
