@@ -33,6 +33,7 @@ def vertices(rows: Sequence[Row], path: Path) -> None:
             curves["Coal C++, boolean"] = [r.theirs.cpu if r.theirs else np.nan for r in mine if r.us == "collide"]
         plots.costs(_sizes(mine), curves, size="vertices per hull", ax=ax)
         ax.set_title(POWERS.get(power, f"power {power}"))
+        ax.label_outer()
     _save(figure, path)
 
 
