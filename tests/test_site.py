@@ -44,6 +44,7 @@ def test_pages_print_what_they_say(page, folder_with_mesh):
 
     program = "\n".join(re.findall(CODE, page.read_text(), flags=re.M | re.S))
     program = re.sub(r"^(\s*)print\((.+)\)  # -> (.+)$", r"\1said(r'''\3''', \2)", program, flags=re.M)
+    assert "# ->" not in program  # else nobody checks it
     exec(compile(program, str(page), "exec"), {"said": said})
 
 
