@@ -3,8 +3,8 @@
     python benchmarks/run.py [--quick] [--only NAME ...] [--out FOLDER]
 
 Each benchmark prints a table: ours, the rival's, their ratio, and the ratio asked for where one is. Times are processor
-time per item, best of several rounds in which all take turns. A full run writes CSV to benchmarks/results/<machine>/
-and figures to FOLDER; a quick one only shows that everything works and writes CSV to FOLDER too.
+time per item, best of several rounds in which all take turns. A full run writes CSV and figures to
+benchmarks/results/<machine>/; a quick one only shows that everything works and writes to FOLDER.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small sizes: shows that it works, measures little")
     parser.add_argument("--only", nargs="+", choices=[*BENCHMARKS, "memory"], help="run these alone")
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="folder for figures and quick CSV")
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks"), help="folder for what a quick run writes")
     parser.add_argument("--build", type=Path, default=HERE.parent / "build" / "benchmarks", help="folder for coal_loop")
     options = parser.parse_args(arguments)
 
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
             report.show(f"{name}: {title}", rows)
             report.write(results / f"{name}.csv", rows, facts)
             if name in FIGURES:
-                FIGURES[name](rows, options.out / f"{name}.png")
+                FIGURES[name](rows, results / f"{name}.svg")
             asked += [r for r in rows if r.required is not None]
         if not options.only or "memory" in options.only:
             write_memory(memory.run(options.quick, options.build), results / "memory.csv")

@@ -11,6 +11,8 @@ TITLES = {
     "pairs": "Pairs, beside Coal and python-fcl",
     "singles": "One pair per call, from Python",
     "threads": "Two threads, beside one",
+    "vertices": "Cost against the number of vertices",
+    "batches": "Pairs, by size of the batch",
     "pieces": "Bodies of 500 pieces",
     "crowd": "Crowds, beside trees of boxes",
     "robots": "Robots, beside pinocchio and Coal",
@@ -20,6 +22,7 @@ TITLES = {
     "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
     "memory": "Memory of a batch",
     "fits": "Fits, beside conic solvers",
+    "accuracy": "The estimate on ambiguous pairs, by family of shapes",
 }
 
 INTRODUCTION = """# Measured

@@ -11,6 +11,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
+import accuracy
 import clock
 import crowd
 import growth
@@ -145,7 +146,39 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     assert run.main(["--quick", "--out", str(tmp_path), "--build", str(tmp_path)]) == 0
     written = {path.name for path in tmp_path.iterdir()}
     assert {f"{name}.csv" for name in [*run.BENCHMARKS, "memory"]} | {"machine.json"} <= written
-    assert {f"{name}.png" for name in run.FIGURES} <= written
+    assert {f"{name}.svg" for name in run.FIGURES} <= written
+
+
+def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Right, missed and false alarms make all ambiguous pairs; the share is in its interval; files appear."""
+    monkeypatch.setattr(accuracy, "QUICK", 30)
+    monkeypatch.setattr(accuracy, "EIGHT", dict.fromkeys(("ball 8", "plates 1:1:0.05")))
+    assert accuracy.main(["--quick", "--out", str(tmp_path)]) == 0
+    with open(tmp_path / "accuracy.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["family"] for row in rows[::4]] == [accuracy.PAPER, "ball 8", "plates 1:1:0.05"]
+    for row in rows:
+        ambiguous, right = int(row["ambiguous"]), int(row["right"])
+        assert 0 < ambiguous < 30
+        assert right + int(row["missed"]) + int(row["false_alarms"]) == ambiguous
+        assert float(row["low"]) < float(row["percent"]) == pytest.approx(100 * right / ambiguous, rel=1e-3)
+        assert float(row["percent"]) < float(row["high"]) or right == ambiguous
+        assert 0 < float(row["error_median"]) <= float(row["error_90"])
+    assert (tmp_path / "accuracy.svg").stat().st_size > 0
+
+
+def test_accuracy_judges_by_the_exact_answer():
+    """For two rows: the same numbers by hand, the paper's pairs one by one."""
+    found = {row.rule: row for row in accuracy.judged(accuracy.PAPER, 40)}
+    a, _, b, _ = accuracy.of_the_paper(40)
+    open_pairs = [k for k in range(40) if loewner.classify(a[k], None, b[k], None) == loewner.Verdict.AMBIGUOUS]
+    for rule in ("contact-product", "center-line"):
+        right = sum(
+            loewner.collide(a[k], None, b[k], None, method="estimate", rule=rule)
+            == loewner.collide(a[k], None, b[k], None)
+            for k in open_pairs
+        )
+        assert (found[rule].ambiguous, found[rule].right) == (len(open_pairs), right)
 
 
 # -- robots ------------------------------------------------------------------------------------

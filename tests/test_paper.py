@@ -21,6 +21,7 @@ from loewner import (
     near_points,
     paper,
 )
+from loewner._proportions import wilson
 from loewner.paper import Confusion, detectors, figures, report, tables
 from loewner.paper.experiment import write_atomically
 from oracles import hull, pack, signed_distances
@@ -248,11 +249,11 @@ def test_the_paper_s_own_tables_add_up():
 @pytest.mark.parametrize(("count", "total"), [(0, 10), (10, 10), (1, 3), (375, 1000), (5, 237)])
 def test_wilson_against_scipy(count, total):
     expected = binomtest(count, total).proportion_ci(0.95, method="wilson")
-    np.testing.assert_allclose(tables.wilson(count, total), expected, atol=1e-12)
+    np.testing.assert_allclose(wilson(count, total), expected, atol=1e-12)
 
 
 def test_wilson_of_nothing_says_nothing():
-    assert tables.wilson(0, 0) == (0.0, 1.0)
+    assert wilson(0, 0) == (0.0, 1.0)
 
 
 def test_homogeneity_against_scipy(rng):

@@ -1,12 +1,27 @@
-"""Figures of robots in scenes: what touches is red, nothing is left out."""
+"""Figures show what they are given: what touches is red, bars and lines are where the numbers are, all is shown."""
+
+import sys
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from scipy.stats import binomtest
 
 from gantry import gantry
-from loewner import Body, CollisionChecker, InputError, Robot, Scene, distance, plots
+from loewner import (
+    Body,
+    CollisionChecker,
+    InputError,
+    MissingExtraError,
+    Robot,
+    Scene,
+    Settled,
+    UnknownNameError,
+    distance,
+    plots,
+)
 
 
 @pytest.fixture
@@ -75,3 +90,141 @@ def test_near_points_of_a_pair(x):
         text.get_text() for text in ax.get_legend().get_texts()
     ]
     assert not plots.pair(a, None, b, T, near=False).get_lines()
+
+
+# -- what was counted and measured ---------------------------------------------------------------
+
+
+def bars(ax):
+    """Of each bar: the group it belongs to, and where it begins and ends, by the tier's label."""
+    groups = [text.get_text() for text in ax.get_yticklabels()]
+    return {
+        (container.get_label(), groups[k]): (bar.get_x(), bar.get_x() + bar.get_width())
+        for container in ax.containers
+        for k, bar in enumerate(container)
+        if bar.get_width()
+    }
+
+
+def test_tiers_are_shares_of_each_group():
+    """Each bar begins where the cheaper tier ends, and the last ends at 100 %; the first group is on top."""
+    ax = plots.tiers(
+        {"arm": Settled(10, 20, 0, 10, 40, 20), "pairs": {"colliding_by_ellipsoids": 3, "free_by_ellipsoids": 1}}
+    )
+    drawn = bars(ax)
+    expected = {
+        ("free: bounds", "arm"): (0, 10),
+        ("free: outer ellipsoids", "arm"): (10, 30),
+        ("free: exact search", "arm"): (30, 40),
+        ("colliding: inner ellipsoids", "arm"): (40, 80),
+        ("colliding: exact search", "arm"): (80, 100),
+        ("free: outer ellipsoids", "pairs"): (0, 25),
+        ("colliding: inner ellipsoids", "pairs"): (25, 100),
+    }
+    assert drawn.keys() == expected.keys()
+    for key, ends in expected.items():
+        assert drawn[key] == pytest.approx(ends), key
+    assert ax.get_ylim()[0] > ax.get_ylim()[1]
+    legend = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert legend == [label for label, _ in plots.TIERS.values()]
+
+
+def test_tiers_of_a_checker(checker):
+    """What `CollisionChecker.tiers` returns can be drawn as it is."""
+    settled = checker.tiers(checker.robot.random_configurations(200))
+    ends = [end for _, end in bars(plots.tiers({"gantry": settled})).values()]
+    assert max(ends) == pytest.approx(100)
+    assert 100 * settled.free / settled.total in [pytest.approx(end) for end in ends]
+
+
+def test_costs_are_where_they_were_measured():
+    """Points at (size, seconds), none for NaN; a single number is a line across."""
+    ax = plots.costs([1, 10, 100], {"ours": [3e-6, 4e-7, 5e-8], "theirs": [np.nan, 2e-6, 2e-6], "level": 1e-6})
+    ours, theirs, level = ax.get_lines()
+    np.testing.assert_array_equal(ours.get_xydata(), [[1, 3e-6], [10, 4e-7], [100, 5e-8]])
+    np.testing.assert_array_equal(theirs.get_ydata(), [np.nan, 2e-6, 2e-6])
+    assert set(level.get_ydata()) == {1e-6}
+    assert (ours.get_color(), ours.get_marker()) != (theirs.get_color(), theirs.get_marker())
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.yaxis.get_major_formatter()(4e-7) == "400 ns"
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["ours", "theirs", "level"]
+
+
+def intervals(ax):
+    """Of each rule and family: dot, and both ends of its line, in percent."""
+    families = [text.get_text() for text in ax.get_yticklabels()]
+    found = {}
+    for container in ax.containers:
+        dots, _, (lines,) = container.lines
+        for x, y, ends in zip(*dots.get_data(), lines.get_segments(), strict=True):
+            found[container.get_label(), families[round(y)]] = x, *ends[:, 0]
+    return found
+
+
+def test_accuracy_has_wilsons_intervals():
+    """Dots at the shares, lines as far as scipy's intervals; who was asked nothing gets no dot."""
+    counts = {"f": {"balls": (90, 100), "plates": (0, 5)}, "product": {"plates": (5, 5), "rods": (0, 0)}}
+    ax = plots.accuracy(counts)
+    drawn = intervals(ax)
+    asked = {(rule, name): pair for rule, found in counts.items() for name, pair in found.items() if pair[1]}
+    assert drawn.keys() == asked.keys()
+    for key, (right, total) in asked.items():
+        interval = binomtest(right, total).proportion_ci(0.95, method="wilson")
+        np.testing.assert_allclose(drawn[key], [100 * right / total, 100 * interval.low, 100 * interval.high])
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["balls", "plates", "rods"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["f", "product"]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: plots.tiers({}), InputError, "counts: expected one entry or more"),
+        (lambda: plots.tiers([1, 2]), InputError, "counts: expected a mapping by name, found list"),
+        (lambda: plots.tiers({"arm": {"free_by_search": -1}}), InputError, "'free_by_search'.*>= 0, found -1"),
+        (lambda: plots.tiers({"arm": Settled(0, 0, 0, 0, 0, 0)}), InputError, "'arm'.*above zero, found none"),
+        (lambda: plots.tiers({"arm": {"free_by_serch": 1}}), UnknownNameError, "did you mean 'free_by_search'"),
+        (lambda: plots.costs([], {"x": 1.0}), InputError, "sizes: expected one or more"),
+        (lambda: plots.costs([1, 0], {"x": 1.0}), InputError, "sizes: expected numbers > 0, found 0.0 at index"),
+        (lambda: plots.costs([1, 2], {}), InputError, "seconds: expected one entry or more"),
+        (lambda: plots.costs([1, 2], {"x": [1.0]}), InputError, r"\['x'\]: expected shape \(2,\).*found shape \(1,\)"),
+        (lambda: plots.costs([1, 2], {"x": [1.0, -1.0]}), InputError, "above zero"),
+        (lambda: plots.costs([1, 2], {"x": [np.nan] * 2}), InputError, "not for all"),
+        (lambda: plots.accuracy({"rule": {}}), InputError, r"\['rule'\]: expected one entry or more"),
+        (lambda: plots.accuracy({"rule": {"balls": (3, 2)}}), InputError, "right <= asked, found 3 of 2"),
+        (lambda: plots.accuracy({"rule": {"balls": 0.9}}), InputError, r"\(right, asked\), found 0.9"),
+        (lambda: plots.configuration("arm", [0]), InputError, "checker: expected .*CollisionChecker, found str"),
+    ],
+)
+def test_bad_input_is_refused(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: plots.body(Body.sphere(1)),
+        lambda: plots.tiers({"arm": {"free_by_search": 1}}),
+        lambda: plots.costs([1], {"x": 1.0}),
+        lambda: plots.accuracy({"rule": {"balls": (1, 2)}}),
+    ],
+)
+def test_missing_matplotlib_is_told(draw, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "loewner\[plots\]"'):
+        draw()
+
+
+def test_drawn_into_axes_of_ones_own():
+    one, two, three = Figure().subplots(1, 3)
+    assert plots.costs([1], {"y": 1.0}, ax=one) is one
+    assert plots.accuracy({"rule": {"balls": (1, 2)}}, ax=two) is two
+    assert plots.tiers({"arm": {"free_by_search": 1}}, ax=three) is three
+
+
+def test_the_same_figure_is_the_same_file(tmp_path):
+    """SVG carries neither the date nor names drawn at random."""
+    first, second = (
+        plots.save(plots.tiers({"arm": {"free_by_search": 1}}), tmp_path / f"{k}.svg").read_bytes() for k in range(2)
+    )
+    assert first == second

@@ -12,6 +12,11 @@ import pytest
 import trimesh
 
 import loewner
+import loewner.cli
+import loewner.paper
+import loewner.planners
+import loewner.plots
+import loewner.viewer
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -39,6 +44,7 @@ def test_pages_print_what_they_say(page, folder_with_mesh):
 
     program = "\n".join(re.findall(CODE, page.read_text(), flags=re.M | re.S))
     program = re.sub(r"^(\s*)print\((.+)\)  # -> (.+)$", r"\1said(r'''\3''', \2)", program, flags=re.M)
+    assert "# ->" not in program  # else nobody checks it
     exec(compile(program, str(page), "exec"), {"said": said})
 
 
@@ -66,17 +72,45 @@ def test_reference_names_everything_public():
     assert sorted(name for name in entries if "." not in name) == sorted(loewner.__all__)
 
 
-def public_objects():
-    """Everything public that has a docstring of its own: names, and methods of classes."""
+# Public names that are not in `loewner` itself, by module.
+MODULES = {
+    "cli": ("main",),
+    "meshes": ("load", "convex_pieces"),
+    "paper": tuple(name for name in loewner.paper.__all__ if name != "tables"),
+    "planners": ("plan", "space_information"),
+    "plots": ("body", "pair", "configuration", "tiers", "costs", "accuracy", "save"),
+    "viewer": ("show_pair", "show_robot"),
+}
+
+
+def public_names():
+    """Every public function and class, by the name under which users find it."""
     for name in loewner.__all__:
-        thing = getattr(loewner, name)
-        yield name, thing
+        yield name, getattr(loewner, name)
+    for module, names in MODULES.items():
+        for name in names:
+            yield f"{module}.{name}", getattr(getattr(loewner, module), name)
+
+
+PROPERTIES = (property, cached_property)
+
+
+def is_called(thing):
+    """Whether it is a function or a method."""
+    return inspect.isroutine(thing) and not isinstance(thing, PROPERTIES)
+
+
+def public_members():
+    """Public methods and properties of the public classes, each once."""
+    for name, thing in public_names():
         if inspect.isclass(thing) and not issubclass(thing, (Exception, IntEnum)):
             for attribute, member in vars(thing).items():
-                if not attribute.startswith("_") and not isinstance(member, (property, cached_property)):
-                    method = getattr(thing, attribute)
-                    if inspect.isroutine(method):
-                        yield f"{name}.{attribute}", method
+                if attribute.startswith("_"):
+                    continue
+                # Of a property, all there is to say is what it is.
+                found = member if isinstance(member, PROPERTIES) else getattr(thing, attribute)
+                if isinstance(member, PROPERTIES) or inspect.isroutine(found):
+                    yield f"{name}.{attribute}", found
 
 
 def section(thing, title):
@@ -90,12 +124,29 @@ def named_in(text):
     return {name for line in re.findall(r"^(\S.*?)(?: :.*)?$", text, flags=re.M) for name in re.findall(r"\w+", line)}
 
 
-@pytest.mark.parametrize(("name", "thing"), list(public_objects()), ids=lambda x: x if isinstance(x, str) else "")
-def test_public_names_are_documented(name, thing):
-    """Each public name shows an example and names every argument, field and result that it has."""
-    if "." not in name:
-        assert ">>> " in section(thing, "Examples")
-    if inspect.isroutine(thing):
+NAMES, MEMBERS = dict(public_names()), dict(public_members())
+
+
+@pytest.mark.parametrize("module", ["meshes", "planners", "plots"])
+def test_public_functions_of_modules_are_known(module):
+    """No function of these modules without an underscore is left out of the list above."""
+    room = getattr(loewner, module)
+    found = {k for k, v in vars(room).items() if inspect.isfunction(v) and v.__module__ == room.__name__}
+    assert {name for name in found if not name.startswith("_")} == set(MODULES[module])
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("viewer.")])
+def test_public_names_show_an_example(name):
+    """Each has one that runs. (The viewer's stands in the docstring of its module: it needs a browser.)"""
+    assert ">>> " in section(NAMES[name], "Examples")
+
+
+@pytest.mark.parametrize("name", [*NAMES, *MEMBERS])
+def test_public_names_are_documented(name):
+    """Each says what it is, and names every argument, field and result that it has."""
+    thing = (NAMES | MEMBERS)[name]
+    assert inspect.getdoc(thing)
+    if is_called(thing):
         signature = inspect.signature(thing)
         assert set(signature.parameters) - {"self"} <= named_in(section(thing, "Parameters"))
         makes_an_object = inspect.ismethod(thing)  # of its class: a class method
@@ -104,6 +155,25 @@ def test_public_names_are_documented(name, thing):
     elif dataclasses.is_dataclass(thing):
         fields = {field.name for field in dataclasses.fields(thing) if not field.name.startswith("_")}
         assert fields <= named_in(section(thing, "Attributes") + section(thing, "Parameters"))
+
+
+MEASURED = {"angle", "length", "margin", "radius", "resolution", "semi_axes", "size", "timeout", "tolerance"}
+UNIT = re.compile(r"\b(metres|radians|seconds|units of the joints)\b", flags=re.I)
+
+
+def measured_arguments(thing):
+    """Arguments that are poses, lengths, angles or times."""
+    if not is_called(thing):
+        return set()
+    return {k for k in inspect.signature(thing).parameters if k in MEASURED or re.match(r"Ts?(_|$)", k)}
+
+
+@pytest.mark.parametrize("name", [name for name, thing in (NAMES | MEMBERS).items() if measured_arguments(thing)])
+def test_units_are_named(name):
+    """What takes a pose, a length, an angle or a time says in which unit; or its class does, for all its methods."""
+    owner = NAMES.get(name.rpartition(".")[0])
+    texts = [inspect.getdoc(thing) for thing in (owner, (NAMES | MEMBERS)[name]) if thing]
+    assert any(map(UNIT.search, texts)), measured_arguments((NAMES | MEMBERS)[name])
 
 
 def test_measurements_are_those_of_the_files(tmp_path, monkeypatch):
@@ -129,3 +199,26 @@ def test_command_line_is_shown_whole(monkeypatch):
 
     found = re.findall(r"^usage: loewner(.*?) \[", command.page(), flags=re.M)
     assert found == ["", " fit", " check", " robot", " robot info", " robot check", " view", " compile", " paper"]
+
+
+def test_accuracy_page_has_the_measured_numbers():
+    """Each number in the tables of theory/estimate.md is that of the CSV, and no family or rule is left out."""
+    (path,) = (ROOT / "benchmarks/results").glob("*/accuracy.csv")
+    with path.open(newline="") as stream:
+        rows = {(row["family"], row["rule"]): row for row in csv.DictReader(stream)}
+    families, rules = (list(dict.fromkeys(key)) for key in zip(*rows, strict=True))
+    text = (DOCS / "theory/estimate.md").read_text()
+    header = "| | ambiguous | " + " | ".join(f"`{rule}`" for rule in rules) + " |"
+    assert header in text
+    lines = re.findall(rf"^\| ({'|'.join(map(re.escape, families))}) \| (.*) \|$", text, flags=re.M)
+    assert [name for name, _ in lines] == 2 * families
+    for k, (family, cells) in enumerate(lines):
+        mine = [rows[family, rule] for rule in rules]
+        if k < len(families):
+            expected = [float(mine[0]["ambiguous"])]
+            expected += [float(row[name]) for row in mine for name in ("percent", "low", "high")]
+        else:
+            expected = [100 * int(row["missed"]) / int(row["colliding"]) for row in mine]
+            expected += [float(mine[0][name]) for name in ("error_median", "error_90")]
+        found = [float(x) for x in re.findall(r"\d+\.?\d*", cells)]
+        assert found == pytest.approx(expected, abs=0.0501), family

@@ -88,7 +88,26 @@ PAPER_EXAMPLES = """examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status."""
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What follows ``loewner``; default: those of the process.
+
+    Returns
+    -------
+    int
+        The exit status: 0 for free or done, 1 for colliding, 2 for an error, 3 for ambiguous.
+
+    Examples
+    --------
+    >>> from loewner import Body, cli
+    >>> Body.box([1, 1, 1]).save("box.npz")
+    >>> cli.main(["check", "box.npz", "box.npz", "--pose-b", "3 0 0"])  # doctest: +ELLIPSIS
+    FREE...
+    0
+    """
     options = _parser().parse_args(arguments)
     try:
         status = int(options.run(options))

@@ -271,7 +271,8 @@ class Ellipsoids:
         Parameters
         ----------
         T : array_like, shape (..., 4, 4), or None
-            Broadcasts with the batch; ``None`` is the identity.
+            Broadcasts with the batch; translation in the ellipsoid's unit, metres if it is a body's. ``None`` is the
+            identity.
 
         Returns
         -------

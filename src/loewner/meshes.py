@@ -106,6 +106,15 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
         If a vertex is not finite, or there is no triangle.
     MissingExtraError
         If trimesh, or a package that it needs for this format, is not installed.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner import meshes
+    >>> _ = trimesh.creation.box((0.1, 0.2, 0.3)).export("box.obj")
+    >>> vertices, triangles = meshes.load("box.obj")
+    >>> vertices.max(axis=0), triangles.shape
+    (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
         mesh = _read(Path(source))
@@ -183,6 +192,14 @@ def convex_pieces(
     ----------
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search", ACM Trans. Graph. 41(4), doi:10.1145/3528223.3530103.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from loewner import meshes
+    >>> pieces, covering = meshes.convex_pieces(trimesh.creation.box((0.1, 0.2, 0.3)))
+    >>> len(pieces), pieces[0].shape, covering.exact
+    (1, (8, 3), True)
     """
     threshold = _check.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:

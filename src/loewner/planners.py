@@ -133,7 +133,7 @@ def space_information(
     fixed : array_like, shape (dof,), optional
         What the other joints keep. Default: `Robot.configuration`'s, all 0.
     resolution : float
-        As for `plan`.
+        As for `plan`, in the units of the joints.
 
     Returns
     -------
@@ -146,6 +146,13 @@ def space_information(
     ------
     InputError, UnknownNameError, MissingExtraError
         As for `plan`.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> information = space_information(CollisionChecker(Robot.from_urdf("arm.urdf")), joints="rail")
+    >>> information.getStateDimension(), information.getStateSpace().getBounds().high[0]
+    (1, 2.0)
     """
     _ompl("base")
     robot = _checker(checker).robot

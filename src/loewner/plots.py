@@ -1,8 +1,13 @@
-"""Figures of bodies, of pairs, and of robots in scenes, with matplotlib."""
+"""Figures, with matplotlib: bodies, pairs, robots in scenes; and what was counted or measured about them.
+
+matplotlib is imported when a function here is called, and not before: ``pip install "loewner[plots]"``.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +17,9 @@ from numpy.typing import ArrayLike
 from loewner import _check
 from loewner._check import Floats
 from loewner._files import replacing
+from loewner._proportions import wilson
 from loewner.bodies import Body
-from loewner.checkers import CollisionChecker
+from loewner.checkers import CollisionChecker, Settled
 from loewner.errors import FileError, InputError, MissingExtraError
 from loewner.queries import Verdict, classify, collide, distance
 
@@ -21,6 +27,19 @@ COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
 NEAR = "#111111"
 SCENE, COLLIDING = "#bbbbbb", "#cc3311"
+
+# Of curves, in turn; they differ in lightness too, and each has a marker of its own.
+CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
+LEVEL = "#555555"
+# The fields of `Settled`: free in blue, colliding in orange, the darker the dearer.
+TIERS = {
+    "free_by_bounds": ("free: bounds", "#d6e9f5"),
+    "free_by_ellipsoids": ("free: outer ellipsoids", "#8fc3e3"),
+    "free_by_planes": ("free: planes", "#3a94cb"),
+    "free_by_search": ("free: exact search", "#004c78"),
+    "colliding_by_ellipsoids": ("colliding: inner ellipsoids", "#f3b58a"),
+    "colliding_by_search": ("colliding: exact search", "#b04a00"),
+}
 
 
 def body(
@@ -38,6 +57,7 @@ def body(
     body : Body
         Curved pieces (cylinder, cone, capsule ...) are shown by their ellipsoids.
     T_world_body : array_like, shape (4, 4), optional
+        Pose; translation in metres. None is the identity.
     ax : matplotlib 3-D axes, optional
         To draw into; a new figure by default.
     colour : str
@@ -50,8 +70,17 @@ def body(
 
     Raises
     ------
+    InputError
+        If `body` is no body, or the pose not one of shape (4, 4); PoseError if it is no rigid motion.
     MissingExtraError
         If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import Body, plots
+    >>> ax = plots.body(Body.cone(radius=0.1, length=0.3))
+    >>> ax.get_xlabel()
+    'x, m'
     """
     if not isinstance(body, Body):
         raise InputError(f"body: expected loewner.Body, found {type(body).__name__}")
@@ -78,6 +107,7 @@ def pair(
     ----------
     a, b : Body
     T_world_a, T_world_b : array_like, shape (4, 4), or None
+        Poses; translation in metres. None is the identity.
     ax : matplotlib 3-D axes, optional
     ellipsoids : bool
     near : bool
@@ -89,10 +119,21 @@ def pair(
 
     Raises
     ------
+    InputError
+        As for `body`.
     ConvergenceError
         If the near points could not be settled.
     MissingExtraError
         If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import Body, plots
+    >>> T = np.eye(4)
+    >>> T[0, 3] = 1.2
+    >>> ax = plots.pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), T)
+    >>> ax.get_title()
+    'AMBIGUOUS, exact: free'
     """
     for operand, name in ((a, "a"), (b, "b")):
         if not isinstance(operand, Body):
@@ -127,6 +168,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     ----------
     checker : CollisionChecker
     q : array_like, shape (dof,)
+        Entries as `Robot.configuration_names`, in radians and metres.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -136,10 +178,18 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        As `CollisionChecker.pairs`.
+        If `checker` is none, or as for `CollisionChecker.pairs`.
     MissingExtraError
         If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot, plots
+    >>> plots.configuration(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.5, 0.0]).get_title()
+    'free'
     """
+    if not isinstance(checker, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     robot, scene = checker.robot, checker.scene
     contacts = checker.pairs(q)
     touching = {name for contact in contacts for name in (contact.name_a, contact.name_b)}
@@ -159,31 +209,290 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     return ax
 
 
+def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) -> Any:
+    """Draw what share was settled by what: a bar for each group, its parts from the cheapest test to the dearest.
+
+    Parameters
+    ----------
+    counts : mapping of str to Settled, or to mapping of str to int
+        For each group what `CollisionChecker.tiers` found, or counts of your own (of pairs, of whatever else was
+        asked) under names of the fields of `Settled`; names that are left out count as 0.
+    ax : matplotlib axes, optional
+        To draw into; a new figure by default.
+
+    Returns
+    -------
+    matplotlib axes
+        Shares are in percent of each group.
+
+    Raises
+    ------
+    InputError
+        If there is no group, or one has no counts, a negative one, or only zeros; UnknownNameError if a tier is none
+        of `Settled`.
+    MissingExtraError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    Of a robot, and of pairs of bodies:
+
+    >>> import loewner
+    >>> from loewner import CollisionChecker, Robot, Verdict, plots
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> ax = plots.tiers({"arm": CollisionChecker(robot).tiers(robot.random_configurations(100))})
+    >>> poses = np.tile(np.eye(4), (100, 1, 1))
+    >>> poses[:, 0, 3] = np.linspace(0.0, 2.5, 100)
+    >>> cube = loewner.Body.box([1, 1, 1])
+    >>> verdicts, colliding = (ask(cube, None, cube, poses) for ask in (loewner.classify, loewner.collide))
+    >>> counts = {
+    ...     "free_by_ellipsoids": (verdicts == Verdict.FREE).sum(),
+    ...     "free_by_search": ((verdicts == Verdict.AMBIGUOUS) & ~colliding).sum(),
+    ...     "colliding_by_ellipsoids": (verdicts == Verdict.COLLIDING).sum(),
+    ...     "colliding_by_search": ((verdicts == Verdict.AMBIGUOUS) & colliding).sum(),
+    ... }
+    >>> ax = plots.tiers({"two cubes": counts})
+    >>> [group.get_text() for group in ax.get_yticklabels()]
+    ['two cubes']
+    """
+    groups = {str(name): _tiers_of(group, name) for name, group in _named(counts, "counts").items()}
+    total = np.array([sum(group.values()) for group in groups.values()])
+    ax = _flat_axes() if ax is None else ax
+    left = np.zeros(len(groups))
+    for tier in [tier for tier in TIERS if any(tier in group for group in groups.values())]:
+        share = np.array([group.get(tier, 0) for group in groups.values()]) * 100 / total
+        label, colour = TIERS[tier]
+        ax.barh(list(groups), share, left=left, color=colour, label=label)
+        left += share
+    ax.set(xlim=(0, 100), xlabel="%", ylim=(len(groups) - 0.5, -0.5))  # the first group on top
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize="small", frameon=False)
+    return ax
+
+
+def costs(
+    sizes: ArrayLike, seconds: Mapping[str, ArrayLike], *, size: str = "vertices", item: str = "pair", ax: Any = None
+) -> Any:
+    """Draw what one item costs against a size, such as vertices per hull or pairs per call; both axes logarithmic.
+
+    Parameters
+    ----------
+    sizes : array_like, shape (k,)
+        Numbers above zero, in the order in which points are joined.
+    seconds : mapping of str to array_like, shape (k,) or ()
+        Time for one item in seconds, under what the legend calls it; NaN where nothing was measured. A single number
+        does not depend on the size: it is a dashed line across.
+    size, item : str
+        What the axes call them.
+    ax : matplotlib axes, optional
+        To draw into; a new figure by default.
+
+    Returns
+    -------
+    matplotlib axes
+
+    Raises
+    ------
+    InputError
+        If there are no sizes or no times, their numbers differ, or one is not above zero.
+    MissingExtraError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from loewner import plots
+    >>> ax = plots.costs([8, 20, 8000], {"ours": [50e-9, 51e-9, np.nan], "theirs": 600e-9})
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['ours', 'theirs']
+    """
+    x = _check.positive_vector(sizes, "sizes", None)
+    if len(x) == 0:
+        raise InputError("sizes: expected one or more, found none")
+    curves = {name: _times(times, name, len(x)) for name, times in _named(seconds, "seconds").items()}
+    ax = _flat_axes() if ax is None else ax
+    from matplotlib.ticker import EngFormatter
+
+    styles = 0
+    for name, times in curves.items():
+        if times.ndim == 0:
+            ax.axhline(float(times), color=LEVEL, linestyle="--", label=name)
+            continue
+        colour, marker = CURVES[styles % len(CURVES)]
+        ax.plot(x, times, color=colour, marker=marker, markersize=4, label=name)
+        styles += 1
+    ax.set(xscale="log", yscale="log", xlabel=size, ylabel=f"time per {item}")
+    ax.yaxis.set_major_formatter(EngFormatter("s"))
+    ax.grid(alpha=0.3)
+    ax.legend(frameon=False)
+    return ax
+
+
+def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = None) -> Any:
+    """Draw how often rules were right, by family of shapes, each share with its 95 % interval (Wilson's score).
+
+    Parameters
+    ----------
+    counts : mapping of str to mapping of str to (int, int)
+        For each rule and each family: how many answers were right, of how many.
+    ax : matplotlib axes, optional
+        To draw into; a new figure by default.
+
+    Returns
+    -------
+    matplotlib axes
+        Families from top to bottom, one line and dot for each rule; a family that a rule was never asked about
+        gets neither.
+
+    Raises
+    ------
+    InputError
+        If there is no rule or no family, or a pair of numbers is not 0 <= right <= asked.
+    MissingExtraError
+        If matplotlib is not installed.
+
+    References
+    ----------
+    Wilson (1927), doi:10.1080/01621459.1927.10502953.
+
+    Examples
+    --------
+    How often the default estimate is right about ambiguous pairs of cubes:
+
+    >>> import loewner
+    >>> from loewner import Body, Verdict, plots
+    >>> cube, poses = Body.box([1, 1, 1]), np.tile(np.eye(4), (100, 1, 1))
+    >>> poses[:, 0, 3] = np.linspace(0.8, 1.4, 100)
+    >>> unsure = poses[loewner.classify(cube, None, cube, poses) == Verdict.AMBIGUOUS]
+    >>> guessed = loewner.collide(cube, None, cube, unsure, method="estimate")
+    >>> right = int((guessed == loewner.collide(cube, None, cube, unsure)).sum())
+    >>> ax = plots.accuracy({"contact-product": {"cubes": (right, len(unsure))}})
+    >>> ax.get_xlabel()
+    'right, %'
+    """
+    checked = {
+        str(rule): {
+            str(name): _counted(pair, f"counts[{rule!r}][{name!r}]")
+            for name, pair in _named(found, f"counts[{rule!r}]").items()
+        }
+        for rule, found in _named(counts, "counts").items()
+    }
+    families = list(dict.fromkeys(name for found in checked.values() for name in found))
+    ax = _flat_axes() if ax is None else ax
+    for k, (rule, found) in enumerate(checked.items()):
+        asked = {name: pair for name, pair in found.items() if pair[1] > 0}
+        share = np.array([right / total for right, total in asked.values()])
+        low, high = np.array([wilson(*pair) for pair in asked.values()]).reshape(-1, 2).T
+        # Rules side by side within half the room of a family.
+        at = np.array([families.index(name) for name in asked]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
+        colour, marker = CURVES[k % len(CURVES)]
+        ends = 100 * np.array([share - low, high - share])
+        ax.errorbar(
+            100 * share, at, xerr=ends, fmt=marker, color=colour, markersize=4, capsize=2, linewidth=1, label=rule
+        )
+    ax.set_yticks(range(len(families)), families)
+    ax.set(xlabel="right, %", ylim=(len(families) - 0.5, -0.5))
+    ax.grid(axis="x", alpha=0.3)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, fontsize="small", frameon=False)
+    return ax
+
+
 def save(figure: Any, path: str | os.PathLike[str]) -> Path:
-    """Write a matplotlib figure (or the figure of axes), whole or not at all; the suffix gives the format.
+    """Write a matplotlib figure (or the figure of axes), whole or not at all; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : matplotlib figure or axes
+    path : str or path
+        Its suffix, such as .png, .svg or .pdf, gives the format.
+
+    Returns
+    -------
+    pathlib.Path
+        Where it was written.
 
     Raises
     ------
     FileError
         If it cannot be written.
+
+    Examples
+    --------
+    >>> from loewner import Body, plots
+    >>> plots.save(plots.body(Body.sphere(0.5)), "sphere.png").name
+    'sphere.png'
     """
     target = Path(path)
     figure = getattr(figure, "figure", figure)
-    with replacing(target) as temporary:
+    from matplotlib import rc_context
+
+    # SVG alone would carry the date, and names drawn at random.
+    metadata = {"Date": None} if target.suffix == ".svg" else None
+    with replacing(target) as temporary, rc_context({"svg.hashsalt": "loewner"}):
         try:
-            figure.savefig(temporary, dpi=120, bbox_inches="tight")
+            figure.savefig(temporary, dpi=120, bbox_inches="tight", metadata=metadata)
         except ValueError as error:  # a suffix that matplotlib does not know
             raise FileError(f"{target}: could not be written ({error})") from None
     return target
 
 
 def _axes() -> Any:
+    return _figure(6, 6).add_subplot(projection="3d")
+
+
+def _flat_axes() -> Any:
+    return _figure(6, 4).add_subplot()
+
+
+def _figure(width: float, height: float) -> Any:
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingExtraError('figures need matplotlib: pip install "loewner[plots]"') from None
     # Not through pyplot: that would keep every figure alive and choose a window system.
-    return Figure(figsize=(6, 6)).add_subplot(projection="3d")
+    return Figure(figsize=(width, height))
+
+
+def _named(x: Any, name: str) -> Mapping[Any, Any]:
+    """Check a mapping that has something in it."""
+    if not isinstance(x, Mapping):
+        raise InputError(f"{name}: expected a mapping by name, found {type(x).__name__}")
+    if not x:
+        raise InputError(f"{name}: expected one entry or more, found none")
+    return x
+
+
+def _tiers_of(group: Any, name: Any) -> dict[str, int]:
+    """Counts of one group by tier."""
+    found = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
+    for tier, count in found.items():
+        if tier not in TIERS:
+            raise _check.unknown_name(f"counts[{name!r}]", tier, TIERS)
+        _check.whole_number(count, f"counts[{name!r}][{tier!r}]", 0)
+    if not any(found.values()):
+        raise InputError(f"counts[{name!r}]: expected counts above zero, found none")
+    return found
+
+
+def _times(x: Any, name: str, count: int) -> Floats:
+    """One time, or one for each size; NaN for what was not measured."""
+    times = _check.float_array(x, f"seconds[{name!r}]")
+    if times.shape not in ((), (count,)):
+        found = _check.shape_text(times.shape)
+        raise InputError(f"seconds[{name!r}]: expected shape ({count},), as sizes, or a number; found shape {found}")
+    measured = times[~np.isnan(times)]
+    if not len(measured) or not (np.isfinite(measured) & (measured > 0)).all():
+        raise InputError(f"seconds[{name!r}]: expected times above zero, or NaN but not for all; found {x!r}")
+    return times
+
+
+def _counted(x: Any, name: str) -> tuple[int, int]:
+    """How many were right, of how many."""
+    try:
+        right, total = (_check.whole_number(n, name, 0) for n in x)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected two whole numbers (right, asked), found {x!r}") from None
+    if right > total:
+        raise InputError(f"{name}: expected right <= asked, found {right} of {total}")
+    return right, total
 
 
 def _one_pose(T: ArrayLike | None, name: str) -> Floats:

@@ -57,7 +57,8 @@ class Robot:
         has "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion
         "j/qw", "j/qx", "j/qy", "j/qz".
     lower, upper : ndarray, shape (dof,)
-        Limits; infinite where there are none. Configurations outside are allowed everywhere.
+        Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
+        outside are allowed everywhere.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry.
     groups : dict
@@ -315,12 +316,12 @@ class Robot:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Configurations, entries as `configuration_names`.
+            Configurations, entries as `configuration_names`: radians for what turns, metres for what slides.
 
         Returns
         -------
         ndarray, shape (..., links, 4, 4)
-            T_world_link, rigid up to rounding.
+            T_world_link, rigid up to rounding; translation in metres.
 
         Raises
         ------

@@ -35,6 +35,13 @@ class DataSet:
         In metres; the second is already shifted.
     shift : ndarray, shape (pairs,)
         Distance of the two balls' centers, in metres.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> data = paper.sample(10)
+    >>> len(data), data.points_1.shape, bool(data.shift.max() <= 2.0)
+    (10, (10, 20, 3), True)
     """
 
     name: str
@@ -57,6 +64,12 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     seed : int
         At least 0.
     dataset : {"radius", "volume"}
+        How points are spread in the unit ball: radius uniform, or uniform in the volume.
+
+    Returns
+    -------
+    DataSet
+        Points in metres.
 
     Raises
     ------
@@ -64,6 +77,13 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
         If `pairs` or `seed` is not such a number.
     UnknownNameError
         If the data set is none of the two.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> small, large = paper.sample(5, seed=1), paper.sample(50, seed=1)
+    >>> np.array_equal(small.points_2, large.points_2[:5])
+    True
     """
     n, seed = whole_number(pairs, "pairs", 1), whole_number(seed, "seed", 0)
     if dataset not in DATA_SETS:

@@ -42,6 +42,17 @@ class Confusion:
     """Counts of a detector's answers against the truth; "positive" is a collision.
 
     The paper prints them as ((tp, fp), (fn, tn)): rows are the detector, columns the truth.
+
+    Attributes
+    ----------
+    tp, fp, fn, tn : int
+        Collisions found, false alarms, collisions missed, free pairs found free.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> paper.Confusion.of(np.array([True, True, False]), np.array([True, False, False]))
+    Confusion(tp=1, fp=1, fn=0, tn=1)
     """
 
     tp: int
@@ -51,7 +62,12 @@ class Confusion:
 
     @classmethod
     def of(cls, collides: Bools, truth: Bools) -> Confusion:
-        """Count answers of shape (n,) against the truth of shape (n,)."""
+        """Count answers against the truth.
+
+        Parameters
+        ----------
+        collides, truth : ndarray of bool, shape (n,)
+        """
         tp, fp = int((collides & truth).sum()), int((collides & ~truth).sum())
         fn = int((~collides & truth).sum())
         return cls(tp, fp, fn, len(truth) - tp - fp - fn)
@@ -101,6 +117,13 @@ class Pairs:
     heuristic_1, heuristic_2 : Ellipsoids, batch (n,)
         The inner ellipsoids of detector 1.
     faces_1, faces_2 : Faces
+
+    Examples
+    --------
+    >>> from loewner import Bodies, Body, paper
+    >>> cubes = Bodies([Body.box([1, 1, 1])] * 2)
+    >>> len(paper.Pairs.from_bodies(cubes, cubes))
+    2
     """
 
     inner_1: Ellipsoids
@@ -125,6 +148,13 @@ class Pairs:
             Equally many.
         heuristic : {"centroid", "center"}
             Where detector 1 puts the shrunk outer ellipsoid: the mean of the vertices or the outer center.
+
+        Raises
+        ------
+        InputError
+            If they are not equally many, or one is not of one convex polytope.
+        UnknownNameError
+            If there is no such heuristic.
         """
         if heuristic not in HEURISTICS:
             raise UnknownNameError(f"heuristic: expected one of {', '.join(HEURISTICS)}, found {heuristic!r}")
@@ -144,7 +174,16 @@ class Pairs:
         )
 
     def take(self, index: Any) -> Pairs:
-        """Keep the pairs of an index array, in its order."""
+        """Keep the pairs of an index array, in its order.
+
+        Parameters
+        ----------
+        index : array_like of int, shape (k,)
+
+        Returns
+        -------
+        Pairs
+        """
         return Pairs(
             self.inner_1[index],
             self.outer_1[index],
@@ -166,6 +205,13 @@ class Answers:
     collides : ndarray of bool, shape (n,)
     ambiguous : ndarray of bool, shape (n,)
         Where neither of the detector's own overlap checks decided.
+
+    Examples
+    --------
+    >>> from loewner import Bodies, Body, paper
+    >>> cube = Bodies([Body.box([1, 1, 1])])
+    >>> paper.estimate(paper.Pairs.from_bodies(cube, cube))
+    Answers(collides=array([ True]), ambiguous=array([False]))
     """
 
     collides: Bools
@@ -182,10 +228,22 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     angle : float
         Lin-Han's tolerance in radians, for detector 2.
 
+    Returns
+    -------
+    Answers
+
     Raises
     ------
     UnknownNameError
         If there is no such detector.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> found = paper.run(50)
+    >>> answers = paper.detect(3, found.pairs)
+    >>> bool((answers.collides == found.truth)[~answers.ambiguous].all())
+    True
     """
     n = len(pairs)
     collides, ambiguous = np.zeros(n, np.uint8), np.zeros(n, np.uint8)
@@ -212,7 +270,23 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
 
 def estimate(pairs: Pairs) -> Answers:
-    """The library's own rule, F_in F_out <= 1 for what the two exact overlap checks leave open."""
+    """The library's own rule, F_in F_out <= 1 for what the two exact overlap checks leave open.
+
+    Parameters
+    ----------
+    pairs : Pairs
+
+    Returns
+    -------
+    Answers
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> found = paper.run(50)
+    >>> bool((paper.estimate(found.pairs).collides == found.estimate.answers.collides).all())
+    True
+    """
     F_inner = contact_function(pairs.inner_1, pairs.inner_2)
     F_outer = contact_function(pairs.outer_1, pairs.outer_2)
     ambiguous = (F_outer <= 1.0) & (F_inner > 1.0)
