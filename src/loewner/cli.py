@@ -225,7 +225,8 @@ def _view_pair(options: argparse.Namespace) -> Any:
     if Tb is None:
         Tb = np.eye(4) if Ta is None else Ta.copy()
         Tb[0, 3] += a.outer.bounding_box()[1][:, 0].max() - b.outer.bounding_box()[0][:, 0].min()
-    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, port=options.port)
+    mesh_a, mesh_b = (None if path.suffix.lower() == ".npz" else path for path in (options.a, options.b))
+    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, mesh_a=mesh_a, mesh_b=mesh_b, port=options.port)
 
 
 def _view_robot(options: argparse.Namespace) -> Any:

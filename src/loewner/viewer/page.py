@@ -20,10 +20,12 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.errors import InputError, LoewnerError, MissingExtraError, PoseError
-from loewner.viewer.drawing import Rgb, place
+from loewner.viewer.drawing import Rgb, light, place
 
 # How often the page looks for what has changed from Python, in seconds.
 LOOK_EVERY = 0.1
+
+TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 
 BAD: Rgb = (119, 119, 119)
 
@@ -55,7 +57,7 @@ class Viewer:
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="loewner viewer", daemon=True)
         self.server.scene.set_up_direction("+z")
-        self.server.scene.configure_default_lights(cast_shadow=False)  # they would cost a second drawing of everything
+        light(self.server.scene)
         self._verdict = self.server.gui.add_html("")
         try:
             self._build()
@@ -256,13 +258,21 @@ def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]
         f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
         for key, text in rows
     )
-    lines = "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
     return (
-        '<div style="padding:0.4em 0.8em;font-size:0.85em;line-height:1.5">'
+        f'<div style="{TEXT}">'
         f'<div role="status" data-loewner="verdict" style="background:rgb{colour};color:white;font-weight:700;'
         f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
-        f"<table>{cells}</table>{lines}</div>"
+        f"<table>{cells}</table>{_lines(notes)}</div>"
     )
+
+
+def note_lines(notes: list[str]) -> str:
+    """Lines of text as HTML; everything escaped."""
+    return f'<div style="{TEXT};overflow-wrap:anywhere">{_lines(notes)}</div>'
+
+
+def _lines(notes: list[str]) -> str:
+    return "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
 
 
 def _serve(title: str, host: str, port: int) -> Any:
