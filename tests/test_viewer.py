@@ -76,7 +76,16 @@ def arm(tmp_path):
     scene = Scene()
     scene.add("wall/left", Body.box([0.1, 1, 1]), at(1.2))
     scene.add("<b>ball</b>", Body.sphere(0.2), at(-1.2))
-    return CollisionChecker(Robot.from_urdf(path), scene)
+    return CollisionChecker(lonely, scene)
+
+
+@pytest.fixture
+def lonely(tmp_path):
+    """A robot of one link."""
+    path = tmp_path / "lonely.urdf"
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
+    return Robot.from_urdf(path)
 
 
 def at(x, y=0.0, z=0.0):
@@ -303,6 +312,20 @@ def test_failed_query_leaves_no_verdict_standing(monkeypatch):
         page.refresh()
         assert "FREE" not in page._verdict.content
         assert "UNDECIDED" in page._verdict.content
+        assert page.verdict == Verdict.AMBIGUOUS
+        assert page.colliding
+
+
+def test_nothing_left_to_check(lonely):
+    """When the last body leaves the scene, the page does not go on saying FREE."""
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.2), at(3))
+    with viewer.show_robot(CollisionChecker(lonely, scene)) as page:
+        assert page.verdict == Verdict.FREE
+        scene.remove("ball")
+        eventually(lambda: "UNDECIDED" in page._verdict.content)
+        assert "expected a robot and a scene with pairs to check, found none" in page._verdict.content
+        assert page.verdict == Verdict.AMBIGUOUS
 
 
 def test_robot_follows_python_and_the_scene(arm):
@@ -398,26 +421,32 @@ def test_operands_are_checked(arm):
         viewer.show_robot(arm, [0.0])
 
 
-def test_nothing_to_check(tmp_path):
+def test_nothing_to_check(lonely):
     """A robot of one body in an empty scene is refused, for there is nothing to check."""
-    path = tmp_path / "lonely.urdf"
-    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
     with pytest.raises(loewner.InputError, match="checker: expected pairs to check, found none"):
-        viewer.show_robot(CollisionChecker(Robot.from_urdf(path)))
+        viewer.show_robot(CollisionChecker(lonely))
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["part.npz"], "view: expected two bodies, A and B, or --robot URDF"),
-        (["part.npz", "part.npz", "--scene", "empty.yaml"], "expected --srdf and --scene beside --robot"),
+        (
+            ["part.npz", "part.npz", "--scene", "empty.yaml"],
+            "expected --scene beside --robot only, found it with A and B",
+        ),
         (["part.npz", "--robot", "arm.urdf"], "expected no A and B beside --robot"),
         (["--robot", "arm.urdf", "--scene", "empty.yaml"], "empty.yaml: expected a scene with bodies, found none"),
         (["--robot", "broken.urdf"], "broken.urdf, line 1: expected a URDF"),
         (["--robot", "none.urdf"], "none.urdf: expected"),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a file"),
+        (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
+        (["part.npz", "part.npz", "--decompose"], "expected --decompose beside --robot only"),
+        (["part.npz", "part.npz", "--package-dir", "x"], "expected --package-dir beside --robot only"),
+        (["--robot", "arm.urdf", "--margin", "0.1"], "expected --margin with A and B only, not --robot"),
+        (["--robot", "arm.urdf", "--pose-b", "1 0 0"], "expected --pose-b with A and B only, not --robot"),
+        (["--robot", "bare.urdf"], "expected a robot with collision geometry, found none"),
     ],
     ids=lambda value: value[:24] if isinstance(value, str) else "",
 )
@@ -427,10 +456,34 @@ def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, mon
     Body.box([1, 1, 1]).save("part.npz")
     Path("empty.yaml").write_text("bodies: {}\n")
     Path("broken.urdf").write_text("<robot")
+    Path("bare.urdf").write_text('<robot name="bare"><link name="base"/></robot>')
+    Path("broken.stl").write_text("solid part\nfacet")
     assert cli.main(["view", *arguments, "--no-browser"]) == cli.ERROR
     captured = capsys.readouterr()
     assert expected in captured.err
     assert captured.out == ""
+
+
+def test_closed_page(arm):
+    """What a closed page can no longer do is refused before anything is changed; its last answers can be read."""
+    page = viewer.show_robot(arm)
+    page.close()
+    pair = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), at(3))
+    pair.close()
+    uses = [
+        page.refresh,
+        lambda: page.url,
+        lambda: page.move("wall/left", at(9)),
+        lambda: setattr(page, "q", [0.1, 0.1]),
+        lambda: setattr(pair, "T_world_b", at(0.5)),
+        pair.__enter__,
+    ]
+    for use in uses:
+        with pytest.raises(loewner.InputError, match="page: expected an open page, found a closed one"):
+            use()
+    np.testing.assert_array_equal(arm.scene.pose("wall/left"), at(1.2))
+    np.testing.assert_array_equal(pair.T_world_b, at(3))
+    assert pair.verdict == Verdict.FREE
 
 
 def test_close_twice_and_free_the_port():

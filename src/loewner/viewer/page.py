@@ -20,6 +20,7 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.errors import InputError, LoewnerError, MissingExtraError, PoseError
+from loewner.queries import Verdict
 from loewner.viewer.drawing import Rgb, light, place
 
 # How often the page looks for what has changed from Python, in seconds.
@@ -46,7 +47,14 @@ class Viewer:
         How many times the page has been brought up to date.
     seconds : float
         What the last time took.
+    verdict : Verdict
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
+    colliding : bool
+        The exact one; True where there is none.
     """
+
+    verdict: Verdict
+    colliding: bool
 
     def __init__(self, title: str, host: str, port: int) -> None:
         self.server = _serve(title, host, port)
@@ -72,6 +80,7 @@ class Viewer:
     @property
     def url(self) -> str:
         """Address of the page, on this machine."""
+        self._check_open()
         host = "localhost" if self._host in ("127.0.0.1", "0.0.0.0", "") else self._host
         return f"http://{host}:{self.server.get_port()}"
 
@@ -92,17 +101,23 @@ class Viewer:
             self.close()
 
     def refresh(self) -> None:
-        """Bring the page up to date now."""
+        """Bring the page up to date now; InputError if it is closed."""
+        self._check_open()
         with self.lock:
             self._apply({})
 
     def __enter__(self) -> Self:
+        self._check_open()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- for the two kinds of page ----------------------------------------------------------------
+
+    def _check_open(self) -> None:
+        if self._closed.is_set():
+            raise InputError("page: expected an open page, found a closed one; show_pair and show_robot open another")
 
     def _build(self) -> None:
         """Put everything on the page."""
@@ -136,6 +151,8 @@ class Viewer:
             self._verdict.content = content
 
     def _show_failure(self, error: Exception) -> None:
+        # Neither may the answers to Python: nothing is proven, and what is not known counts as colliding.
+        self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
 

@@ -75,15 +75,13 @@ class PairViewer(Viewer):
     Attributes
     ----------
     verdict : Verdict
-        The certified answer that the page shows.
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
-        The exact one.
+        The exact one; True where there is none.
     found : Distance
         Bounds, estimate, exact distance, near points and normal.
     """
 
-    verdict: Verdict
-    colliding: bool
     found: Distance
 
     def __init__(
@@ -131,6 +129,7 @@ class PairViewer(Viewer):
         self._move("B", one_pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
+        self._check_open()
         with self.lock:
             self._movers[name].move(T)
             self._inputs[name].show(T)

@@ -94,17 +94,15 @@ class RobotViewer(Viewer):
     ----------
     checker : CollisionChecker
     verdict : Verdict
-        The certified answer that the page shows.
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
-        The exact one.
+        The exact one; True where there is none.
     contacts : tuple of Contact
         Pairs that touch, or come within their margin.
     bounds : StateDistance
         Certified bounds on the distance of the nearest pair.
     """
 
-    verdict: Verdict
-    colliding: bool
     contacts: tuple[Contact, ...]
     bounds: StateDistance
 
@@ -133,6 +131,7 @@ class RobotViewer(Viewer):
 
     @q.setter
     def q(self, q: ArrayLike) -> None:
+        self._check_open()
         checked = _one_configuration(self.checker.robot, q)
         with self.lock:
             self._state.value = OTHER
@@ -141,6 +140,7 @@ class RobotViewer(Viewer):
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Move a body of the scene, and show it at once; as `Scene.move`."""
+        self._check_open()
         with self.lock:
             self.checker.scene.move(name, T_world_body)
             self.refresh()
