@@ -1,11 +1,11 @@
 """The 3-D page while somebody drags: a Panda among ten obstacles, in a real browser.
 
-    python benchmarks/viewer.py [--sizes 1280x800 960x600 ...] [--seconds 6] [--mesh]
+    python benchmarks/viewer.py [--sizes 1280x800 960x600 ...] [--seconds 6] [--pixel-ratio 1] [--mesh]
 
 For each size of the browser's window a body of the scene is dragged by its gizmo, then a joint by its slider, with the
 mouse, to and fro. Counted in the page: changes of the panel's answers (verdict, bounds, pairs), and pictures drawn.
-Counted on the server: answers, and the processor time of one, with all that is done to send it. The browser draws without a
-graphics card, so that this is the worst case: frames cost it many times what they cost on a desktop.
+Counted on the server: answers, and what one takes. The browser draws without a graphics card, so that this is the worst
+case: a picture costs it many times what it costs on a desktop.
 """
 
 from __future__ import annotations
@@ -22,16 +22,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from loewner import CollisionChecker, LoewnerError, viewer
+from loewner import CollisionChecker, LoewnerError, Robot, Scene, viewer
 from rivals import Missing
 from robot_samples import obstacles, panda
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-SIZES = ("1280x800", "960x600", "640x480")
+SIZES = ("1280x800", "960x600", "800x500")
 WANTED = 20.0
+# The body that is dragged, and how far before the hand it is at first [m].
+BODY, AHEAD = "box 0", 0.2
 # The mouse goes to and fro in so many seconds, and moves so often a second at most.
-PERIOD, MOVES = 4.0, 120
+PERIOD, MOVES = 2.0, 120
 # Updates of the server that are timed without a browser.
 ALONE = 200
 
@@ -49,7 +51,7 @@ COUNT = "() => [performance.now() / 1000, window.panelChanges, window.__viserTes
 
 @dataclass(frozen=True)
 class Dragged:
-    """What one drag showed; per second of it, but for `cost` [s of processor time for one answer]."""
+    """What one drag showed; per second of it, but for `cost`, the time of one answer [s]."""
 
     updates: float
     frames: float
@@ -61,6 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", nargs="+", default=SIZES, metavar="WxH", help="of the browser's window, in pixels")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drag")
+    parser.add_argument("--pixel-ratio", type=float, default=1.0, help="pixels of the picture to one of the window (1)")
     parser.add_argument("--mesh", action="store_true", help="with the original meshes shown instead of the pieces")
     options = parser.parse_args(arguments)
     try:
@@ -73,21 +76,22 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(options: argparse.Namespace) -> None:
     robot = panda().robot
-    checker = CollisionChecker(robot, obstacles(0))
-    q = robot.configuration(next(iter(robot.states)))
-    table = Table("window", "dragged", "updates/s", "pictures/s", "answers/s", "ms an answer", title="the page, dragged")
+    q = robot.configuration("default")
+    checker = CollisionChecker(robot, in_the_way(robot, q))
+    table = Table(
+        "window", "dragged", "updates/s", "pictures/s", "answers/s", "ms an answer", title="the page, dragged"
+    )
     sync_playwright, path = browser()
     with viewer.show_robot(checker, q) as page, sync_playwright() as driver:
-        name = nearest(checker, q)
-        alone = {"body": body_alone(page, name), "joint": joint_alone(page, q)}
+        alone = {"body": body_alone(page), "joint": joint_alone(page, q)}
         if options.mesh:
             page._layers["meshes"].value, page._layers["pieces"].value = True, False
             page._tell("layers")
         chromium = driver.chromium.launch(executable_path=path, headless=True, args=FLAGS)
         for size in options.sizes:
             width, height = map(int, size.split("x"))
-            tab = opened(chromium, page, width, height)
-            for what, ends in (("body", gizmo_ends(page, tab, name)), ("joint", slider_ends(tab))):
+            tab = opened(chromium, page, width, height, options.pixel_ratio)
+            for what, ends in (("body", gizmo_ends(page, tab)), ("joint", slider_ends(tab))):
                 found = drag(page, tab, *ends, options.seconds)
                 updates = f"{found.updates:.1f}" + ("" if found.updates >= WANTED else " (fewer than 20)")
                 table.add_row(
@@ -112,11 +116,11 @@ def browser() -> tuple[Any, str]:
     return sync_playwright, path
 
 
-def opened(chromium: Any, page: Any, width: int, height: int) -> Any:
+def opened(chromium: Any, page: Any, width: int, height: int, pixel_ratio: float) -> Any:
     """The page in a window of its own, drawn and settled."""
     tab = chromium.new_page(viewport={"width": width, "height": height})
     tab.set_default_timeout(120_000)
-    tab.goto(page.url)
+    tab.goto(f"{page.url}/?fixedDpr={pixel_ratio}")
     tab.locator('[data-loewner="verdict"]').wait_for()
     tab.evaluate(WATCH)
     while len(page.server.get_clients()) != 1:
@@ -125,37 +129,33 @@ def opened(chromium: Any, page: Any, width: int, height: int) -> Any:
     return tab
 
 
-def nearest(checker: CollisionChecker, q: Any) -> str:
-    """The body of the scene whose moves change the answers: the one in the nearest pair with one."""
-    scene = checker.scene
-    reach = {}
-    for name in scene.static_names:
-        T = scene.pose(name)
-        scene.move(name, np.diag([1.0, 1, 1, 1]) + [[0, 0, 0, 50], [0] * 4, [0] * 4, [0] * 4])
-        reach[name] = checker.distance(q).lower
-        scene.move(name, T)
-    return max(reach, key=lambda name: reach[name])
+def in_the_way(robot: Robot, q: Any) -> Scene:
+    """The ten obstacles, one of them before the hand: whatever it or the arm does then changes the answers."""
+    scene, T = obstacles(0), np.eye(4)
+    T[:3, 3] = robot.forward_kinematics(q)[robot.link_names.index("panda_hand"), :3, 3] + [AHEAD, 0, 0]
+    scene.move(BODY, T)
+    return scene
 
 
-def gizmo_ends(page: Any, tab: Any, name: str) -> tuple[Any, Any]:
+def gizmo_ends(page: Any, tab: Any) -> tuple[Any, Any]:
     """From the tip of the gizmo's arrow that is most upright to half a length further, in pixels."""
-    page._chosen.value = name
+    page._chosen.value = BODY
     page._tell("chosen")
     time.sleep(2)
-    mover = page._mover(name)
+    mover = page._mover(BODY)
     axis = mover.T[:3, np.abs(mover.T[2, :3]).argmax()]
     grip = mover.T[:3, 3] + 0.75 * mover.gizmo.scale * axis
-    return pixel(page, grip), pixel(page, grip + 0.15 * axis)
+    return pixel(page, tab, grip), pixel(page, tab, grip + 0.15 * axis)
 
 
 def slider_ends(tab: Any) -> tuple[Any, Any]:
-    """From the thumb of the second joint's slider to nearby."""
+    """From the thumb of the second joint's slider to the right; a mouse moves by whole pixels."""
     box = tab.locator(".mantine-Slider-thumb").nth(1).bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    return (x, y), (x + 30, y)
+    return (x, y), (x + 60, y)
 
 
-def pixel(page: Any, point: Any) -> tuple[float, float]:
+def pixel(page: Any, tab: Any, point: Any) -> tuple[float, float]:
     """Where a point of the world is in the window."""
     (client,) = page.server.get_clients().values()
     camera = client.camera
@@ -164,9 +164,10 @@ def pixel(page: Any, point: Any) -> tuple[float, float]:
     right = np.cross(toward, camera.up_direction)
     right /= np.linalg.norm(right)
     seen = np.asarray(point) - camera.position
-    scale = camera.image_height / 2 / np.tan(camera.fov / 2) / (seen @ toward)
+    width, height = tab.viewport_size["width"], tab.viewport_size["height"]
+    scale = height / 2 / np.tan(camera.fov / 2) / (seen @ toward)
     down = -np.cross(right, toward)
-    return camera.image_width / 2 + scale * (seen @ right), camera.image_height / 2 + scale * (seen @ down)
+    return width / 2 + scale * (seen @ right), height / 2 + scale * (seen @ down)
 
 
 def drag(page: Any, tab: Any, start: Any, end: Any, seconds: float) -> Dragged:
@@ -177,19 +178,52 @@ def drag(page: Any, tab: Any, start: Any, end: Any, seconds: float) -> Dragged:
     tab.mouse.down()
     tab.mouse.move(*(start + 0.1 * (end - start)))
     time.sleep(0.5)
-    before, answered, spent = tab.evaluate(COUNT), page.answered, page.cpu_seconds
+    costs, answered, before = [], page.answered, tab.evaluate(COUNT)
     began = time.monotonic()
     while (passed := time.monotonic() - began) < seconds:
         tab.mouse.move(*(start + (0.55 - 0.45 * np.cos(2 * np.pi * passed / PERIOD)) * (end - start)))
+        costs.append(page.seconds)
         time.sleep(1 / MOVES)
     after, answers = tab.evaluate(COUNT), page.answered - answered
     tab.mouse.move(*start)
     tab.mouse.up()
     time.sleep(1)
-    took = after[0] - before[0]
     if answers == 0:
         raise Missing("the mouse did not find what it was to drag")
-    return Dragged(
-        (after[1] - before[1]) / took, (after[2] - before[2]) / took, answers / took,
-        (page.cpu_seconds - spent) / answers,
-    )  # fmt: skip
+    took = after[0] - before[0]
+    rates = (after[1] - before[1]) / took, (after[2] - before[2]) / took, answers / took
+    return Dragged(*rates, float(np.median(costs)))
+
+
+def body_alone(page: Any) -> float:
+    """Processor time of one update, sent to nobody, when a body moves [s]."""
+    T = page.checker.scene.pose(BODY)
+
+    def move(k: int) -> None:
+        moved = T.copy()
+        moved[2, 3] += 0.001 * (k % 50)
+        page.move(BODY, moved)
+
+    return cost_of(move)
+
+
+def joint_alone(page: Any, q: Any) -> float:
+    """Processor time of one update, sent to nobody, when a joint moves [s]."""
+
+    def move(k: int) -> None:
+        page.q = q + 0.002 * (k % 50) * (np.arange(len(q)) == 1)
+
+    return cost_of(move)
+
+
+def cost_of(move: Callable[[int], None]) -> float:
+    move(1)
+    started = time.process_time()
+    for k in range(ALONE):
+        move(k)
+    move(0)
+    return (time.process_time() - started) / (ALONE + 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

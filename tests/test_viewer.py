@@ -515,7 +515,7 @@ def shown(tab, name):
     return tab.locator('[data-loewner="verdict"]').inner_text()
 
 
-def pixel(page, point):
+def pixel(tab, page, point):
     """Where a point of the world is in the browser's window."""
     (client,) = page.server.get_clients().values()
     camera = client.camera
@@ -528,15 +528,17 @@ def pixel(page, point):
         ]
     )
     seen = R.T @ (np.asarray(point) - camera.position)
-    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
-    return camera.image_width / 2 + focal * seen[0] / seen[2], camera.image_height / 2 + focal * seen[1] / seen[2]
+    # Not the camera's own size: the browser draws fewer pixels than its window has when it is slow.
+    width, height = tab.viewport_size["width"], tab.viewport_size["height"]
+    focal = height / 2 / np.tan(camera.fov / 2)
+    return width / 2 + focal * seen[0] / seen[2], height / 2 + focal * seen[1] / seen[2]
 
 
 def drag(tab, page, start, end):
     """Drag with the mouse from one point of the world to another."""
-    tab.mouse.move(*pixel(page, start))
+    tab.mouse.move(*pixel(tab, page, start))
     tab.mouse.down()
-    tab.mouse.move(*pixel(page, end), steps=8)
+    tab.mouse.move(*pixel(tab, page, end), steps=8)
     tab.mouse.up()
 
 
