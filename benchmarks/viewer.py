@@ -11,6 +11,7 @@ case: a picture costs it many times what it costs on a desktop.
 from __future__ import annotations
 
 import argparse
+import asyncio
 import shutil
 import sys
 import time
@@ -33,7 +34,7 @@ WANTED = 20.0
 # The body that is dragged, and how far before the hand it is at first [m].
 BODY, AHEAD = "box 0", 0.2
 # The mouse goes to and fro in so many seconds, and moves so often a second at most.
-PERIOD, MOVES = 2.0, 120
+PERIOD, MOVES = 2.0, 60
 # Updates of the server that are timed without a browser.
 ALONE = 200
 
@@ -67,38 +68,40 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--mesh", action="store_true", help="with the original meshes shown instead of the pieces")
     options = parser.parse_args(arguments)
     try:
-        measure(options)
+        asyncio.run(measure(options))
     except (Missing, LoewnerError) as missing:
         print(f"not run: {missing}", file=sys.stderr)
         return 1
     return 0
 
 
-def measure(options: argparse.Namespace) -> None:
+async def measure(options: argparse.Namespace) -> None:
     robot = panda().robot
     q = robot.configuration("default")
     checker = CollisionChecker(robot, in_the_way(robot, q))
     table = Table(
         "window", "dragged", "updates/s", "pictures/s", "answers/s", "ms an answer", title="the page, dragged"
     )
-    sync_playwright, path = browser()
-    with viewer.show_robot(checker, q) as page, sync_playwright() as driver:
+    async_playwright, path = browser()
+    async with async_playwright() as driver:
+        page = viewer.show_robot(checker, q)
         alone = {"body": body_alone(page), "joint": joint_alone(page, q)}
         if options.mesh:
             page._layers["meshes"].value, page._layers["pieces"].value = True, False
             page._tell("layers")
-        chromium = driver.chromium.launch(executable_path=path, headless=True, args=FLAGS)
+        chromium = await driver.chromium.launch(executable_path=path, headless=True, args=FLAGS)
         for size in options.sizes:
             width, height = map(int, size.split("x"))
-            tab = opened(chromium, page, width, height, options.pixel_ratio)
-            for what, ends in (("body", gizmo_ends(page, tab)), ("joint", slider_ends(tab))):
-                found = drag(page, tab, *ends, options.seconds)
+            tab = await opened(chromium, page, width, height, options.pixel_ratio)
+            for what, ends in (("body", await gizmo_ends(page, tab)), ("joint", await slider_ends(tab))):
+                found = await drag(page, tab, *ends, options.seconds)
                 updates = f"{found.updates:.1f}" + ("" if found.updates >= WANTED else " (fewer than 20)")
                 table.add_row(
                     size, what, updates, f"{found.frames:.1f}", f"{found.answers:.1f}", f"{1e3 * found.cost:.2f}"
                 )
-            tab.close()
-        chromium.close()
+            await tab.close()
+        await chromium.close()
+        page.close()
     for what, cost in alone.items():
         table.add_row("none", what, "-", "-", f"{1 / cost:.0f} possible", f"{1e3 * cost:.2f}")
     Console(width=110).print(table)
@@ -107,25 +110,25 @@ def measure(options: argparse.Namespace) -> None:
 def browser() -> tuple[Any, str]:
     """What drives a browser, and the browser."""
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.async_api import async_playwright
     except ImportError:
         raise Missing("playwright is not installed: pip install playwright") from None
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     if path is None:
         raise Missing(f"no browser, one of {', '.join(BROWSERS)}: apt-get install chromium")
-    return sync_playwright, path
+    return async_playwright, path
 
 
-def opened(chromium: Any, page: Any, width: int, height: int, pixel_ratio: float) -> Any:
+async def opened(chromium: Any, page: Any, width: int, height: int, pixel_ratio: float) -> Any:
     """The page in a window of its own, drawn and settled."""
-    tab = chromium.new_page(viewport={"width": width, "height": height})
+    tab = await chromium.new_page(viewport={"width": width, "height": height})
     tab.set_default_timeout(120_000)
-    tab.goto(f"{page.url}/?fixedDpr={pixel_ratio}")
-    tab.locator('[data-loewner="verdict"]').wait_for()
-    tab.evaluate(WATCH)
+    await tab.goto(f"{page.url}/?fixedDpr={pixel_ratio}")
+    await tab.locator('[data-loewner="verdict"]').wait_for()
+    await tab.evaluate(WATCH)
     while len(page.server.get_clients()) != 1:
-        time.sleep(0.1)
-    time.sleep(3)
+        await asyncio.sleep(0.1)
+    await asyncio.sleep(3)
     return tab
 
 
@@ -137,20 +140,20 @@ def in_the_way(robot: Robot, q: Any) -> Scene:
     return scene
 
 
-def gizmo_ends(page: Any, tab: Any) -> tuple[Any, Any]:
+async def gizmo_ends(page: Any, tab: Any) -> tuple[Any, Any]:
     """From the tip of the gizmo's arrow that is most upright to half a length further, in pixels."""
     page._chosen.value = BODY
     page._tell("chosen")
-    time.sleep(2)
+    await asyncio.sleep(2)
     mover = page._mover(BODY)
     axis = mover.T[:3, np.abs(mover.T[2, :3]).argmax()]
     grip = mover.T[:3, 3] + 0.75 * mover.gizmo.scale * axis
     return pixel(page, tab, grip), pixel(page, tab, grip + 0.15 * axis)
 
 
-def slider_ends(tab: Any) -> tuple[Any, Any]:
+async def slider_ends(tab: Any) -> tuple[Any, Any]:
     """From the thumb of the second joint's slider to the right; a mouse moves by whole pixels."""
-    box = tab.locator(".mantine-Slider-thumb").nth(1).bounding_box()
+    box = await tab.locator(".mantine-Slider-thumb").nth(1).bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     return (x, y), (x + 60, y)
 
@@ -170,24 +173,27 @@ def pixel(page: Any, tab: Any, point: Any) -> tuple[float, float]:
     return width / 2 + scale * (seen @ right), height / 2 + scale * (seen @ down)
 
 
-def drag(page: Any, tab: Any, start: Any, end: Any, seconds: float) -> Dragged:
+async def drag(page: Any, tab: Any, start: Any, end: Any, seconds: float) -> Dragged:
     """Drag with the mouse, to and fro."""
     start, end = np.asarray(start), np.asarray(end)
-    tab.mouse.move(*start)
-    time.sleep(0.5)
-    tab.mouse.down()
-    tab.mouse.move(*(start + 0.1 * (end - start)))
-    time.sleep(0.5)
-    costs, answered, before = [], page.answered, tab.evaluate(COUNT)
+    await tab.mouse.move(*start)
+    await asyncio.sleep(0.5)
+    await tab.mouse.down()
+    await tab.mouse.move(*(start + 0.1 * (end - start)))
+    await asyncio.sleep(0.5)
+    costs, moves, answered, before = [], [], page.answered, await tab.evaluate(COUNT)
     began = time.monotonic()
     while (passed := time.monotonic() - began) < seconds:
-        tab.mouse.move(*(start + (0.55 - 0.45 * np.cos(2 * np.pi * passed / PERIOD)) * (end - start)))
+        at = start + (0.55 - 0.45 * np.cos(2 * np.pi * passed / PERIOD)) * (end - start)
+        # Not waited for: a hand does not wait for the page either.
+        moves.append(asyncio.create_task(tab.mouse.move(*at)))
         costs.append(page.seconds)
-        time.sleep(1 / MOVES)
-    after, answers = tab.evaluate(COUNT), page.answered - answered
-    tab.mouse.move(*start)
-    tab.mouse.up()
-    time.sleep(1)
+        await asyncio.sleep(1 / MOVES)
+    after, answers = await tab.evaluate(COUNT), page.answered - answered
+    await asyncio.gather(*moves)
+    await tab.mouse.move(*start)
+    await tab.mouse.up()
+    await asyncio.sleep(1)
     if answers == 0:
         raise Missing("the mouse did not find what it was to drag")
     took = after[0] - before[0]

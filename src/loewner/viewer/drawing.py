@@ -25,7 +25,7 @@ VERDICT_COLOURS: dict[Verdict, Rgb] = {
 }
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
-LABELS = {"meshes": "original meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
+LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
 
 # How much hides what is behind: a piece with something inside it on, and an outer ellipsoid.
 PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
