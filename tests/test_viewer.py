@@ -76,7 +76,7 @@ def arm(tmp_path):
     scene = Scene()
     scene.add("wall/left", Body.box([0.1, 1, 1]), at(1.2))
     scene.add("<b>ball</b>", Body.sphere(0.2), at(-1.2))
-    return CollisionChecker(lonely, scene)
+    return CollisionChecker(Robot.from_urdf(path), scene)
 
 
 @pytest.fixture
