@@ -14,6 +14,7 @@ import pytest
 import loewner
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, viewer
 from loewner.viewer import drawing
+from loewner.viewer.visuals import visual_meshes
 
 REQUIRED = os.environ.get("LOEWNER_BROWSER") == "required"
 
@@ -76,6 +77,15 @@ def arm(tmp_path):
     scene.add("wall/left", Body.box([0.1, 1, 1]), at(1.2))
     scene.add("<b>ball</b>", Body.sphere(0.2), at(-1.2))
     return CollisionChecker(Robot.from_urdf(path), scene)
+
+
+@pytest.fixture
+def lonely(tmp_path):
+    """A robot of one link."""
+    path = tmp_path / "lonely.urdf"
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
+    return Robot.from_urdf(path)
 
 
 def at(x, y=0.0, z=0.0):
@@ -165,6 +175,131 @@ def test_layers_switch_on_and_off():
         assert all(n["pieces"].visible and n["inner"].visible for n in nodes)
 
 
+def test_layers_are_sent_when_first_shown(arm):
+    """What nobody looks at is not computed, nor sent."""
+    with viewer.show_robot(arm) as page:
+        drawn = [shown.drawing for shown in page._shown.values()]
+        assert all(set(d._nodes) == {"pieces"} for d in drawn)
+        page._layers["outer"].value = True
+        page._tell("layers")
+        eventually(lambda: all(set(d._nodes) == {"pieces", "outer"} for d in drawn))
+
+
+def test_original_meshes_of_a_pair(tmp_path):
+    """The mesh that a body was made from is a layer of its own; a body without one shows its pieces there."""
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.creation.torus(1.0, 0.3)
+    mesh.export(tmp_path / "ring.stl")
+    ring = Body.from_mesh(mesh, decompose=False)
+    with viewer.show_pair(ring, None, Body.sphere(0.2), at(3), mesh_a=tmp_path / "ring.stl") as page:
+        a, b = page._drawings.values()
+        assert "meshes" not in a._nodes
+        assert not page._layers["meshes"].value
+        page._layers["meshes"].value, page._layers["pieces"].value = True, False
+        page._tell("layers")
+        eventually(lambda: a._nodes.get("meshes") is not None and not a._nodes["pieces"].visible)
+        assert len(a._nodes["meshes"].faces) == len(mesh.faces)
+        assert b._nodes["pieces"].visible
+        page.T_world_b = at(1.0)
+        assert a._nodes["meshes"].color == drawing.VERDICT_COLOURS[page.verdict]
+    with viewer.show_pair(ring, None, Body.sphere(0.2), at(3)) as page:
+        assert "meshes" not in page._layers
+
+
+def test_a_mesh_that_cannot_be_read(tmp_path):
+    """A broken mesh is refused before a page is opened."""
+    (tmp_path / "broken.stl").write_bytes(b"solid nothing")
+    with pytest.raises(loewner.LoewnerError, match=r"broken\.stl"):
+        viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, mesh_b=tmp_path / "broken.stl")
+    with pytest.raises(loewner.InputError, match="mesh: expected a path"):
+        viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, mesh_b=3)
+
+
+LOOKS = """
+<robot name="looks">
+  <link name="base">
+    <visual><origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><geometry><mesh filename="package://shapes/brick.stl"
+      scale="1 -1 2"/></geometry></visual>
+    <visual><geometry><cylinder radius="0.1" length="0.4"/></geometry></visual>
+    <collision><geometry><box size="1 1 1"/></geometry></collision>
+  </link>
+  <link name="plain"><collision><origin xyz="3 0 0"/><geometry><box size="1 1 1"/></geometry></collision></link>
+  <link name="lamp"><visual><geometry><sphere radius="0.1"/></geometry></visual></link>
+  <link name="lost">
+    <visual><geometry><mesh filename="package://shapes/gone.stl"/></geometry></visual>
+    <visual><geometry><box size="0 0 0"/></geometry></visual>
+    <collision><origin xyz="0 9 0"/><geometry><box size="1 1 1"/></geometry></collision>
+  </link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="plain"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="b" type="fixed"><parent link="plain"/><child link="lamp"/></joint>
+  <joint name="c" type="revolute"><parent link="plain"/><child link="lost"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def dressed(tmp_path):
+    """A robot with visual geometry: of meshes and primitives, missing, broken, and on a link that is not checked."""
+    trimesh = pytest.importorskip("trimesh")
+    (tmp_path / "shapes").mkdir()
+    trimesh.creation.box((1, 2, 3)).apply_translation((1, 0, 0)).export(tmp_path / "shapes" / "brick.stl")
+    (tmp_path / "looks.urdf").write_text(LOOKS)
+    return Robot.from_urdf(tmp_path / "looks.urdf")
+
+
+def test_looks_of_a_robot(dressed):
+    """Visual geometry stands in the frame of its link, scaled and placed; what is missing is named, with its line."""
+    looks, faults = visual_meshes(dressed)
+    assert set(looks) == {"base", "lamp"}
+    points, triangles = looks["base"]
+    np.testing.assert_allclose(points.min(axis=0), [-1, -0.1, -2], atol=1e-6)
+    np.testing.assert_allclose(points[:, :2].max(axis=0), [1, 1.5], atol=1e-6)
+    np.testing.assert_allclose(points[:, 2].max(), 4, atol=1e-6)
+    corners = points[triangles]
+    volume = (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume == pytest.approx(12 + 0.004 * np.pi, rel=1e-3)  # mirrored, and still not inside out
+    assert len(faults) == 2
+    assert "line 12: expected the mesh 'package://shapes/gone.stl' of link 'lost'" in faults[0] + faults[1]
+    assert "line 13: expected sizes above 0 for a box" in faults[0] + faults[1]
+
+
+def test_looks_are_shown_when_asked_for(dressed):
+    """The layer draws what there is, notes on the page what is missing or not checked, and hides no checked body."""
+    with viewer.show_robot(CollisionChecker(dressed)) as page:
+        assert "_visuals" not in vars(page)  # not read yet
+        page._layers["meshes"].value, page._layers["pieces"].value = True, False
+        page._tell("layers")
+        eventually(lambda: page._notes.visible)
+        nodes = {name: shown.drawing._nodes for name, shown in page._shown.items()}
+        assert nodes["base"]["meshes"].visible
+        assert not nodes["base"]["pieces"].visible
+        assert nodes["plain"]["pieces"].visible
+        assert nodes["lost"]["pieces"].visible
+        assert page._unchecked["lamp"].visible
+        for words in ("gone.stl", "line 13", "lamp: drawn, but not checked"):
+            assert words in page._notes.content
+        page._layers["meshes"].value = False
+        page._tell("layers")
+        eventually(lambda: not page._notes.visible)
+        assert not page._unchecked["lamp"].visible
+        assert not nodes["base"]["meshes"].visible
+
+
+def test_urdf_gone_since(dressed, arm):
+    """A URDF that was moved since it was read gives a note, not an error; one without visual geometry says so."""
+    dressed.urdf.unlink()
+    looks, faults = visual_meshes(dressed)
+    assert looks == {}
+    assert len(faults) == 1
+    assert "looks.urdf: expected a URDF, found no such file" in faults[0]
+    with viewer.show_robot(arm) as page:
+        page._layers["meshes"].value = True
+        page._tell("layers")
+        eventually(lambda: "no visual geometry" in page._notes.content)
+
+
 def test_failed_query_leaves_no_verdict_standing(monkeypatch):
     """Where the exact search gives up, the page does not go on saying FREE."""
 
@@ -177,6 +312,20 @@ def test_failed_query_leaves_no_verdict_standing(monkeypatch):
         page.refresh()
         assert "FREE" not in page._verdict.content
         assert "UNDECIDED" in page._verdict.content
+        assert page.verdict == Verdict.AMBIGUOUS
+        assert page.colliding
+
+
+def test_nothing_left_to_check(lonely):
+    """When the last body leaves the scene, the page does not go on saying FREE."""
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.2), at(3))
+    with viewer.show_robot(CollisionChecker(lonely, scene)) as page:
+        assert page.verdict == Verdict.FREE
+        scene.remove("ball")
+        eventually(lambda: "UNDECIDED" in page._verdict.content)
+        assert "expected a robot and a scene with pairs to check, found none" in page._verdict.content
+        assert page.verdict == Verdict.AMBIGUOUS
 
 
 def test_robot_follows_python_and_the_scene(arm):
@@ -272,26 +421,32 @@ def test_operands_are_checked(arm):
         viewer.show_robot(arm, [0.0])
 
 
-def test_nothing_to_check(tmp_path):
+def test_nothing_to_check(lonely):
     """A robot of one body in an empty scene is refused, for there is nothing to check."""
-    path = tmp_path / "lonely.urdf"
-    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
     with pytest.raises(loewner.InputError, match="checker: expected pairs to check, found none"):
-        viewer.show_robot(CollisionChecker(Robot.from_urdf(path)))
+        viewer.show_robot(CollisionChecker(lonely))
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["part.npz"], "view: expected two bodies, A and B, or --robot URDF"),
-        (["part.npz", "part.npz", "--scene", "empty.yaml"], "expected --srdf and --scene beside --robot"),
+        (
+            ["part.npz", "part.npz", "--scene", "empty.yaml"],
+            "expected --scene beside --robot only, found it with A and B",
+        ),
         (["part.npz", "--robot", "arm.urdf"], "expected no A and B beside --robot"),
         (["--robot", "arm.urdf", "--scene", "empty.yaml"], "empty.yaml: expected a scene with bodies, found none"),
         (["--robot", "broken.urdf"], "broken.urdf, line 1: expected a URDF"),
         (["--robot", "none.urdf"], "none.urdf: expected"),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a file"),
+        (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
+        (["part.npz", "part.npz", "--decompose"], "expected --decompose beside --robot only"),
+        (["part.npz", "part.npz", "--package-dir", "x"], "expected --package-dir beside --robot only"),
+        (["--robot", "arm.urdf", "--margin", "0.1"], "expected --margin with A and B only, not --robot"),
+        (["--robot", "arm.urdf", "--pose-b", "1 0 0"], "expected --pose-b with A and B only, not --robot"),
+        (["--robot", "bare.urdf"], "expected a robot with collision geometry, found none"),
     ],
     ids=lambda value: value[:24] if isinstance(value, str) else "",
 )
@@ -301,10 +456,34 @@ def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, mon
     Body.box([1, 1, 1]).save("part.npz")
     Path("empty.yaml").write_text("bodies: {}\n")
     Path("broken.urdf").write_text("<robot")
+    Path("bare.urdf").write_text('<robot name="bare"><link name="base"/></robot>')
+    Path("broken.stl").write_text("solid part\nfacet")
     assert cli.main(["view", *arguments, "--no-browser"]) == cli.ERROR
     captured = capsys.readouterr()
     assert expected in captured.err
     assert captured.out == ""
+
+
+def test_closed_page(arm):
+    """What a closed page can no longer do is refused before anything is changed; its last answers can be read."""
+    page = viewer.show_robot(arm)
+    page.close()
+    pair = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), at(3))
+    pair.close()
+    uses = [
+        page.refresh,
+        lambda: page.url,
+        lambda: page.move("wall/left", at(9)),
+        lambda: setattr(page, "q", [0.1, 0.1]),
+        lambda: setattr(pair, "T_world_b", at(0.5)),
+        pair.__enter__,
+    ]
+    for use in uses:
+        with pytest.raises(loewner.InputError, match="page: expected an open page, found a closed one"):
+            use()
+    np.testing.assert_array_equal(arm.scene.pose("wall/left"), at(1.2))
+    np.testing.assert_array_equal(pair.T_world_b, at(3))
+    assert pair.verdict == Verdict.FREE
 
 
 def test_close_twice_and_free_the_port():
@@ -336,7 +515,7 @@ def shown(tab, name):
     return tab.locator('[data-loewner="verdict"]').inner_text()
 
 
-def pixel(page, point):
+def pixel(tab, page, point):
     """Where a point of the world is in the browser's window."""
     (client,) = page.server.get_clients().values()
     camera = client.camera
@@ -349,36 +528,81 @@ def pixel(page, point):
         ]
     )
     seen = R.T @ (np.asarray(point) - camera.position)
-    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
-    return camera.image_width / 2 + focal * seen[0] / seen[2], camera.image_height / 2 + focal * seen[1] / seen[2]
+    # Not the camera's own size: the browser draws fewer pixels than its window has when it is slow.
+    width, height = tab.viewport_size["width"], tab.viewport_size["height"]
+    focal = height / 2 / np.tan(camera.fov / 2)
+    return width / 2 + focal * seen[0] / seen[2], height / 2 + focal * seen[1] / seen[2]
 
 
 def drag(tab, page, start, end):
     """Drag with the mouse from one point of the world to another."""
-    tab.mouse.move(*pixel(page, start))
+    tab.mouse.move(*pixel(tab, page, start))
     tab.mouse.down()
-    tab.mouse.move(*pixel(page, end), steps=8)
+    tab.mouse.move(*pixel(tab, page, end), steps=8)
     tab.mouse.up()
 
 
+def panel(tab):
+    """What the page's block of answers says, by row."""
+    rows = "() => [...document.querySelectorAll('[data-loewner]')].map(e => [e.dataset.loewner, e.innerText])"
+    return dict(tab.evaluate(rows))
+
+
+def colours(tab):
+    """Of the page's bar and of the bodies, as the browser has them."""
+    bar = tab.locator('[data-loewner="verdict"]').evaluate("e => getComputedStyle(e).backgroundColor")
+    tree = "name => window.__viserSceneTree.getState()[name].message.props.color"
+    return tuple(int(c) for c in bar[4:-1].split(",")), *(tuple(tab.evaluate(tree, f"/{n}/pieces")) for n in "AB")
+
+
+def position(tab, node):
+    """Where the browser draws a node."""
+    return tab.evaluate("name => window.__viserMutable.nodePoseData[name].position", node)
+
+
+def says_what_the_library_says(tab, a, b, T):
+    """Whether all numbers and words of the page are the library's, for b at T."""
+    found, rows = loewner.distance(a, None, b, T, exact=True), panel(tab)
+    if ("depth" if found.distance < 0 else "distance") not in rows:
+        return False
+    numbers = [rows.get("distance", rows.get("depth")), *rows["bounds"].split(".. "), rows["estimate"]]
+    expected = [abs(found.distance), found.lower, found.upper, found.estimate]
+    points = [[float(x) for x in rows[key].split()] for key in ("on A", "on B", "normal")]
+    return (
+        rows["verdict"] == loewner.classify(a, None, b, T).name
+        and rows["exact"] == ("COLLIDING" if loewner.collide(a, None, b, T) else "FREE")
+        and np.allclose([float(text.split()[0]) for text in numbers], expected, rtol=1e-5, atol=1e-9)
+        and np.allclose(points, [found.witness_a, found.witness_b, found.normal], atol=1e-4)
+    )
+
+
 def test_dragging_a_body_in_the_browser(tab, tmp_path):
-    """Dragged by its arrow from free to touching to colliding: the page says at each what the library answers."""
-    a, b = Body.box([1, 1, 1]), Body.box([1, 1, 1])
-    with viewer.show_pair(a, None, b, at(2.2)) as page:
+    """Dragged by its arrow from free over touching to colliding, and back.
+
+    At each stop the page says what the library answers for the place where the browser draws the body: verdict, exact
+    answer, distance, bounds, estimate, points and normal; and the bar and both bodies have the colour of the verdict.
+    """
+    a, b, y = Body.box([1, 1, 1]), Body.box([1, 1, 1]), 0.6
+    with viewer.show_pair(a, None, b, at(2.2, y)) as page:
         tab.goto(page.url)
         assert shown(tab, "FREE") == "FREE"
         eventually(lambda: len(page.server.get_clients()) == 1, PATIENCE / 1000)
-        for x, expected in ((1.3, "AMBIGUOUS"), (0.6, "COLLIDING"), (2.2, "FREE")):
+        # Faces touch at x = 1. With B to the side, the inner balls meet at 0.8 only and the outer ones at 1.62.
+        for x, verdict, exact in (
+            (1.2, "AMBIGUOUS", "FREE"),
+            (0.88, "AMBIGUOUS", "COLLIDING"),
+            (0.4, "COLLIDING", "COLLIDING"),
+            (2.2, "FREE", "FREE"),
+        ):
             before = page.T_world_b[0, 3]
-            grip = np.array([before + 0.75 * page._movers["B"].gizmo.scale, 0.0, 0.0])
+            grip = np.array([before + 0.75 * page._movers["B"].gizmo.scale, y, 0.0])
             drag(tab, page, grip, grip + [x - before, 0.0, 0.0])
             eventually(lambda x=x: abs(page.T_world_b[0, 3] - x) < 0.05, PATIENCE / 1000)
-            assert shown(tab, expected) == expected
-            T = page.T_world_b
-            np.testing.assert_allclose(T[:3, :3], np.eye(3), atol=1e-9)
-            assert loewner.classify(a, None, b, T).name == expected
-            exact = tab.locator('[data-loewner="exact"]').inner_text()
-            assert exact == ("COLLIDING" if loewner.collide(a, None, b, T) else "FREE")
+            eventually(lambda: says_what_the_library_says(tab, a, b, page.T_world_b), PATIENCE / 1000)
+            assert (panel(tab)["verdict"], panel(tab)["exact"]) == (verdict, exact)
+            np.testing.assert_allclose(page.T_world_b, at(page.T_world_b[0, 3], y), atol=1e-9)
+            np.testing.assert_allclose(position(tab, "/B"), page.T_world_b[:3, 3], atol=1e-9)
+            assert set(colours(tab)) == {drawing.VERDICT_COLOURS[Verdict[verdict]]}
         picture = tab.screenshot(path=tmp_path / "page.png", timeout=PATIENCE)
         assert len(picture) > 10_000
         assert all(url.startswith((page.url, "blob:" + page.url)) for url in tab.asked), tab.asked

@@ -237,14 +237,14 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
-    if options.srdf is not None or options.scene is not None:
-        raise InputError("view: expected --srdf and --scene beside --robot, found them without")
+    _refuse(options, ("srdf", "scene", "package_dir", "decompose"), "beside --robot only, found it with A and B")
     Ta, Tb = _pose(options.pose_a, "--pose-a"), _pose(options.pose_b, "--pose-b")
     a, b = _body(options.a, options), _body(options.b, options)
     if Tb is None:
         Tb = np.eye(4) if Ta is None else Ta.copy()
         Tb[0, 3] += a.outer.bounding_box()[1][:, 0].max() - b.outer.bounding_box()[0][:, 0].min()
-    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, port=options.port)
+    mesh_a, mesh_b = (None if path.suffix.lower() == ".npz" else path for path in (options.a, options.b))
+    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, mesh_a=mesh_a, mesh_b=mesh_b, port=options.port)
 
 
 def _view_robot(options: argparse.Namespace) -> Any:
@@ -252,12 +252,22 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
     if options.a is not None:
         raise InputError(f"view: expected no A and B beside --robot, found {options.a}")
+    _refuse(options, ("pose_a", "pose_b", "hull", "threshold", "max_pieces", "seed"), "with A and B only, not --robot")
+    _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if scene is not None and len(scene) == 0:
         raise InputError(
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
     return viewer.show_robot(loewner.CollisionChecker(_robot(options), scene), port=options.port)
+
+
+def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
+    """Refuse what would be passed over in silence."""
+    defaults = _parser().parse_args(["view"])
+    for name in names:
+        if getattr(options, name) != getattr(defaults, name):
+            raise InputError(f"view: expected --{name.replace('_', '-')} {where}")
 
 
 # -- loewner compile ----------------------------------------------------------------------------

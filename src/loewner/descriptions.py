@@ -1,7 +1,8 @@
 """Robot descriptions, read and checked: URDF (links, joints, shapes) and SRDF (groups, states, disabled pairs).
 
 The reader is the standard library's: it knows the line of every element, which the errors here name, and reads nothing
-that is not asked for (visual geometry, materials, sensors and transmissions are left alone, broken or not).
+that is not asked for (materials, sensors and transmissions are left alone, broken or not; visual geometry is for the
+viewer only, see `read_visuals`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from loewner._check import Floats
 from loewner._rotations import from_rpy
-from loewner.errors import FileError, GeometryError, InputError, UnknownNameError
+from loewner.errors import FileError, GeometryError, InputError, LoewnerError, UnknownNameError
 
 # Names of the values of a joint, by kind; a joint of one value gives it its own name.
 VALUES: dict[str, tuple[str, ...]] = {
@@ -55,7 +56,7 @@ LEAST_IN_COMMON = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One collision element of a link.
+    """One collision or visual element of a link.
 
     Attributes
     ----------
@@ -302,6 +303,32 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     )
 
 
+def read_visuals(path: str | os.PathLike[str]) -> tuple[dict[str, list[Shape]], list[str]]:
+    """Read what the links of a URDF look like.
+
+    Returns
+    -------
+    shapes : dict
+        Link name to its visual shapes, for links that have any.
+    faults : list of str
+        What is wrong with those that are left out: a look decides nothing, so that a broken one is no error.
+
+    Raises
+    ------
+    FileError, InputError
+        If there is no such file, or it is no URDF.
+    """
+    shapes: dict[str, list[Shape]] = {}
+    faults = []
+    for name, link in _by_name(_read_xml(path, "a URDF").all("link")).items():
+        for element in link.all("visual"):
+            try:
+                shapes.setdefault(name, []).append(_shape(element))
+            except LoewnerError as error:
+                faults.append(str(error))
+    return shapes, faults
+
+
 def _parents_first(root: _Element, links: list[str], joint_above: dict[str, Joint]) -> list[str]:
     """Order links depth first from the one root."""
     tops = [name for name in links if name not in joint_above]
@@ -435,14 +462,15 @@ def _origin(element: _Element) -> Floats:
     return T
 
 
-def _shape(collision: _Element) -> Shape:
-    geometry = collision.the("geometry")
+def _shape(owner: _Element) -> Shape:
+    """Shape of a <collision> or <visual>."""
+    geometry = owner.the("geometry")
     known = [c for c in geometry.children if c.tag == "mesh" or c.tag in SIZES]
     if len(known) != 1 or len(geometry.children) != 1:
         found = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
         geometry.fault(f"one shape among mesh, {', '.join(SIZES)} in <geometry>", found)
     element = known[0]
-    origin = _origin(collision)
+    origin = _origin(owner)
     if element.tag == "mesh":
         text = element.attributes.get("scale", "1 1 1")
         count = 1 if len(text.split()) == 1 else 3

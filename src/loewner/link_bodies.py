@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,9 +99,8 @@ def _body(
     cache: bool,
 ) -> Body:
     if shape.kind != "mesh":
-        body = _PRIMITIVES[shape.kind](*shape.sizes)
-        return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
-    file = _mesh_file(shape, link, urdf, folders)
+        return primitive(shape)
+    file = mesh_file(shape, link, urdf, folders)
     try:
         if not cache or file.suffix.lower() in NOT_CACHED:
             return _mesh_body(file, shape, decompose, tol)
@@ -118,13 +117,22 @@ def _body(
         raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {text}") from None
 
 
-def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
-    """Fit a mesh where it stands in its link."""
+def primitive(shape: Shape) -> Body:
+    """Body of a shape that is no mesh, where it stands in its link."""
+    body = _PRIMITIVES[shape.kind](*shape.sizes)
+    return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
+
+
+def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
+    """Vertices and triangles of a mesh, where it stands in its link."""
     vertices, triangles = meshes.load(file)
-    placed = (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3]
     if shape.scale.prod() < 0:  # mirrored: inside out, but for this
         triangles = triangles[:, ::-1]
-    return Body.from_mesh(_Mesh(placed, triangles), decompose=decompose, tol=tol)
+    return (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3], triangles
+
+
+def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
+    return Body.from_mesh(_Mesh(*placed_mesh(file, shape)), decompose=decompose, tol=tol)
 
 
 def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
@@ -154,7 +162,7 @@ def _union(parts: list[Body]) -> Body:
 # -- files --------------------------------------------------------------------------------------
 
 
-def _mesh_file(shape: Shape, link: str, urdf: Path, folders: list[str | os.PathLike[str]]) -> Path:
+def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
     """Find the file that a URDF means."""
     looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
     for path in looked:
@@ -167,7 +175,7 @@ def _mesh_file(shape: Shape, link: str, urdf: Path, folders: list[str | os.PathL
     )
 
 
-def _candidates(name: str, urdf: Path, folders: list[str | os.PathLike[str]]) -> Iterator[Path]:
+def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
     """Places where a mesh may be: the packages given, those of ROS, then folder by folder up from the URDF."""
     scheme, separator, rest = name.rpartition("://")
     home = urdf.resolve().parent

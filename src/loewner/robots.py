@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,10 @@ class Robot:
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies.
     tree : tuple of ndarray
         What kernels take; described in ``loewner/_kernels/kinematics.py``.
+    urdf : Path
+        The file it was read from.
+    package_dirs : tuple of Path
+        Where else its meshes are sought.
 
     Examples
     --------
@@ -97,6 +102,8 @@ class Robot:
     disabled_pairs: frozenset[tuple[str, str]]
     adjacent_pairs: frozenset[tuple[str, str]]
     tree: Tree
+    urdf: Path
+    package_dirs: tuple[Path, ...]
     _columns: dict[str, slice] = field(repr=False)
     # For messages: which joint a mimicking one follows; links that have visual geometry only.
     _mimics: dict[str, str] = field(repr=False)
@@ -169,6 +176,7 @@ class Robot:
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         if not isinstance(folders, Iterable):
             raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
+        folders = list(folders)
         bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
@@ -194,6 +202,9 @@ class Robot:
             disabled_pairs=semantics.disabled_pairs,
             adjacent_pairs=_adjacent_pairs(robot),
             tree=_tree(robot, columns),
+            # Absolute: the visual geometry is read later, perhaps from another working directory.
+            urdf=robot.path.absolute(),
+            package_dirs=tuple(Path(folder).absolute() for folder in folders),
             _columns=columns,
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,

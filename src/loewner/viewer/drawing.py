@@ -1,7 +1,8 @@
-"""Bodies as triangles: their pieces and ellipsoids, each sent to the page once."""
+"""Bodies as triangles: original mesh, pieces and ellipsoids, each sent to the page once, when it is first shown."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -24,11 +25,24 @@ VERDICT_COLOURS: dict[Verdict, Rgb] = {
 }
 INNER, OUTER = (68, 119, 170), (119, 119, 119)
 
-LABELS = {"pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
-LAYERS = tuple(LABELS)
+LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "outer": "outer ellipsoids"}
 
-# How much of what is behind shows: through a piece with its inner ellipsoid on, and through an outer ellipsoid.
+# How much hides what is behind: a piece with something inside it on, and an outer ellipsoid.
 PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
+
+# Layers in the colour that tells what touches, and how each layer is drawn. Where triangles face outward only those
+# that face the camera are drawn: half as many. Of an outer ellipsoid it is those that do not, for the near side would
+# hide what is drawn after it, though it can be seen through. The triangles of a file face anywhere.
+COLOURED = ("meshes", "pieces")
+LOOKS: dict[str, dict[str, Any]] = {
+    "meshes": {"flat_shading": True, "side": "double"},
+    "pieces": {"flat_shading": True, "side": "front"},
+    "inner": {"color": INNER, "side": "front"},
+    "outer": {"color": OUTER, "opacity": OUTER_OPACITY, "side": "back"},
+}
+
+# Light from everywhere, so that faces turned away from the lamps are not black.
+AMBIENT = 1.2
 
 # Bodies of more pieces than this are drawn with coarser ellipsoids: 320 instead of 1280 triangles each.
 MANY_PIECES = 16
@@ -48,51 +62,86 @@ class Drawing:
         Name of the node that carries the body's pose.
     body : Body
     colour : tuple of int
-        Of the pieces.
+        Of pieces and mesh.
     shown : dict
         Which layers show, by their names.
+    mesh : callable, optional
+        Gives the triangles that the body was made from, in its frame, or None where there are none; asked when they
+        are first to be shown. A body without a mesh shows its pieces instead: it must not vanish from the page.
     """
 
-    def __init__(self, scene: Any, parent: str, body: Body, colour: Rgb, shown: dict[str, bool]) -> None:
+    def __init__(
+        self,
+        scene: Any,
+        parent: str,
+        body: Body,
+        colour: Rgb,
+        shown: dict[str, bool],
+        mesh: Callable[[], Mesh | None] = lambda: None,
+    ) -> None:
+        self._scene, self._parent = scene, parent
         self._colour = colour
-        self._nodes: dict[str, Any] = {}
-        made = {"pieces": pieces(body), "inner": ellipsoids(body, "inner"), "outer": ellipsoids(body, "outer")}
-        looks: dict[str, dict[str, Any]] = {
-            "pieces": {"color": colour, "flat_shading": True, "side": "double"},
-            "inner": {"color": INNER},
-            # Its far side only: the near side would hide what is drawn after it, though it can be seen through.
-            "outer": {"color": OUTER, "opacity": OUTER_OPACITY, "side": "back"},
+        self._makers: dict[str, Callable[[], Mesh | None]] = {
+            "meshes": mesh,
+            "pieces": lambda: pieces(body),
+            "inner": lambda: ellipsoids(body, "inner"),
+            "outer": lambda: ellipsoids(body, "outer"),
         }
-        for layer, (vertices, triangles) in made.items():
-            if len(triangles):
-                self._nodes[layer] = scene.add_mesh_simple(
-                    f"{parent}/{layer}", vertices.astype(np.float32), triangles.astype(np.uint32),
-                    cast_shadow=False, receive_shadow=False, **looks[layer],
-                )  # fmt: skip
+        self._nodes: dict[str, Any] = {}
+        self._callback: Any = None
         self.show(shown)
 
     @property
     def colour(self) -> Rgb:
-        """Colour of the pieces."""
+        """Colour of pieces and mesh."""
         return self._colour
 
     @colour.setter
     def colour(self, colour: Rgb) -> None:
-        if colour != self._colour and "pieces" in self._nodes:
-            self._nodes["pieces"].color = colour
-        self._colour = colour
+        if colour != self._colour:
+            self._colour = colour
+            for layer in COLOURED:
+                if self._nodes.get(layer) is not None:
+                    self._nodes[layer].color = colour
 
     def show(self, shown: dict[str, bool]) -> None:
-        """Switch layers on and off; pieces let their inner ellipsoids shine through."""
-        for layer, node in self._nodes.items():
-            node.visible = shown[layer]
-        if "pieces" in self._nodes:
-            self._nodes["pieces"].opacity = PIECE_OPACITY if shown["inner"] else None
+        """Switch layers on and off; pieces let what is inside them shine through."""
+        wanted = {layer for layer in LABELS if shown.get(layer, False)}
+        if "meshes" in wanted and self._node("meshes") is None:
+            wanted = wanted - {"meshes"} | {"pieces"}
+        for layer in LABELS:
+            node = self._node(layer) if layer in wanted else self._nodes.get(layer)
+            if node is not None:
+                node.visible = layer in wanted
+        if self._nodes.get("pieces") is not None:
+            self._nodes["pieces"].opacity = PIECE_OPACITY if wanted & {"meshes", "inner"} else None
 
     def on_click(self, callback: Any) -> None:
         """Call back when the body is clicked."""
+        self._callback = callback
         for node in self._nodes.values():
-            node.on_click(callback)
+            if node is not None:
+                node.on_click(callback)
+
+    def _node(self, layer: str) -> Any:
+        """Node of a layer, made when it is first asked for; None if there is nothing to draw."""
+        if layer not in self._nodes:
+            made = self._makers[layer]()
+            self._nodes[layer] = None
+            if made is not None and len(made[1]):
+                colour = {"color": self._colour} if layer in COLOURED else {}
+                self._nodes[layer] = add_mesh(self._scene, f"{self._parent}/{layer}", made, **LOOKS[layer], **colour)
+                if self._callback is not None:
+                    self._nodes[layer].on_click(self._callback)
+        return self._nodes[layer]
+
+
+def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
+    """Add triangles to the page's scene, with no shadows: they would cost a second drawing of everything."""
+    vertices, triangles = mesh
+    return scene.add_mesh_simple(
+        name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
+    )
 
 
 def pieces(body: Body) -> Mesh:
@@ -172,3 +221,10 @@ def quaternions(rotations: Floats) -> Floats:
 def place(node: Any, T: Floats) -> None:
     """Put a node of the page's scene at a pose."""
     node.wxyz, node.position = quaternions(T[:3, :3]), T[:3, 3]
+
+
+def light(scene: Any) -> None:
+    """Light the scene by lamps alone: surroundings mirrored in all surfaces would double the cost of drawing."""
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(cast_shadow=False)
+    scene.add_light_ambient("/light", intensity=AMBIENT)

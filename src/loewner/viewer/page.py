@@ -20,10 +20,13 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.errors import InputError, LoewnerError, MissingExtraError, PoseError
-from loewner.viewer.drawing import Rgb, place
+from loewner.queries import Verdict
+from loewner.viewer.drawing import Rgb, light, place
 
 # How often the page looks for what has changed from Python, in seconds.
 LOOK_EVERY = 0.1
+
+TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 
 BAD: Rgb = (119, 119, 119)
 
@@ -44,7 +47,14 @@ class Viewer:
         How many times the page has been brought up to date.
     seconds : float
         What the last time took.
+    verdict : Verdict
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
+    colliding : bool
+        The exact one; True where there is none.
     """
+
+    verdict: Verdict
+    colliding: bool
 
     def __init__(self, title: str, host: str, port: int) -> None:
         self.server = _serve(title, host, port)
@@ -55,7 +65,7 @@ class Viewer:
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="loewner viewer", daemon=True)
         self.server.scene.set_up_direction("+z")
-        self.server.scene.configure_default_lights(cast_shadow=False)  # they would cost a second drawing of everything
+        light(self.server.scene)
         self._verdict = self.server.gui.add_html("")
         try:
             self._build()
@@ -70,6 +80,7 @@ class Viewer:
     @property
     def url(self) -> str:
         """Address of the page, on this machine."""
+        self._check_open()
         host = "localhost" if self._host in ("127.0.0.1", "0.0.0.0", "") else self._host
         return f"http://{host}:{self.server.get_port()}"
 
@@ -90,17 +101,23 @@ class Viewer:
             self.close()
 
     def refresh(self) -> None:
-        """Bring the page up to date now."""
+        """Bring the page up to date now; InputError if it is closed."""
+        self._check_open()
         with self.lock:
             self._apply({})
 
     def __enter__(self) -> Self:
+        self._check_open()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     # -- for the two kinds of page ----------------------------------------------------------------
+
+    def _check_open(self) -> None:
+        if self._closed.is_set():
+            raise InputError("page: expected an open page, found a closed one; show_pair and show_robot open another")
 
     def _build(self) -> None:
         """Put everything on the page."""
@@ -134,6 +151,8 @@ class Viewer:
             self._verdict.content = content
 
     def _show_failure(self, error: Exception) -> None:
+        # Neither may the answers to Python: nothing is proven, and what is not known counts as colliding.
+        self.verdict, self.colliding = Verdict.AMBIGUOUS, True
         kind = "UNDECIDED" if isinstance(error, LoewnerError) else "ERROR"
         self._show_verdict(kind, BAD, [], [f"{type(error).__name__}: {error}", "Treat it as colliding."])
 
@@ -256,13 +275,21 @@ def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]
         f'<td data-loewner="{escape(key)}" style="font-variant-numeric:tabular-nums">{escape(text)}</td></tr>'
         for key, text in rows
     )
-    lines = "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
     return (
-        '<div style="padding:0.4em 0.8em;font-size:0.85em;line-height:1.5">'
+        f'<div style="{TEXT}">'
         f'<div role="status" data-loewner="verdict" style="background:rgb{colour};color:white;font-weight:700;'
         f'text-align:center;font-size:1.3em;border-radius:4px;margin-bottom:0.4em">{escape(name)}</div>'
-        f"<table>{cells}</table>{lines}</div>"
+        f"<table>{cells}</table>{_lines(notes)}</div>"
     )
+
+
+def note_lines(notes: list[str]) -> str:
+    """Lines of text as HTML; everything escaped."""
+    return f'<div style="{TEXT};overflow-wrap:anywhere">{_lines(notes)}</div>'
+
+
+def _lines(notes: list[str]) -> str:
+    return "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
 
 
 def _serve(title: str, host: str, port: int) -> Any:

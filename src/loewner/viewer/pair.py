@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
+from loewner import _check, meshes
 from loewner._check import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.viewer.drawing import LABELS, LAYERS, VERDICT_COLOURS, Drawing
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing
 from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, one_pose
 
 
@@ -23,6 +24,8 @@ def show_pair(
     T_world_b: ArrayLike | None,
     *,
     margin: float = 0.0,
+    mesh_a: Any = None,
+    mesh_b: Any = None,
     host: str = "127.0.0.1",
     port: int = 0,
     block: bool = False,
@@ -36,6 +39,9 @@ def show_pair(
         Where they are at first; translation in metres. None is the identity.
     margin : float
         Metres that the bodies must keep.
+    mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
+        What the bodies were made from, in their frames: a layer of its own, off at first, for it is the pieces that
+        are checked. A body without one shows its pieces in that layer.
     host : str
         Address to listen at. The default is seen by this machine alone; "0.0.0.0" lets others in, who may then move
         the bodies too.
@@ -54,8 +60,10 @@ def show_pair(
         If viser is not installed.
     InputError
         If an operand is no body, the margin is negative, or the port is taken; PoseError if a pose is no rigid motion.
+    FileError, GeometryError
+        If a mesh cannot be read.
     """
-    viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, host=host, port=port)
+    viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
     if block:
         viewer.wait()
     return viewer
@@ -67,15 +75,13 @@ class PairViewer(Viewer):
     Attributes
     ----------
     verdict : Verdict
-        The certified answer that the page shows.
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
-        The exact one.
+        The exact one; True where there is none.
     found : Distance
         Bounds, estimate, exact distance, near points and normal.
     """
 
-    verdict: Verdict
-    colliding: bool
     found: Distance
 
     def __init__(
@@ -86,6 +92,8 @@ class PairViewer(Viewer):
         T_world_b: ArrayLike | None,
         *,
         margin: float,
+        mesh_a: Any,
+        mesh_b: Any,
         host: str,
         port: int,
     ) -> None:
@@ -96,6 +104,9 @@ class PairViewer(Viewer):
                 raise InputError(f"{name}: expected a body with pieces, found an empty one")
         self.a, self.b = a, b
         self._margin = _check.positive_scalar(margin, "margin", zero=True)
+        self._meshes = {
+            name: None if mesh is None else meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b))
+        }
         self._first = {"A": one_pose(T_world_a, "T_world_a"), "B": one_pose(T_world_b, "T_world_b")}
         super().__init__("loewner: two bodies", host, port)
 
@@ -118,6 +129,7 @@ class PairViewer(Viewer):
         self._move("B", one_pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
+        self._check_open()
         with self.lock:
             self._movers[name].move(T)
             self._inputs[name].show(T)
@@ -134,13 +146,16 @@ class PairViewer(Viewer):
         self._size = float(np.linalg.norm(high - low))
         aim(self.server, low, high)
         with gui.add_folder("Show"):
-            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], True), "layers") for k in LAYERS}
+            offered = [k for k in LABELS if k != "meshes" or any(mesh is not None for mesh in self._meshes.values())]
+            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k != "meshes"), "layers") for k in offered}
             self._layers["near"] = self._watch(gui.add_checkbox("near points and normal", True), "layers")
         self._movers, self._inputs, self._drawings = {}, {}, {}
         for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
             reach = float(np.ptp(np.concatenate(body.outer.bounding_box()), axis=0).max())
             self._movers[name] = Mover(self, f"/{name}", name, T, 0.6 * reach)
-            self._drawings[name] = Drawing(scene, f"/{name}", body, VERDICT_COLOURS[Verdict.FREE], self._shown())
+            self._drawings[name] = Drawing(
+                scene, f"/{name}", body, VERDICT_COLOURS[Verdict.FREE], self._shown(), partial(self._meshes.get, name)
+            )
             with gui.add_folder(f"Body {name}"):
                 self._inputs[name] = PoseInputs(self, name, step=round(self._size / 1000, 4) or 1e-4)
                 self._inputs[name].show(T)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,20 @@ from loewner.errors import InputError
 from loewner.queries import Verdict
 from loewner.robots import Robot
 from loewner.scenes import Contact
-from loewner.viewer.drawing import LABELS, LAYERS, VERDICT_COLOURS, Drawing, Rgb, place, quaternions
-from loewner.viewer.page import Mover, PoseInputs, Viewer, aim
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Mesh, Rgb, add_mesh, place, quaternions
+from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines
+from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
 # Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
 TURN, TRAVEL = math.pi, 2.0
 
-# So many contacts are written out.
-MOST_CONTACTS = 12
+# So many contacts, and so many notes, are written out.
+MOST_LINES = 12
+
+# Links that are not checked are see-through.
+UNCHECKED = {"color": LINK, "opacity": 0.35, "side": "double"}
 
 NEUTRAL, OTHER, NOTHING = "neutral", "(other)", "(none)"
 
@@ -89,17 +94,15 @@ class RobotViewer(Viewer):
     ----------
     checker : CollisionChecker
     verdict : Verdict
-        The certified answer that the page shows.
+        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
-        The exact one.
+        The exact one; True where there is none.
     contacts : tuple of Contact
         Pairs that touch, or come within their margin.
     bounds : StateDistance
         Certified bounds on the distance of the nearest pair.
     """
 
-    verdict: Verdict
-    colliding: bool
     contacts: tuple[Contact, ...]
     bounds: StateDistance
 
@@ -116,6 +119,7 @@ class RobotViewer(Viewer):
             )
         self._seen = self._seen_structure = -1
         self._shown: dict[str, _Shown] = {}
+        self._unchecked: dict[str, Any] = {}
         self._numbers = 0
         self._draws = np.random.default_rng(0)
         super().__init__(f"loewner: {robot.name}", host, port)
@@ -127,6 +131,7 @@ class RobotViewer(Viewer):
 
     @q.setter
     def q(self, q: ArrayLike) -> None:
+        self._check_open()
         checked = _one_configuration(self.checker.robot, q)
         with self.lock:
             self._state.value = OTHER
@@ -135,6 +140,7 @@ class RobotViewer(Viewer):
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Move a body of the scene, and show it at once; as `Scene.move`."""
+        self._check_open()
         with self.lock:
             self.checker.scene.move(name, T_world_body)
             self.refresh()
@@ -144,7 +150,8 @@ class RobotViewer(Viewer):
     def _build(self) -> None:
         gui, robot = self.server.gui, self.checker.robot
         with gui.add_folder("Show"):
-            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LAYERS}
+            self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LABELS}
+            self._notes = gui.add_html("", visible=False)
         with gui.add_folder("Robot"):
             states = gui.add_dropdown("state", (OTHER, NEUTRAL, *robot.states), initial_value=OTHER)
             self._state = self._watch(states, "state")
@@ -190,13 +197,44 @@ class RobotViewer(Viewer):
             node = f"/robot/{link}{node}"
             handle = self.server.scene.add_frame(node, show_axes=False)
             place(handle, _identity_or(T_link_body))
-        drawing = Drawing(self.server.scene, node, body, colour, self._which())
+        look = None if link is None or T_link_body is not None else partial(self._look, name)
+        drawing = Drawing(self.server.scene, node, body, colour, self._which(), look or (lambda: None))
         if mover is not None:
             drawing.on_click(lambda _: self._tell("clicked", name))
         self._shown[name] = _Shown(body, drawing, colour, handle, link, T_link_body, mover)
 
     def _which(self) -> dict[str, bool]:
         return {name: box.value for name, box in self._layers.items()}
+
+    def _look(self, link: str) -> Mesh | None:
+        return self._visuals[0].get(link)
+
+    @cached_property
+    def _visuals(self) -> tuple[dict[str, Mesh], list[str]]:
+        """What the links look like; read when it is first to be shown, for it takes a while."""
+        return visual_meshes(self.checker.robot)
+
+    def _show_layers(self) -> None:
+        which = self._which()
+        for shown in self._shown.values():
+            shown.drawing.show(which)
+        if which["meshes"] and not self._unchecked:
+            self._show_unchecked()
+        for node in self._unchecked.values():
+            node.visible = which["meshes"]
+        self._notes.visible = which["meshes"] and bool(self._notes.content)
+
+    def _show_unchecked(self) -> None:
+        """Draw the links that have a look but no body, and say what of the looks is missing and what is not checked."""
+        robot, (looks, faults) = self.checker.robot, self._visuals
+        self._unchecked = {
+            name: add_mesh(self.server.scene, f"/robot/{robot.link_names.index(name)}/look", look, **UNCHECKED)
+            for name, look in looks.items() if name not in robot.bodies
+        }  # fmt: skip
+        notes = [f"{name}: drawn, but not checked, for it has no collision geometry" for name in self._unchecked]
+        if not looks and not faults:
+            notes.append("The URDF has no visual geometry.")
+        self._notes.content = note_lines(cut_short([*faults, *notes]))
 
     def _match_scene(self) -> None:
         """Add, remove and move what has changed in the scene since the last look."""
@@ -272,8 +310,7 @@ class RobotViewer(Viewer):
         if "type body" in done and self._chosen.value in scene.static_names and not dragged:
             scene.move(self._chosen.value, self._inputs.take())
         if "layers" in done:
-            for shown in self._shown.values():
-                shown.drawing.show(self._which())
+            self._show_layers()
         if "chosen" in done or "clicked" in done:
             self._show_chosen()
 
@@ -313,9 +350,14 @@ class RobotViewer(Viewer):
         lines = [
             f"{c.name_a} – {c.name_b}: " + (f"{-1e3 * c.distance:.3g} mm deep" if c.distance < 0 else
                                             f"{1e3 * c.distance:.3g} mm apart")
-            for c in deepest[:MOST_CONTACTS]
+            for c in deepest
         ]  # fmt: skip
-        return lines + ([f"and {len(deepest) - MOST_CONTACTS} more"] if len(deepest) > MOST_CONTACTS else [])
+        return cut_short(lines)
+
+
+def cut_short(lines: list[str]) -> list[str]:
+    """No more lines than the panel has room for."""
+    return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
 
 
 def _identity_or(T: Floats | None) -> Floats:

@@ -1,0 +1,46 @@
+"""What the links of a robot look like: the visual geometry of its URDF, which decides nothing."""
+
+from __future__ import annotations
+
+from loewner.descriptions import Shape, read_visuals
+from loewner.errors import LoewnerError
+from loewner.link_bodies import mesh_file, placed_mesh, primitive
+from loewner.robots import Robot
+from loewner.viewer.drawing import Mesh, joined, pieces
+
+
+def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
+    """Read the visual geometry of a robot's links.
+
+    Parameters
+    ----------
+    robot : Robot
+
+    Returns
+    -------
+    meshes : dict
+        Link name to vertices (v, 3) [m] and triangles (t, 3) in the frame of the link.
+    faults : list of str
+        Why some are missing: a picture is worth showing without them.
+    """
+    try:
+        shapes, faults = read_visuals(robot.urdf)
+    except LoewnerError as error:  # moved or overwritten since the robot was read
+        return {}, [str(error)]
+    meshes = {}
+    for link, looks in shapes.items():
+        parts = []
+        for shape in looks:
+            try:
+                parts.append(_triangles(shape, link, robot))
+            except LoewnerError as error:
+                faults.append(str(error))
+        if parts and link in robot.link_names:
+            meshes[link] = joined(parts)
+    return meshes, faults
+
+
+def _triangles(shape: Shape, link: str, robot: Robot) -> Mesh:
+    if shape.kind != "mesh":
+        return pieces(primitive(shape))
+    return placed_mesh(mesh_file(shape, link, robot.urdf, robot.package_dirs), shape)
