@@ -18,7 +18,7 @@ help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 6
 
 demo: $(VENV)/.demo
-	$(BIN)/python -m loewner compile
+	$(BIN)/python -m loewner compile --only verdicts fits robots
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev

@@ -133,8 +133,9 @@ def draw(a: loewner.Body, b: loewner.Body, poses: np.ndarray, verdicts: np.ndarr
     for k, verdict in enumerate((Verdict.FREE, Verdict.AMBIGUOUS, Verdict.COLLIDING)):
         of_kind = poses[verdicts == verdict]
         if len(of_kind):
-            near = np.argsort(loewner.distance(a, None, b, of_kind).lower)
-            plots.pair(a, None, b, of_kind[near[0]], ax=figure.add_subplot(1, 3, k + 1, projection="3d"))
+            near = np.linalg.norm(of_kind[:, :3, 3], axis=1).argmin()
+            ax = figure.add_subplot(1, 3, k + 1, projection="3d")
+            plots.pair(a, None, b, of_kind[near], ax=ax, near=False)
     return plots.save(figure, path)
 
 

@@ -111,9 +111,15 @@ def test_a_second_process_compiles_nothing():
 
 def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead says which part failed, and what the process said."""
-    monkeypatch.setattr(compilation, "_PARTS", {"no such part": None})
+    monkeypatch.setattr(compilation, "PARTS", ("no such part",))
     with pytest.raises(loewner.FileError, match="no such part could not be compiled(.|\n)*KeyError"):
-        compilation.compile_kernels()
+        compilation.compile_kernels(["no such part"])
+
+
+def test_an_unknown_part_is_told():
+    """The error names the parts that there are."""
+    with pytest.raises(loewner.UnknownNameError, match="distances, verdicts, fits, robots, found 'verdict'"):
+        compilation.compile_kernels(["verdict"])
 
 
 @pytest.mark.verify

@@ -382,9 +382,7 @@ class CollisionChecker:
         tuple of Contact
             With exact distance or depth, witness points and normal.
         """
-        checked = self.robot.checked(q, "q")
-        if checked.ndim != 1:
-            raise InputError(f"q: expected one configuration, shape ({self.robot.dof},), found {checked.shape}")
+        checked = self.robot.checked_one(q)
         ready = self._ready()
         T, meet = self._body_poses(ready, checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
         for margin in np.unique(ready.margins):

@@ -27,6 +27,7 @@ import loewner
 from loewner import _check as border
 from loewner._check import Floats
 from loewner._rotations import from_quaternion
+from loewner.compilation import PARTS, compile_kernels
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
 
 if TYPE_CHECKING:
@@ -168,6 +169,7 @@ def _parser() -> argparse.ArgumentParser:
     view.set_defaults(run=_view)
 
     compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
+    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="some of it (default: all)")
     compiling.set_defaults(run=_compile)
 
     paper = commands.add_parser("paper", help="the paper's experiment, its tables", epilog=PAPER_EXAMPLES, **raw)
@@ -274,11 +276,11 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> No
 
 
 def _compile(options: argparse.Namespace) -> int:
-    from loewner.compilation import compile_kernels
-
     with _progress() as bar:
         task = bar.add_task("compiling", total=None)
-        folder = compile_kernels(lambda done, total: bar.update(task, completed=done, total=total))
+        folder = compile_kernels(
+            options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
     print(f"compiled into {folder}")
     return 0
 

@@ -6,14 +6,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
 
 from loewner._kernels._jit import CACHE_FOLDER
-from loewner.errors import FileError
+from loewner.errors import FileError, UnknownNameError
 
 _ARM = """<robot name="arm">
   <link name="base"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
@@ -70,17 +70,20 @@ def _robots() -> None:
     loewner.CollisionChecker(robot, skip_adjacent=False).collide([[0.0], [5.0]])
 
 
-# The longest first. Each leaves out what another one compiles, so that no two do the same.
-_PARTS = {"distances": _distances, "verdicts": _verdicts, "robots": _robots, "fits": _fits}
+# The longest first; the last needs much of what the ones before compile.
+_PARTS = {"distances": _distances, "verdicts": _verdicts, "fits": _fits, "robots": _robots}
+PARTS = tuple(_PARTS)
 
 
-def compile_kernels(progress: Callable[[int, int], None] | None = None) -> Path:
-    """Compile all kernels for this machine now, in as many processes as it has cores.
+def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
+    """Compile kernels for this machine now, in as many processes as it has cores.
 
     What has been compiled before is only looked up, which takes some seconds.
 
     Parameters
     ----------
+    parts : iterable of str
+        Of "distances", "verdicts", "fits" and "robots"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
@@ -91,23 +94,31 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> Path:
 
     Raises
     ------
+    UnknownNameError
+        If there is no such part.
     FileError
         If a part cannot be compiled, or the folder not be written; with what the process said.
     """
+    wanted = set(parts)
+    if wanted - set(PARTS):
+        raise UnknownNameError(f"parts: expected some of {', '.join(PARTS)}, found {sorted(wanted - set(PARTS))[0]!r}")
+    chosen = [name for name in PARTS if name in wanted]
     done = 0
     with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
-        running = [pool.submit(_compile_apart, name) for name in _PARTS]
+        running = [pool.submit(_compile_apart, name) for name in chosen]
         for part in as_completed(running):
             part.result()
             done += 1
             if progress is not None:
-                progress(done, len(_PARTS))
+                progress(done, len(chosen))
     return CACHE_FOLDER
 
 
 def _compile_apart(name: str) -> None:
     """One part in a process of its own: Numba compiles one function at a time in each."""
-    command = [sys.executable, "-c", f"from loewner.compilation import _PARTS; _PARTS[{name!r}]()"]
+    # Numba makes millions of small objects that stay: looking through them for garbage takes a sixth of the time.
+    code = f"import gc; gc.set_threshold(200_000, 50, 100); from loewner.compilation import _PARTS; _PARTS[{name!r}]()"
+    command = [sys.executable, "-c", code]
     ran = subprocess.run(command, env={**os.environ, "LOEWNER_QUIET": "1"}, capture_output=True, text=True, check=False)
     if ran.returncode:
         raise FileError(f"{CACHE_FOLDER}: the kernels for {name} could not be compiled:\n{ran.stderr.strip()[-2000:]}")

@@ -96,7 +96,7 @@ def plan(
         raise InputError(f"seed: expected an integer from 0 to 2^32 - 2, found {seed!r}")
     make = _planner(planner)
     robot = _checker(checker).robot
-    q, goals = _one(robot, start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
+    q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_check.shape_text(np.shape(goal))}"
@@ -156,7 +156,7 @@ def space_information(
     """
     _ompl("base")
     robot = _checker(checker).robot
-    q = robot.configuration() if fixed is None else _one(robot, fixed, "fixed")
+    q = robot.configuration() if fixed is None else robot.checked_one(fixed, "fixed")
     return _Space.of(checker, joints, q, q[None], resolution).information()
 
 
@@ -360,15 +360,6 @@ def _checker(checker: Any) -> CollisionChecker:
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     return checker
-
-
-def _one(robot: Robot, q: ArrayLike, name: str) -> Floats:
-    checked = robot.checked(q, name)
-    if checked.ndim != 1:
-        raise InputError(
-            f"{name}: expected one configuration, shape ({robot.dof},), found {_check.shape_text(checked.shape)}"
-        )
-    return checked
 
 
 @cache

@@ -178,7 +178,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is none, or as for `CollisionChecker.pairs`.
+        If `checker` is none, or as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -191,8 +191,9 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     robot, scene = checker.robot, checker.scene
-    contacts = checker.pairs(q)
-    touching = {name for contact in contacts for name in (contact.name_a, contact.name_b)}
+    q = robot.checked_one(q)
+    meeting = [pair for pair, meets in zip(checker.checked_pairs, checker.collide_by_pair(q), strict=True) if meets]
+    touching = {name for pair in meeting for name in pair}
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q), strict=True))
     drawn = [(name, body, poses[name], COLOURS[0]) for name, body in robot.bodies.items()]
     drawn += [
@@ -204,8 +205,8 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
         curved = any(piece.triangles is None for piece in body.pieces)
         _draw(ax, body, T, COLLIDING if name in touching else colour, curved)
     _frame(ax, np.concatenate([_corners(body, T) for _, body, T, _ in drawn]))
-    pairs = "1 pair" if len(contacts) == 1 else f"{len(contacts)} pairs"
-    ax.set_title(f"colliding, {pairs}" if contacts else "free")
+    pairs = "1 pair" if len(meeting) == 1 else f"{len(meeting)} pairs"
+    ax.set_title(f"colliding, {pairs}" if meeting else "free")
     return ax
 
 

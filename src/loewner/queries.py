@@ -480,11 +480,15 @@ def distance(
         if len(left[0]):
             distances.measure_left(*left, *asked.operands[1:], *results[3:])
 
-    for _ in over_blocks(run, n, share(n, CHUNK)):
-        pass
+    if n <= CHUNK:
+        run(0, n)
+    else:
+        for _ in over_blocks(run, n, share(n, CHUNK)):
+            pass
     if exact:
         # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
-        np.clip(numbers[3], numbers[0], numbers[1], out=numbers[3])
+        lower, upper, _, value = numbers
+        np.maximum(lower, np.minimum(value, upper, out=value), out=value)
     _refuse_unsettled(status != 0, "distance")
 
     def shaped(x: Floats) -> Any:

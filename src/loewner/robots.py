@@ -394,6 +394,31 @@ class Robot:
                     raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
         return array if array.flags.carray else array.copy()  # read-only: to Numba another type
 
+    def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
+        """One configuration as kernels take it.
+
+        Parameters
+        ----------
+        q : array_like, shape (dof,)
+        name : str
+            What the caller calls it, for messages.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+            `q` itself where it can be.
+
+        Raises
+        ------
+        InputError
+            As for `checked`, or if there are several.
+        """
+        checked = self.checked(q, name)
+        if checked.ndim != 1:
+            found = _check.shape_text(checked.shape)
+            raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
+        return checked
+
     def configuration(self, values: Mapping[str, Any] | str | None = None) -> Floats:
         """One configuration, by names.
 

@@ -235,6 +235,29 @@ def nearness(p0, p1, p2, p3, p4, p5, q0, q1, q2, q3, q4, q5, x, y, z, nx, ny, nz
 
 
 @inline
+def shape_matrix(F):
+    """F Fᵀ of a factor, row by row."""
+    return (
+        F[0] * F[0] + F[1] * F[1] + F[2] * F[2],
+        F[0] * F[3] + F[1] * F[4] + F[2] * F[5],
+        F[0] * F[6] + F[1] * F[7] + F[2] * F[8],
+        F[3] * F[3] + F[4] * F[4] + F[5] * F[5],
+        F[3] * F[6] + F[4] * F[7] + F[5] * F[8],
+        F[6] * F[6] + F[7] * F[7] + F[8] * F[8],
+    )
+
+
+@inline
+def turned(r, x, y, z):
+    """R times a vector; R row by row, of which more may follow."""
+    return (
+        r[0] * x + r[1] * y + r[2] * z,
+        r[3] * x + r[4] * y + r[5] * z,
+        r[6] * x + r[7] * y + r[8] * z,
+    )
+
+
+@inline
 def rotated(r00, r01, r02, r10, r11, r12, r20, r21, r22, q0, q1, q2, q3, q4, q5):
     """R Q Rᵀ of a symmetric matrix."""
     t00, t01, t02 = times(q0, q1, q2, q3, q4, q5, r00, r01, r02)

@@ -27,7 +27,7 @@ Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its har
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.contact import UNIT_ROUNDOFF
+from loewner._kernels.contact import UNIT_ROUNDOFF, shape_matrix
 from loewner._kernels.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
 
 # Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
@@ -296,19 +296,6 @@ def boundary_depth(m0, m1, m2, x, y, z):
     return (least - t) * length, (w0 / length, w1 / length, w2 / length)
 
 
-@inline
-def _gram(F):
-    """F Fᵀ, upper triangle."""
-    return (
-        F[0] * F[0] + F[1] * F[1] + F[2] * F[2],
-        F[0] * F[3] + F[1] * F[4] + F[2] * F[5],
-        F[0] * F[6] + F[1] * F[7] + F[2] * F[8],
-        F[3] * F[3] + F[4] * F[4] + F[5] * F[5],
-        F[3] * F[6] + F[4] * F[7] + F[5] * F[8],
-        F[6] * F[6] + F[7] * F[7] + F[8] * F[8],
-    )
-
-
 @njit()
 def enclosing_depth(p, q, P, Q, c, V):
     """D(p, q): how deep c is in the ellipsoid with shape matrix p P + q Q, and the normal there."""
@@ -391,7 +378,7 @@ def global_minimum(FA, FB, c, n, size):
     if h <= 0.0 and slope <= STEEP * size:
         return n, h, h, slope
     V = np.eye(3)
-    P, Q = _gram(FA), _gram(FB)
+    P, Q = shape_matrix(FA), shape_matrix(FB)
     n, h, slope = _refined(FA, FB, P, Q, c, n, h, slope, size, V)
     if h <= 0.0:
         return n, h, h, slope
@@ -471,7 +458,7 @@ def least_height(wide_a, FA, wide_b, FB, c, n, size):
         return global_minimum(FA, FB, c, n, size)
     if wide_a or wide_b:
         # What is left has one minimum, or two that mirror each other.
-        P = _gram(FA if wide_a else FB)
+        P = shape_matrix(FA if wide_a else FB)
         _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
         n, h, slope = descend(FA, FB, c, n, size)
         return n, h, h, slope

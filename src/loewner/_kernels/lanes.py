@@ -34,6 +34,7 @@ from loewner._kernels.contact import (
     rotated,
     separation,
     times,
+    turned,
 )
 from loewner._kernels.rigid import is_rigid, is_rigid_single
 from loewner._kernels.shapes import (
@@ -103,21 +104,12 @@ def _turns(r):
 
 
 @inline
-def _turned(r, x, y, z):
-    return (
-        r[0] * x + r[1] * y + r[2] * z,
-        r[3] * x + r[4] * y + r[5] * z,
-        r[6] * x + r[7] * y + r[8] * z,
-    )
-
-
-@inline
 def _offset(a, turned_a, ax, ay, az, b, turned_b, bx, by, bz):
     """World vector from a's to b's point of their bodies; the translations are subtracted first."""
     if turned_a:
-        ax, ay, az = _turned(a, ax, ay, az)
+        ax, ay, az = turned(a, ax, ay, az)
     if turned_b:
-        bx, by, bz = _turned(b, bx, by, bz)
+        bx, by, bz = turned(b, bx, by, bz)
     return (b[9] - a[9]) + (bx - ax), (b[10] - a[10]) + (by - ay), (b[11] - a[11]) + (bz - az)
 
 
@@ -144,10 +136,10 @@ def _clear(x, y, z, radii, size, margin, unit):
 
 
 @inline
-def _shape(c, r, turned):
+def _shape(c, r, moved):
     """World shape matrices, and the two entries of the table behind them."""
     q = c[0], c[1], c[2], c[3], c[4], c[5]
-    if turned:
+    if moved:
         q = rotated(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], q[0], q[1], q[2], q[3], q[4], q[5])
     return q[0], q[1], q[2], q[3], q[4], q[5], c[6], c[7]
 

@@ -4,25 +4,12 @@ import math
 
 from loewner._kernels import near_points as near
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.contact import contact
+from loewner._kernels.contact import contact, shape_matrix
 
 # The polynomial coefficients of `contact` lose about tr(Q)³/det(Q) roundings. Below this relative error of F
 # its value stands, unless F is so close to 1 that the answer could still turn.
 TRUSTED_LOSS = 1e-10
 GRAZING = 1e-8
-
-
-@inline
-def _shape_matrix(F):
-    """F Fᵀ as six floats: xx, xy, xz, yy, yz, zz."""
-    return (
-        F[0] * F[0] + F[1] * F[1] + F[2] * F[2],
-        F[0] * F[3] + F[1] * F[4] + F[2] * F[5],
-        F[0] * F[6] + F[1] * F[7] + F[2] * F[8],
-        F[3] * F[3] + F[4] * F[4] + F[5] * F[5],
-        F[3] * F[6] + F[4] * F[7] + F[5] * F[8],
-        F[6] * F[6] + F[7] * F[7] + F[8] * F[8],
-    )
 
 
 @inline
@@ -47,7 +34,7 @@ def contact_of_pair(F1, F2, r):
     r : tuple of 3 float
         c2 - c1.
     """
-    P, Q = _shape_matrix(F1), _shape_matrix(F2)
+    P, Q = shape_matrix(F1), shape_matrix(F2)
     loss = max(_loss(P), _loss(Q))
     if loss <= TRUSTED_LOSS:
         # Lengths in units of E1's size keep the cubes of the determinants in range.

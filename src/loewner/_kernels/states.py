@@ -23,7 +23,7 @@ import numpy as np
 
 from loewner._kernels import lanes, trees
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.contact import POSITION_ROUNDINGS, SHAPE_ROUNDINGS, rotated
+from loewner._kernels.contact import POSITION_ROUNDINGS, SHAPE_ROUNDINGS, rotated, turned
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of, checking_of
 from loewner._kernels.kinematics import POSE, place_links, room
@@ -90,19 +90,10 @@ BY_PIECE_A, BY_PIECE_B = 0, 1
 
 
 @inline
-def _turned(R, x, y, z):
-    return (
-        R[0] * x + R[1] * y + R[2] * z,
-        R[3] * x + R[4] * y + R[5] * z,
-        R[6] * x + R[7] * y + R[8] * z,
-    )
-
-
-@inline
 def _place_piece(hot, p, R, t, S, at, numbers, rows):
     """Write the ellipsoids of piece p at eight configurations; returns center, reach and squared half widths."""
-    ox, oy, oz = _turned(R, hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])
-    ix, iy, iz = _turned(R, hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])
+    ox, oy, oz = turned(R, hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])
+    ix, iy, iz = turned(R, hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])
     ox, oy, oz, ix, iy, iz = ox + t[0], oy + t[1], oz + t[2], ix + t[0], iy + t[1], iz + t[2]
     k = OUTER_SHAPE
     P = rotated(
@@ -163,7 +154,7 @@ def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T,
             if piece_start[body + 1] - p > 1:
                 for other in range(p + 1, piece_start[body + 1]):
                     _place_piece(hot, other, R, t, S, at, numbers, rows)
-                x, y, z = _turned(R, ball[body, 0], ball[body, 1], ball[body, 2])
+                x, y, z = turned(R, ball[body, 0], ball[body, 1], ball[body, 2])
                 x, y, z = x + t[0], y + t[1], z + t[2]
                 reach = (magnitude(t[0]) + magnitude(t[1]) + magnitude(t[2]) + ball[body, 4]) * UP
                 wide = wide + OFF * reach

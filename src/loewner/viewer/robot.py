@@ -111,7 +111,7 @@ class RobotViewer(Viewer):
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         robot = checker.robot
         self.checker = checker
-        self._q = _one_configuration(robot, robot.configuration() if q is None else q)
+        self._q = np.array(robot.checked_one(robot.configuration() if q is None else q))
         if not checker.checked_pairs:
             raise InputError(
                 "checker: expected pairs to check, found none; the robot has "
@@ -132,7 +132,7 @@ class RobotViewer(Viewer):
     @q.setter
     def q(self, q: ArrayLike) -> None:
         self._check_open()
-        checked = _one_configuration(self.checker.robot, q)
+        checked = np.array(self.checker.robot.checked_one(q))
         with self.lock:
             self._state.value = OTHER
             self._set_configuration(checked)
@@ -362,13 +362,6 @@ def cut_short(lines: list[str]) -> list[str]:
 
 def _identity_or(T: Floats | None) -> Floats:
     return np.eye(4) if T is None else T
-
-
-def _one_configuration(robot: Robot, q: ArrayLike) -> Floats:
-    checked = robot.checked(q, "q")
-    if checked.ndim != 1:
-        raise InputError(f"q: expected one configuration, shape ({robot.dof},), found {checked.shape}")
-    return np.array(checked)
 
 
 def _slider_ends(robot: Robot) -> tuple[list[float], list[float]]:
