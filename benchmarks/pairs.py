@@ -19,8 +19,8 @@ from rivals import CoalLoop, CoalPython, FclPython, Missing, Settings, all_setti
 from samples import Array, Pairs, clearance, paper_pairs, poses, repeated_pairs, world_vertices
 
 COUNT, QUICK = 100_000, 2_000
-# Pairs that one call at a time from Python gets; the times are per pair.
-FROM_PYTHON = 5_000
+# Pairs that one call at a time from Python gets, and pairs of ellipsoids; the times are per pair.
+FROM_PYTHON, ELLIPSOIDS = 20_000, 5_000
 # Pairs on which the ways to ask Coal are first compared, and how many of the fastest then run on all pairs.
 TRIAL, FINALISTS = 2_000, 4
 # The data that the required ratios are about, and the same with every hull turned; the others' ratios are shown beside.
@@ -147,7 +147,7 @@ def contests(p: Pairs, colliding: Array) -> list[Contest]:
 
 def ellipsoid_contests(p: Pairs) -> list[Contest]:
     """Distance and depth of the outer ellipsoids themselves, on the first pairs."""
-    some = p.part(slice(0, FROM_PYTHON))
+    some = p.part(slice(0, ELLIPSOIDS))
     placed = [
         (Bodies([Body.ellipsoid(s) for s in E.semi_axes]), poses(E.rotation, E.center))
         for E in (p.bodies.outer[some.a].transformed(some.Ta), p.bodies.outer[some.b].transformed(some.Tb))
