@@ -2,7 +2,7 @@
 
 A `Scene` is what changes between two questions: bodies are added, moved, grasped and put down by name. The bodies
 themselves never change, so all of this costs dictionary entries; nothing is fitted again. A scene knows no robot.
-Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`Scene.foreign_names`).
+Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`CollisionChecker`).
 """
 
 from __future__ import annotations
@@ -354,7 +354,8 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was.
+            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was. Translation in
+            metres; None is the identity.
 
         Raises
         ------
@@ -468,14 +469,6 @@ class Scene:
             return self._margins[pair]
         return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
 
-    @property
-    def foreign_names(self) -> frozenset[str]:
-        """Names in attachments, allowed pairs and margins that are no bodies here: they must be links of the robot."""
-        named = {name for names in (*self._allowed, *self._margins) for name in names}
-        for attachment in self._attachments.values():
-            named.update(attachment.touch_links)
-        return frozenset(named.difference(self._bodies))
-
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self) -> tuple[Contact, ...]:
@@ -555,8 +548,9 @@ class Scene:
     # -- names --------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        self._version += 1
+        # In this order: who has read the new version has the new structure as well.
         self._structure_version += 1
+        self._version += 1
 
     def _known(self, name: Any) -> str:
         if not isinstance(name, str) or name not in self._bodies:

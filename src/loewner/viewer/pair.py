@@ -62,6 +62,15 @@ def show_pair(
         If an operand is no body, the margin is negative, or the port is taken; PoseError if a pose is no rigid motion.
     FileError, GeometryError
         If a mesh cannot be read.
+
+    Examples
+    --------
+    >>> from loewner import viewer
+    >>> T = [[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> page = viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), T)
+    >>> page.url.startswith("http://localhost:"), page.verdict.name  # to be opened in a browser
+    (True, 'FREE')
+    >>> page.close()
     """
     viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
     if block:
@@ -80,6 +89,14 @@ class PairViewer(Viewer):
         The exact one; True where there is none.
     found : Distance
         Bounds, estimate, exact distance, near points and normal.
+
+    Examples
+    --------
+    >>> from loewner import viewer
+    >>> with viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), None) as page:
+    ...     page.T_world_b = [[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]  # moves it on the page
+    ...     page.verdict.name, round(page.found.distance, 9)
+    ('FREE', 1.0)
     """
 
     found: Distance
