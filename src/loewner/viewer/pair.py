@@ -30,7 +30,7 @@ def show_pair(
     port: int = 0,
     block: bool = False,
 ) -> PairViewer:
-    """Open a page that shows two bodies and their verdict while they are moved.
+    """Open a page that shows two bodies and their verdict while they are moved; viser prints its address.
 
     Parameters
     ----------

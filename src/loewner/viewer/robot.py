@@ -69,7 +69,7 @@ def show_robot(
     Examples
     --------
     >>> from loewner import viewer
-    >>> page = viewer.show_robot(CollisionChecker(Robot.from_urdf("arm.urdf"), skip_adjacent=False), [1.0, 1.57])
+    >>> page = viewer.show_robot(CollisionChecker(Robot.from_urdf("arm.urdf")), [1.0, 1.57])
     >>> page.url.startswith("http://localhost:"), page.verdict.name  # to be opened in a browser
     (True, 'FREE')
     >>> page.close()
