@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, queries
 from loewner._check import Floats
 from loewner._kernels import states, verdicts
-from loewner._threads import over_blocks, share
+from loewner._threads import in_shares
 from loewner.bodies import Bodies, Ints
 from loewner.checked_pairs import CheckedPairs, prepared
 from loewner.errors import ConvergenceError, InputError
@@ -444,11 +444,7 @@ class CollisionChecker:
         def run(first: int, last: int) -> None:
             states.check_states(mode, first, last, flat, _NO_FRACTIONS, pack, ready.handle, out, tiers, ready.hits)
 
-        if total <= LEAST_SHARE:
-            run(0, total)
-        else:
-            for _ in over_blocks(run, total, share(total, LEAST_SHARE)):
-                pass
+        in_shares(run, total, LEAST_SHARE)
         self._learn(ready, total)
         if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):

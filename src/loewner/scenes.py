@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from loewner import _check, crowds, queries
 from loewner._check import Floats
 from loewner.bodies import Bodies, Body, Ints
-from loewner.errors import InputError, PoseError
+from loewner.errors import InputError
 from loewner.queries import Distance
 
 Pair = tuple[str, str]
@@ -257,7 +257,7 @@ class Scene:
             raise InputError(f"name: expected a new name, found {name!r}, which the scene has already; remove it first")
         if not isinstance(body, Body):
             raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
-        T = _pose(T_world_body, f"T_world_body of {name!r}")
+        T = _check.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _check.positive_scalar(margin, f"margin of {name!r}", zero=True)
         self._bodies[name] = body
         self._poses[name] = T
@@ -306,7 +306,7 @@ class Scene:
             moves = name
         else:
             moves = {name: T_world_body}
-        checked = {self._placed(key): _pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        checked = {self._placed(key): _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
         self._poses.update(checked)
         self._version += 1
 
@@ -341,7 +341,7 @@ class Scene:
         touching = {link, *touch_links}
         for touched in touching:
             _check_name(touched, "touch_links")
-        T = _pose(T_link_body, f"T_link_body of {name!r}")
+        T = _check.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
         self._poses.pop(name, None)
@@ -364,7 +364,7 @@ class Scene:
         """
         if self._known(name) not in self._attachments:
             raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
-        self._poses[name] = _pose(T_world_body, f"T_world_body of {name!r}")
+        self._poses[name] = _check.pose(T_world_body, f"T_world_body of {name!r}")
         del self._attachments[name]
         self._changed()
 
@@ -584,11 +584,3 @@ def _pair(a: Any, b: Any) -> Pair:
 
 def _text(pair: Pair) -> str:
     return f"({pair[0]}, {pair[1]})"
-
-
-def _pose(T: ArrayLike | None, name: str) -> Floats:
-    """One rigid motion, as an array of our own."""
-    checked = _check.poses(T, name)
-    if checked.shape != (4, 4):
-        raise PoseError(f"{name}: expected shape (4, 4), found {_check.shape_text(checked.shape)}")
-    return checked.copy()

@@ -14,7 +14,7 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing
-from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, one_pose
+from loewner.viewer.page import Mover, PoseInputs, Viewer, aim
 
 
 def show_pair(
@@ -124,7 +124,7 @@ class PairViewer(Viewer):
         self._meshes = {
             name: None if mesh is None else meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b))
         }
-        self._first = {"A": one_pose(T_world_a, "T_world_a"), "B": one_pose(T_world_b, "T_world_b")}
+        self._first = {"A": _check.pose(T_world_a, "T_world_a"), "B": _check.pose(T_world_b, "T_world_b")}
         super().__init__("loewner: two bodies", host, port)
 
     @property
@@ -134,7 +134,7 @@ class PairViewer(Viewer):
 
     @T_world_a.setter
     def T_world_a(self, T: ArrayLike | None) -> None:
-        self._move("A", one_pose(T, "T_world_a"))
+        self._move("A", _check.pose(T, "T_world_a"))
 
     @property
     def T_world_b(self) -> Floats:
@@ -143,7 +143,7 @@ class PairViewer(Viewer):
 
     @T_world_b.setter
     def T_world_b(self, T: ArrayLike | None) -> None:
-        self._move("B", one_pose(T, "T_world_b"))
+        self._move("B", _check.pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
         self._check_open()
