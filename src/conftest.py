@@ -48,6 +48,14 @@ PROBLEMS = {
 }
 
 
+@pytest.fixture(autouse=True, scope="session")
+def no_greetings():
+    """Keep viser's greetings out of what examples print; its threads say goodbye as late as in the next example."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("rich.print", lambda *_, **__: None)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def folder_of_examples(tmp_path, monkeypatch):
     """Run each docstring's examples in a folder of its own."""

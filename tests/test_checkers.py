@@ -485,6 +485,26 @@ def test_a_checker_survives_its_original(bodies, tmp_path):
     assert ran.stdout.strip() == "".join(str(int(x)) for x in expected)
 
 
+class ChangedMeanwhile(Scene):
+    """As if another thread forbade a pair while a checker prepares the pairs."""
+
+    def margin_of(self, a, b):
+        for pair in self.allowed:
+            self.forbid(*pair)
+        return super().margin_of(a, b)
+
+
+def test_what_changes_while_pairs_are_prepared_is_noticed_the_next_time(tmp_path):
+    scene = ChangedMeanwhile()
+    for name in ("o", "p"):
+        scene.add(name, Body.sphere(1.0), at(100.0 if name == "p" else 0.0))
+    scene.allow("l1", "o")
+    checker = CollisionChecker(slider(tmp_path), scene)
+    assert not checker.collide([0.0])  # as the scene was
+    assert not scene.allowed
+    assert checker.collide([0.0])
+
+
 def test_no_answers_of_another_scene_or_robot(bodies, tmp_path):
     """What was prepared is never asked about another scene, nor about the same robot on another base."""
     robot = arm(tmp_path, bodies[0])

@@ -165,7 +165,6 @@ def test_attached_bodies_leave_the_world(scene):
     held = scene.attachments["near"]
     assert (held.link, held.touch_links) == ("hand", ("hand", "left_finger", "right_finger"))
     np.testing.assert_array_equal(held.T_link_body, at(z=0.1))
-    assert scene.foreign_names == {"hand", "left_finger", "right_finger"}
     for ask in (
         lambda: scene.move("near", at(1)),
         lambda: scene.pose("near"),
@@ -182,13 +181,6 @@ def test_attached_bodies_leave_the_world(scene):
     assert met(scene) == [("box", "near")]
     with pytest.raises(InputError, match="'near': expected an attached body"):
         scene.detach("near", at())
-
-
-def test_names_in_rules_that_are_no_bodies_are_foreign(scene):
-    scene.allow("box", "base")
-    scene.set_margin(0.1, "hand")
-    scene.set_margin(0.1, "near", "far")
-    assert scene.foreign_names == {"base", "hand"}
 
 
 def test_many_bodies_move_at_once_or_not_at_all(scene):

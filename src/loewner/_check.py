@@ -5,6 +5,7 @@ Everything past this module may assume finite float64 in C order and rigid poses
 
 import difflib
 import math
+import operator
 import os
 import sys
 from collections.abc import Iterable
@@ -67,7 +68,6 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
         fits = all(want is None or want == have for want, have in zip(tail, array.shape[-len(tail) :], strict=True))
     if not fits:
         raise InputError(f"{name}: expected shape {shape_text(shape)}, found {shape_text(array.shape)}")
-    # One reduction is quicker than isfinite().all() on small arrays; a NaN or inf survives a sum times zero.
     if array.size and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InputError(f"{name}: expected finite numbers, found {array[where]} at index {where}")
@@ -89,9 +89,13 @@ def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
 
 def whole_number(x: Any, name: str, least: int) -> int:
     """Check an integer that is not below `least`."""
-    if not isinstance(x, (int, np.integer)) or x < least:
+    try:
+        value = operator.index(x)
+    except TypeError:
+        value = least - 1
+    if isinstance(x, bool) or value < least:
         raise InputError(f"{name}: expected an integer >= {least}, found {x!r}")
-    return int(x)
+    return value
 
 
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
@@ -146,6 +150,14 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     if check:
         rigid_motions(array, name)
     return array
+
+
+def pose(T: ArrayLike | None, name: str) -> Floats:
+    """Check one rigid motion, shape (4, 4); ``None`` is the identity. The array returned is the caller's own."""
+    checked = poses(T, name)
+    if checked.shape != (4, 4):
+        raise PoseError(f"{name}: expected shape (4, 4), found {shape_text(checked.shape)}")
+    return checked.copy()
 
 
 def rigid_motions(T: Floats, name: str) -> None:

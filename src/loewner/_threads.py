@@ -32,6 +32,13 @@ def share(total: int, least: int) -> int:
     return max(least, -(-total // (4 * numba.get_num_threads())))
 
 
+def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
+    """What run(first, last) returns over shares of 0..total, of `least` or more; if that is one, on this thread."""
+    if total <= least:
+        return [run(0, total)]
+    return list(over_blocks(run, total, share(total, least)))
+
+
 def over_blocks(
     run: Callable[[int, int], T], total: int, block: int, progress: Callable[[int, int], None] | None = None
 ) -> Iterator[T]:

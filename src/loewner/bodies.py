@@ -100,11 +100,6 @@ class Packed:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
         return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
 
-    @property
-    def factors(self) -> tuple[Floats, Floats]:
-        """Factors of the inner and the outer ellipsoids, for the rules that need more than shape matrices."""
-        return self.inner_factor, self.outer_factor
-
     # Set in __post_init__: the arrays of `loewner._kernels.shapes`, in order, and their handle.
     kernel: Any = field(init=False)
     handle_table: Any = field(init=False)
@@ -610,10 +605,7 @@ class Body(_Bodies):
         >>> Body.sphere(1.0).transformed(T).outer.center
         array([[5., 0., 0.]])
         """
-        P = _check.poses(T, "T")
-        if P.shape != (4, 4):
-            raise InputError(f"T: expected shape (4, 4), found {_check.shape_text(P.shape)}")
-        return Body(_moved(self._packed, P), self.covering)
+        return Body(_moved(self._packed, _check.pose(T, "T")), self.covering)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.

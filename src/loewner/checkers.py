@@ -1,7 +1,7 @@
 """Is a robot free in a scene: at one configuration, at a million, along motions.
 
-A `CollisionChecker` prepares a robot and a scene once: which pairs of bodies can meet at all, and the arrays that the
-kernel walks through (`loewner._kernels.states`). It notices when the scene changes.
+A `CollisionChecker` has a robot and a scene prepared once (`loewner.checked_pairs`), asks the kernel
+(`loewner._kernels.states`), and notices when the scene changes.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, queries
 from loewner._check import Floats
-from loewner._kernels import handles, kinematics, rigid, shapes, states, verdicts
-from loewner._kernels.contact import SHAPE_ROUNDINGS
-from loewner._threads import over_blocks, share
-from loewner.bodies import Bodies, Ints, Packed
-from loewner.errors import ConvergenceError, InputError, UnknownNameError
+from loewner._kernels import states, verdicts
+from loewner._threads import in_shares
+from loewner.bodies import Bodies, Ints
+from loewner.checked_pairs import CheckedPairs, prepared
+from loewner.errors import ConvergenceError, InputError
 from loewner.queries import Verdict
 from loewner.robots import Robot
 from loewner.scenes import Contact, Pair, Scene
@@ -41,15 +41,8 @@ MOST_STEPS = 2**24
 # Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
 BY_PAIR = 1024
 
-# Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
-STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
-
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
-
-# Of the arrays that the kernel takes (`handles.checking_of`): the order of pairs; and the first of the three about
-# bodies that stand still, which change with their poses.
-ORDER, STANDING = 10, 11
 
 _OPEN = int(Verdict.AMBIGUOUS)
 _NO_FRACTIONS = np.empty(0)
@@ -133,24 +126,6 @@ class Settled:
         return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """What a kernel takes, and what it was made of."""
-
-    version: int
-    structure_version: int
-    names: tuple[str, ...]
-    bodies: Bodies
-    moving: int
-    pairs: Ints
-    margins: Floats
-    arrays: tuple[Any, ...]
-    # Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
-    hits: NDArray[np.int64]
-    table: NDArray[np.int64]
-    handle: int = 0
-
-
 class CollisionChecker:
     """Checks configurations of a robot for collisions with itself and with a scene.
 
@@ -224,7 +199,7 @@ class CollisionChecker:
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
-        self._prepared: _Prepared | None = None
+        self._prepared: CheckedPairs | None = None
         self._sides: tuple[Bodies, Bodies, Bodies] | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
@@ -384,7 +359,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked_one(q)
         ready = self._ready()
-        T, meet = self._body_poses(ready, checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
+        T, meet = ready.poses(checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
         for margin in np.unique(ready.margins):
             at = ready.margins == margin
             meet[at] = queries.collide(ready.bodies, T, ready.bodies, T, margin=float(margin), pairs=ready.pairs[at])
@@ -414,7 +389,7 @@ class CollisionChecker:
         flat = _flat(checked)
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
         for k in range(0, len(flat), BY_PAIR):
-            T = self._body_poses(ready, flat[k : k + BY_PAIR])
+            T = ready.poses(flat[k : k + BY_PAIR])
             for p, (a, b) in enumerate(ready.pairs.tolist()):
                 one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
                 out[k : k + BY_PAIR, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
@@ -469,11 +444,7 @@ class CollisionChecker:
         def run(first: int, last: int) -> None:
             states.check_states(mode, first, last, flat, _NO_FRACTIONS, pack, ready.handle, out, tiers, ready.hits)
 
-        if total <= LEAST_SHARE:
-            run(0, total)
-        else:
-            for _ in over_blocks(run, total, share(total, LEAST_SHARE)):
-                pass
+        in_shares(run, total, LEAST_SHARE)
         self._learn(ready, total)
         if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
@@ -510,9 +481,9 @@ class CollisionChecker:
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
         return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
 
-    def _settle_with_care(self, ready: _Prepared, q: Floats) -> int:
+    def _settle_with_care(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, pair by pair."""
-        T = self._body_poses(ready, q[None])[0]
+        T = ready.poses(q[None])[0]
         open_pairs = []
         for p, (a, b) in enumerate(ready.pairs):
             try:
@@ -529,100 +500,30 @@ class CollisionChecker:
             )
         return int(Verdict.FREE)
 
-    def _learn(self, ready: _Prepared, count: int) -> None:
+    def _learn(self, ready: CheckedPairs, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
             self._next_look = 2 * self._seen
-            self._prepared = _ordered(ready)
+            self._prepared = ready.ordered()
 
-    def _ready(self) -> _Prepared:
+    def _ready(self) -> CheckedPairs:
         """What the kernel takes, made anew if the scene has changed."""
-        ready, scene = self._prepared, self.scene
-        if ready is not None and ready.version == scene.version:
+        # Read before all else: whatever another thread changes meanwhile is then noticed the next time.
+        ready, scene, version = self._prepared, self._scene, self._scene.version
+        if ready is not None and ready.version == version:
             return ready
         if ready is None or ready.structure_version != scene.structure_version:
-            ready = self._prepare()
+            ready = prepared(self._robot, scene, self._skipped, version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
-            ready = _with_poses(ready, scene)
+            ready = ready.placed(scene, version)
         self._prepared = ready
         return ready
 
-    def _prepare(self) -> _Prepared:
-        robot, scene = self.robot, self.scene
-        version, structure_version = scene.version, scene.structure_version
-        self._check_names()
-        links = {name: k for k, name in enumerate(robot.link_names)}
-        attached = scene.attachments
-        moving = [(name, links[name], body) for name, body in robot.bodies.items()]
-        moving += [
-            (name, links[held.link], scene[name].transformed(held.T_link_body)) for name, held in attached.items()
-        ]
-        moving = [entry for entry in moving if entry[2]._packed.piece_start[-1] > 0]
-        names = (*(name for name, _, _ in moving), *scene.static_names)
-        bodies = Bodies([*(body for _, _, body in moving), *(scene[name] for name in scene.static_names)])
-        link = np.array([number for _, number, _ in moving], dtype=np.int64)
-        # Links that are rigidly joined are one thing; its number is that of its first link.
-        parent, kind = robot.tree[0], robot.tree[1]
-        thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))
-        pairs, margins = [], []
-        may_touch = self._allowed_pairs()
-        for a in range(len(moving)):
-            for b in range(a + 1, len(names)):
-                rigid = b < len(moving) and thing[link[a]] == thing[link[b]]
-                if not rigid and frozenset((names[a], names[b])) not in may_touch:
-                    pairs.append((a, b))
-                    margins.append(self._margin(names[a], names[b]))
-        balls = np.array([_ball(bodies, k) for k in range(len(moving))]).reshape(-1, 5)
-        arrays = (
-            *robot.tree, link, balls, np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(margins, dtype=float),
-            np.arange(len(pairs)),
-        )  # fmt: skip
-        ready = _Prepared(
-            version, structure_version, names, bodies, len(moving), arrays[8], arrays[9], arrays,
-            np.zeros(len(pairs), dtype=np.int64), np.zeros(0, dtype=np.int64),
-        )  # fmt: skip
-        return _with_poses(ready, scene)
-
-    def _check_names(self) -> None:
-        robot, scene = self.robot, self.scene
-        links, all_names = robot.link_names, (*scene.names, *robot.link_names)
-        for body, held in scene.attachments.items():
-            if held.link not in links:
-                raise _check.unknown_name(f"link in attach of {body!r}", held.link, links)
-            for name in held.touch_links:
-                if name not in all_names:
-                    raise _check.unknown_name(f"touch link in attach of {body!r}", name, links)
-        for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
-            for name in (name for names in sorted(named) for name in names):
-                if name not in all_names:
-                    raise _check.unknown_name(f"body or link in {place}", name, all_names)
-        for name in scene.names:
-            if name in robot.link_names:
-                raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
-
-    def _allowed_pairs(self) -> set[frozenset[str]]:
-        held = self.scene.attachments.items()
-        touching = {frozenset((name, link)) for name, how in held for link in how.touch_links}
-        return {frozenset(pair) for pair in self._skipped | self.scene.allowed} | touching
-
-    def _margin(self, a: str, b: str) -> float:
-        if a in self.scene or b in self.scene:
-            return self.scene.margin_of(a, b)
-        margins = self.scene.margins
-        own = margins.get((min(a, b), max(a, b)))
-        return own if own is not None else max(margins.get((a,), 0.0), margins.get((b,), 0.0))
-
-    def _body_poses(self, ready: _Prepared, Q: Floats) -> Floats:
-        """Poses of all bodies in the world, shape (N, bodies, 4, 4)."""
-        link, standing = ready.arrays[6], ready.arrays[13].reshape(-1, 4, 4)
-        moving = self.robot.forward_kinematics(Q)[:, link]
-        return np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
-
-    def _distances(self, ready: _Prepared, Q: Floats, exact: bool) -> tuple[Any, ...]:
+    def _distances(self, ready: CheckedPairs, Q: Floats, exact: bool) -> tuple[Any, ...]:
         """Columns of a `StateDistance` for some configurations."""
-        T = self._body_poses(ready, Q)
+        T = ready.poses(Q)
         a, b = ready.pairs[:, 0], ready.pairs[:, 1]
         sides = self._sides
         if sides is None or sides[0] is not ready.bodies:
@@ -728,125 +629,6 @@ def _no_distances(exact: bool) -> list[Any]:
     return (
         [empty, empty, empty, np.empty((0, 2), "U1"), *(np.empty((0, 3)) for _ in range(3))] if exact else [empty] * 2
     )
-
-
-def _ball(bodies: Bodies, k: int) -> tuple[float, ...]:
-    """Center and radius of a ball about all pieces of a body, and the farthest it reaches from the origin."""
-    packed = bodies._packed
-    first, last = packed.piece_start[k], packed.piece_start[k + 1]
-    table = packed.kernel[0][first:last]
-    centers = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
-    # The kernel takes the center of a single piece to be that of its outer ellipsoid.
-    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
-    away = [_farthest(bodies, p, middle) for p in range(first, last)]
-    radius = max(away) * STRETCH
-    return (*middle, radius, (np.linalg.norm(middle) + radius) * STRETCH)
-
-
-def _farthest(bodies: Bodies, p: int, center: Floats) -> float:
-    """Upper bound on the distance of the points of a piece from a center, for bodies that are not stretched."""
-    packed = bodies._packed
-    row = packed.kernel[0][p]
-    bound = np.linalg.norm(row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3] - center) + row[shapes.OUTER_RADIUS]
-    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
-        corners = packed.points[packed.layout[p, shapes.POINTS_FROM] : packed.layout[p, shapes.POINTS_TO]]
-        bound = min(bound, np.linalg.norm(corners - center, axis=1).max())
-    return float(bound)
-
-
-def _with_poses(ready: _Prepared, scene: Scene) -> _Prepared:
-    """The same with the bodies that stand still where the scene has them now."""
-    # Read before the poses: whatever another thread moves meanwhile is then noticed the next time.
-    version = scene.version
-    packed, first = ready.bodies._packed, ready.moving
-    poses = scene.static_poses
-    start = packed.piece_start[first:]
-    flat = np.ascontiguousarray(poses.reshape(-1, 16))
-    if len(ready.arrays) > STANDING:
-        # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
-        standing, rows = (array.copy() for array in ready.arrays[STANDING : STANDING + 2])
-        moved = np.flatnonzero((flat != ready.arrays[STANDING + 2]).any(axis=1))
-    else:
-        standing = np.zeros((len(poses), states.BOUNDS), dtype=np.float32)
-        rows = np.empty((start[-1] - start[0], shapes.HOT), dtype=np.float32)
-        moved = np.arange(len(poses))
-    for k in moved:
-        T = poses[k]
-        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-        for p in range(start[k], start[k + 1]):
-            row = _placed_row(packed.kernel[4][p], T)
-            rows[p - start[0]] = _single(row)
-            least, most = _box(packed, p, T, row)
-            lower, upper = np.minimum(lower, least), np.maximum(upper, most)
-        reach = packed.kernel[0][start[k] : start[k + 1], shapes.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
-        off = 2 * states.OFF * reach + states.LEAST
-        center, half = (lower + upper) / 2, (upper - lower) / 2 + off
-        ball = max((_far_from(packed, p, T, center) for p in range(start[k], start[k + 1])), default=0.0)
-        wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
-        standing[k, :7] = _single(np.array((*center, wide, *(half * STRETCH))))
-    now = replace(ready, version=version)
-    return _with_arrays(now, (*ready.arrays[:STANDING], standing, rows, flat))
-
-
-def _ordered(ready: _Prepared) -> _Prepared:
-    """The same with the pairs that hit most often first."""
-    arrays = (*ready.arrays[:ORDER], np.argsort(-ready.hits, kind="stable"), *ready.arrays[ORDER + 1 :])
-    return _with_arrays(ready, arrays)
-
-
-def _with_arrays(ready: _Prepared, arrays: tuple[Any, ...]) -> _Prepared:
-    table = handles.table_of(arrays)
-    return replace(ready, arrays=arrays, table=table, handle=table.ctypes.data)
-
-
-# Entries of a symmetric matrix in the order of the kernels, and back.
-_UPPER = np.triu_indices(3)
-_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-
-
-def _placed_row(hot: Floats, T: Floats) -> Floats:
-    """The ellipsoids of a piece in world coordinates, as a row of the certificate."""
-    R, t = T[:3, :3], T[:3, 3]
-    row = hot.copy()
-    for at in (shapes.OUTER_CENTER, shapes.INNER_CENTER):
-        row[at : at + 3] = R @ hot[at : at + 3] + t
-    for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
-        row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
-    row[shapes.REACH] += np.abs(t).sum()
-    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
-    return row
-
-
-def _single(rows: Floats) -> NDArray[np.float32]:
-    """The same in single precision; what is too large is infinite there, and certifies nothing."""
-    with np.errstate(over="ignore"):
-        return rows.astype(np.float32)
-
-
-def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
-    """Corners of a box along the axes of the world about a placed piece, up to rounding."""
-    center = row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
-    Q = row[[shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]]
-    half = np.sqrt(Q + SHAPE_ROUNDINGS * Q.sum())
-    least, most = center - half, center + half
-    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
-        corners = _corners(packed, p, T)
-        least, most = np.maximum(least, corners.min(axis=0)), np.minimum(most, corners.max(axis=0))
-    return least, most
-
-
-def _far_from(packed: Packed, p: int, T: Floats, center: Floats) -> float:
-    """Distance of the farthest point of a placed piece from a point of the world, or more."""
-    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
-        return float(np.linalg.norm(_corners(packed, p, T) - center, axis=1).max())
-    row = packed.kernel[0][p]
-    middle = T[:3, :3] @ row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3] + T[:3, 3]
-    return float(np.linalg.norm(middle - center) + row[shapes.OUTER_RADIUS])
-
-
-def _corners(packed: Packed, p: int, T: Floats) -> Floats:
-    points = packed.points[packed.layout[p, shapes.POINTS_FROM] : packed.layout[p, shapes.POINTS_TO]]
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
 # -- motions ----------------------------------------------------------------------------------

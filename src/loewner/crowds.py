@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import batch, boxtree, careful, verdicts
-from loewner._threads import over_blocks, share
+from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Ints, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -79,7 +79,7 @@ def overlapping_pairs(
         return _settled(MODES[method], keep, first, last, tree, steps, operands)
 
     leaves = -(-n // boxtree.WIDE)
-    keys = np.concatenate(list(over_blocks(settled, leaves, share(leaves, CHUNK // boxtree.WIDE))))
+    keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxtree.WIDE))
     keys.sort()
     return np.stack(np.divmod(keys, n), axis=1)
 
@@ -108,8 +108,7 @@ def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tu
     def box(first: int, last: int) -> None:
         boxtree.bounds(first, last, *steps, operands[0].kernel, operands[1], lower, upper)
 
-    for _ in over_blocks(box, n, share(n, CHUNK)):
-        pass
+    in_shares(box, n, CHUNK)
     order = boxtree.ordered(lower, upper)
     return (*boxtree.grown(lower, upper, order), order)
 

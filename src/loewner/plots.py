@@ -84,7 +84,7 @@ def body(
     """
     if not isinstance(body, Body):
         raise InputError(f"body: expected loewner.Body, found {type(body).__name__}")
-    T = _one_pose(T_world_body, "T_world_body")
+    T = _check.pose(T_world_body, "T_world_body")
     ax = _axes() if ax is None else ax
     _draw(ax, body, T, colour, ellipsoids)
     _frame(ax, _corners(body, T))
@@ -138,7 +138,7 @@ def pair(
     for operand, name in ((a, "a"), (b, "b")):
         if not isinstance(operand, Body):
             raise InputError(f"{name}: expected loewner.Body, found {type(operand).__name__}")
-    Ta, Tb = _one_pose(T_world_a, "T_world_a"), _one_pose(T_world_b, "T_world_b")
+    Ta, Tb = _check.pose(T_world_a, "T_world_a"), _check.pose(T_world_b, "T_world_b")
     ax = _axes() if ax is None else ax
     _draw(ax, a, Ta, COLOURS[0], ellipsoids)
     _draw(ax, b, Tb, COLOURS[1], ellipsoids)
@@ -494,13 +494,6 @@ def _counted(x: Any, name: str) -> tuple[int, int]:
     if right > total:
         raise InputError(f"{name}: expected right <= asked, found {right} of {total}")
     return right, total
-
-
-def _one_pose(T: ArrayLike | None, name: str) -> Floats:
-    P = _check.poses(T, name)
-    if P.shape != (4, 4):
-        raise InputError(f"{name}: expected shape (4, 4), found {_check.shape_text(P.shape)}")
-    return P
 
 
 def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None:

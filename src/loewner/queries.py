@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import batch, careful, distances, verdicts
-from loewner._threads import over_blocks, share
+from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -109,6 +110,12 @@ class _Pairs(NamedTuple):
         """Plan, pack and poses of a, pack and poses of b, as the kernels of distances take them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, a.kernel, Ta, b.kernel, Tb
+
+    @property
+    def factors(self) -> tuple[Floats, ...]:
+        """Factors of the inner and outer ellipsoids of a, then of b, for the rules that need more than `operands`."""
+        a, b = self.packs
+        return a.inner_factor, a.outer_factor, b.inner_factor, b.outer_factor
 
     @property
     def handles(self) -> tuple[Any, ...]:
@@ -239,10 +246,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
                 _check.rigid_motions(T, name)
         return tally
 
-    if pairs.total <= CHUNK:
-        tally = run(0, pairs.total)
-    else:
-        tally = np.sum(list(over_blocks(run, pairs.total, share(pairs.total, CHUNK))), axis=0)
+    tally = reduce(np.add, in_shares(run, pairs.total, CHUNK))
     if mode == verdicts.EXACT and tally[verdicts.OPEN]:
         careful.settle_open(margin, pairs.plan, pairs.rows, *pairs.operands[1:], out)
     return out, tally
@@ -378,29 +382,25 @@ def collide(
         _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
     else:
         out, _ = _settle(verdicts.CERTIFY, keep, asked)
-        _estimate(code, keep, a, b, asked, out)
+        _estimate(code, keep, asked, out)
     colliding = out == Verdict.COLLIDING
     return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
 
 
-def _estimate(rule: int, margin: float, a: Body | Bodies, b: Body | Bodies, pairs: _Pairs, out: Any) -> None:
+def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
     """Let a rule decide the pairs that `out` has as AMBIGUOUS."""
-    factors = a._packed.factors + b._packed.factors
     if pairs.rows.shape[1]:
         # The rules do not take lists: hand them copies of the few that are open.
         open_pairs = np.flatnonzero(out == Verdict.AMBIGUOUS)
-        some = _copied(pairs, open_pairs)
-        found = np.full(len(open_pairs), Verdict.AMBIGUOUS, dtype=np.int8)
-        factors = some.packs[0].factors + some.packs[1].factors
-        distances.rule_range(rule, margin, 0, len(open_pairs), *some.operands, factors, found)
+        found = out[open_pairs]
+        _estimate(rule, margin, _copied(pairs, open_pairs), found)
         out[open_pairs] = found
         return
 
     def run(first: int, last: int) -> None:
-        distances.rule_range(rule, margin, first, last, *pairs.operands, factors, out)
+        distances.rule_range(rule, margin, first, last, *pairs.operands, pairs.factors, out)
 
-    for _ in over_blocks(run, pairs.total, share(pairs.total, CHUNK)):
-        pass
+    in_shares(run, pairs.total, CHUNK)
 
 
 def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
@@ -472,19 +472,14 @@ def distance(
     numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
     vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
     status = np.zeros(m, dtype=np.int8)
-    factors = asked.packs[0].factors + asked.packs[1].factors
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        left = distances.distance_range(exact, code, first, last, *asked.operands, factors, *results)
+        left = distances.distance_range(exact, code, first, last, *asked.operands, asked.factors, *results)
         if len(left[0]):
             distances.measure_left(*left, *asked.operands[1:], *results[3:])
 
-    if n <= CHUNK:
-        run(0, n)
-    else:
-        for _ in over_blocks(run, n, share(n, CHUNK)):
-            pass
+    in_shares(run, n, CHUNK)
     if exact:
         # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
         lower, upper, _, value = numbers

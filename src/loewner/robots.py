@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import kinematics
-from loewner._threads import over_blocks, share
+from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
 from loewner.descriptions import VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
@@ -246,9 +246,7 @@ class Robot:
         >>> robot.forward_kinematics(robot.configuration())[0, :3, 3]
         array([0., 0., 5.])
         """
-        T = _check.poses(T_world_base, "T_world_base")
-        if T.shape != (4, 4):
-            raise InputError(f"T_world_base: expected shape (4, 4), found {_check.shape_text(T.shape)}")
+        T = _check.pose(T_world_base, "T_world_base")
         constants = self.tree[5].copy()
         on_base = np.flatnonzero(self.tree[0] < 0)
         R, t = T[:3, :3], T[:3, 3]
@@ -351,10 +349,7 @@ class Robot:
         _check.fits_memory(count * links * 128, f"{count} configurations of {links} links")
         flat = checked.reshape(count, self.dof)
         out = np.empty((count, links, 4, 4))
-        for _ in over_blocks(
-            lambda i, j: kinematics.forward(self.tree, flat, i, j, out), count, share(count, LEAST_SHARE)
-        ):
-            pass
+        in_shares(lambda first, last: kinematics.forward(self.tree, flat, first, last, out), count, LEAST_SHARE)
         return out.reshape(*batch, links, 4, 4)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
@@ -386,12 +381,11 @@ class Robot:
             where = f"{name}[{', '.join(map(str, row))}]" if row else name
             found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
             raise InputError(f"{where}: expected finite numbers, found {found}")
-        for joint, at in self._columns.items():
-            if at.stop - at.start == len(VALUES["floating"]):
-                norm = np.linalg.norm(array[..., at.start + 3 : at.stop], axis=-1)
-                if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
-                    worst = norm.flat[np.abs(norm - 1).argmax()]
-                    raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
+        for joint, quaternion in self._quaternions.items():
+            norm = np.linalg.norm(array[..., quaternion], axis=-1)
+            if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
+                worst = norm.flat[np.abs(norm - 1).argmax()]
+                raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
         return array if array.flags.carray else array.copy()  # read-only: to Numba another type
 
     def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
@@ -451,9 +445,8 @@ class Robot:
         if values is not None and not isinstance(values, Mapping):
             raise InputError(f"values: expected a dict by names of joints or the name of a state, found {values!r}")
         q = np.zeros(self.dof)
-        for at in self._columns.values():
-            if at.stop - at.start == len(VALUES["floating"]):
-                q[at.start + 3] = 1.0
+        for quaternion in self._quaternions.values():
+            q[quaternion.start] = 1.0
         places = {name: slice(i, i + 1) for i, name in enumerate(self.configuration_names)} | self._columns
         for name, value in (values or {}).items():
             if name in self._mimics:
@@ -502,10 +495,9 @@ class Robot:
         lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
         upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(np.pi, lower + 2 * np.pi))
         Q = rng.uniform(lower, upper, (n, self.dof))
-        for at in self._columns.values():
-            if at.stop - at.start == len(VALUES["floating"]):
-                quaternion = rng.normal(size=(n, 4))
-                Q[:, at.start + 3 : at.stop] = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+        for quaternion in self._quaternions.values():
+            drawn = rng.normal(size=(n, 4))
+            Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         return Q
 
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
@@ -532,7 +524,7 @@ class Robot:
             return math.dist(a.tolist(), b.tolist())
         with np.errstate(over="ignore"):
             squares = np.square(b - a)
-            for quaternion in self._quaternions:
+            for quaternion in self._quaternions.values():
                 # Half the chord to the nearer of q and -q is the sine of a quarter of the angle.
                 p, q = np.broadcast_arrays(a[..., quaternion], b[..., quaternion])
                 chord = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
@@ -568,7 +560,7 @@ class Robot:
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
-        for quaternion in self._quaternions:
+        for quaternion in self._quaternions.values():
             p, q = a[..., quaternion], b[..., quaternion]
             cosine = (p * q).sum(axis=-1, keepdims=True)
             q, cosine = np.where(cosine < 0, -q, q), np.minimum(np.abs(cosine), 1.0)
@@ -583,10 +575,12 @@ class Robot:
         return np.ascontiguousarray(Q)
 
     @cached_property
-    def _quaternions(self) -> tuple[slice, ...]:
+    def _quaternions(self) -> dict[str, slice]:
         """Columns of the orientations of floating joints."""
         width = len(VALUES["floating"])
-        return tuple(slice(at.start + 3, at.stop) for at in self._columns.values() if at.stop - at.start == width)
+        return {
+            joint: slice(at.start + 3, at.stop) for joint, at in self._columns.items() if at.stop - at.start == width
+        }
 
 
 # -- from the description -----------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 A `Scene` is what changes between two questions: bodies are added, moved, grasped and put down by name. The bodies
 themselves never change, so all of this costs dictionary entries; nothing is fitted again. A scene knows no robot.
-Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`Scene.foreign_names`).
+Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`CollisionChecker`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from loewner import _check, crowds, queries
 from loewner._check import Floats
 from loewner.bodies import Bodies, Body, Ints
-from loewner.errors import InputError, PoseError
+from loewner.errors import InputError
 from loewner.queries import Distance
 
 Pair = tuple[str, str]
@@ -257,7 +257,7 @@ class Scene:
             raise InputError(f"name: expected a new name, found {name!r}, which the scene has already; remove it first")
         if not isinstance(body, Body):
             raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
-        T = _pose(T_world_body, f"T_world_body of {name!r}")
+        T = _check.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _check.positive_scalar(margin, f"margin of {name!r}", zero=True)
         self._bodies[name] = body
         self._poses[name] = T
@@ -306,7 +306,7 @@ class Scene:
             moves = name
         else:
             moves = {name: T_world_body}
-        checked = {self._placed(key): _pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        checked = {self._placed(key): _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
         self._poses.update(checked)
         self._version += 1
 
@@ -341,7 +341,7 @@ class Scene:
         touching = {link, *touch_links}
         for touched in touching:
             _check_name(touched, "touch_links")
-        T = _pose(T_link_body, f"T_link_body of {name!r}")
+        T = _check.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
         self._poses.pop(name, None)
@@ -354,7 +354,8 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was.
+            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was. Translation in
+            metres; None is the identity.
 
         Raises
         ------
@@ -363,7 +364,7 @@ class Scene:
         """
         if self._known(name) not in self._attachments:
             raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
-        self._poses[name] = _pose(T_world_body, f"T_world_body of {name!r}")
+        self._poses[name] = _check.pose(T_world_body, f"T_world_body of {name!r}")
         del self._attachments[name]
         self._changed()
 
@@ -468,14 +469,6 @@ class Scene:
             return self._margins[pair]
         return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
 
-    @property
-    def foreign_names(self) -> frozenset[str]:
-        """Names in attachments, allowed pairs and margins that are no bodies here: they must be links of the robot."""
-        named = {name for names in (*self._allowed, *self._margins) for name in names}
-        for attachment in self._attachments.values():
-            named.update(attachment.touch_links)
-        return frozenset(named.difference(self._bodies))
-
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self) -> tuple[Contact, ...]:
@@ -555,8 +548,9 @@ class Scene:
     # -- names --------------------------------------------------------------------------------
 
     def _changed(self) -> None:
-        self._version += 1
+        # In this order: who has read the new version has the new structure as well.
         self._structure_version += 1
+        self._version += 1
 
     def _known(self, name: Any) -> str:
         if not isinstance(name, str) or name not in self._bodies:
@@ -590,11 +584,3 @@ def _pair(a: Any, b: Any) -> Pair:
 
 def _text(pair: Pair) -> str:
     return f"({pair[0]}, {pair[1]})"
-
-
-def _pose(T: ArrayLike | None, name: str) -> Floats:
-    """One rigid motion, as an array of our own."""
-    checked = _check.poses(T, name)
-    if checked.shape != (4, 4):
-        raise PoseError(f"{name}: expected shape (4, 4), found {_check.shape_text(checked.shape)}")
-    return checked.copy()

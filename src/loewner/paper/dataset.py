@@ -8,14 +8,13 @@ Uniform radius with the unit vector gives the paper's share of collisions and it
 
 from __future__ import annotations
 
-import operator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from loewner import _check
 from loewner._check import Floats
-from loewner.errors import InputError, UnknownNameError
+from loewner.errors import UnknownNameError
 
 POINTS_PER_BODY = 20
 LARGEST_SHIFT = 2.0  # metres
@@ -85,7 +84,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     >>> np.array_equal(small.points_2, large.points_2[:5])
     True
     """
-    n, seed = whole_number(pairs, "pairs", 1), whole_number(seed, "seed", 0)
+    n, seed = _check.whole_number(pairs, "pairs", 1), _check.whole_number(seed, "seed", 0)
     if dataset not in DATA_SETS:
         raise UnknownNameError(f"dataset: expected one of {', '.join(DATA_SETS)}, found {dataset!r}")
     # One row of numbers per pair, whatever the number of pairs.
@@ -104,14 +103,3 @@ def _points_in_ball(uniform: Floats, dataset: str) -> Floats:
     across = np.sqrt(1.0 - z * z)
     points: Floats = radius[..., None] * np.stack([across * np.cos(longitude), across * np.sin(longitude), z], axis=-1)
     return points
-
-
-def whole_number(x: Any, name: str, least: int) -> int:
-    """Check an integer that is at least `least`."""
-    try:
-        value = operator.index(x)
-    except TypeError:
-        raise InputError(f"{name}: expected a whole number, found {x!r}") from None
-    if isinstance(x, bool) or value < least:
-        raise InputError(f"{name}: expected a whole number >= {least}, found {x!r}")
-    return value

@@ -16,10 +16,9 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
-from loewner.errors import InputError, LoewnerError, MissingExtraError, PoseError
+from loewner.errors import InputError, LoewnerError, MissingExtraError
 from loewner.queries import Verdict
 from loewner.viewer.drawing import Rgb, light, place
 
@@ -249,14 +248,6 @@ class PoseInputs:
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         self.position.value = tuple(np.round(T[:3, 3], 5).tolist())
         self.turn.value = tuple(np.round(turn, 3).tolist())
-
-
-def one_pose(T: Any, name: str) -> Floats:
-    """One checked pose, as an array of our own."""
-    checked = _check.poses(T, name)
-    if checked.shape != (4, 4):
-        raise PoseError(f"{name}: expected shape (4, 4), found {_check.shape_text(checked.shape)}")
-    return np.array(checked)
 
 
 def aim(server: Any, low: Floats, high: Floats) -> None:

@@ -14,7 +14,7 @@ from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing
-from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, one_pose
+from loewner.viewer.page import Mover, PoseInputs, Viewer, aim
 
 
 def show_pair(
@@ -30,7 +30,7 @@ def show_pair(
     port: int = 0,
     block: bool = False,
 ) -> PairViewer:
-    """Open a page that shows two bodies and their verdict while they are moved.
+    """Open a page that shows two bodies and their verdict while they are moved; viser prints its address.
 
     Parameters
     ----------
@@ -62,6 +62,15 @@ def show_pair(
         If an operand is no body, the margin is negative, or the port is taken; PoseError if a pose is no rigid motion.
     FileError, GeometryError
         If a mesh cannot be read.
+
+    Examples
+    --------
+    >>> from loewner import viewer
+    >>> T = [[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    >>> page = viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), T)
+    >>> page.url.startswith("http://localhost:"), page.verdict.name  # to be opened in a browser
+    (True, 'FREE')
+    >>> page.close()
     """
     viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
     if block:
@@ -80,6 +89,14 @@ class PairViewer(Viewer):
         The exact one; True where there is none.
     found : Distance
         Bounds, estimate, exact distance, near points and normal.
+
+    Examples
+    --------
+    >>> from loewner import viewer
+    >>> with viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), None) as page:
+    ...     page.T_world_b = [[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]  # moves it on the page
+    ...     page.verdict.name, round(page.found.distance, 9)
+    ('FREE', 1.0)
     """
 
     found: Distance
@@ -107,7 +124,7 @@ class PairViewer(Viewer):
         self._meshes = {
             name: None if mesh is None else meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b))
         }
-        self._first = {"A": one_pose(T_world_a, "T_world_a"), "B": one_pose(T_world_b, "T_world_b")}
+        self._first = {"A": _check.pose(T_world_a, "T_world_a"), "B": _check.pose(T_world_b, "T_world_b")}
         super().__init__("loewner: two bodies", host, port)
 
     @property
@@ -117,7 +134,7 @@ class PairViewer(Viewer):
 
     @T_world_a.setter
     def T_world_a(self, T: ArrayLike | None) -> None:
-        self._move("A", one_pose(T, "T_world_a"))
+        self._move("A", _check.pose(T, "T_world_a"))
 
     @property
     def T_world_b(self) -> Floats:
@@ -126,7 +143,7 @@ class PairViewer(Viewer):
 
     @T_world_b.setter
     def T_world_b(self, T: ArrayLike | None) -> None:
-        self._move("B", one_pose(T, "T_world_b"))
+        self._move("B", _check.pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
         self._check_open()

@@ -65,6 +65,14 @@ def show_robot(
         If viser is not installed.
     InputError
         If the configuration does not fit, there is nothing to check, or the port is taken.
+
+    Examples
+    --------
+    >>> from loewner import viewer
+    >>> page = viewer.show_robot(CollisionChecker(Robot.from_urdf("arm.urdf")), [1.0, 1.57])
+    >>> page.url.startswith("http://localhost:"), page.verdict.name  # to be opened in a browser
+    (True, 'FREE')
+    >>> page.close()
     """
     viewer = RobotViewer(checker, q, host=host, port=port)
     if block:
@@ -101,6 +109,19 @@ class RobotViewer(Viewer):
         Pairs that touch, or come within their margin.
     bounds : StateDistance
         Certified bounds on the distance of the nearest pair.
+
+    Examples
+    --------
+    >>> from loewner import Scene, viewer
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> with viewer.show_robot(CollisionChecker(Robot.from_urdf("arm.urdf"), scene)) as page:
+    ...     page.q = [1.0, 1.57]  # moves the robot on the page: the cart is in the post
+    ...     print([(contact.name_a, contact.name_b) for contact in page.contacts])
+    ...     page.move("post", [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    ...     print(page.contacts)
+    [('cart', 'post')]
+    ()
     """
 
     contacts: tuple[Contact, ...]
@@ -139,7 +160,22 @@ class RobotViewer(Viewer):
             self.refresh()
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
-        """Move a body of the scene, and show it at once; as `Scene.move`."""
+        """Move a body of the scene, and show it at once.
+
+        Parameters
+        ----------
+        name : str
+            A body that stands in the world.
+        T_world_body : array_like, shape (4, 4), or None
+            The new pose; translation in metres. None is the identity.
+
+        Raises
+        ------
+        InputError
+            If the page is closed, or the body is attached to a link: it moves with the link.
+        UnknownNameError, PoseError
+            As for `Scene.move`.
+        """
         self._check_open()
         with self.lock:
             self.checker.scene.move(name, T_world_body)

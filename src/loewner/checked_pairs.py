@@ -1,0 +1,296 @@
+"""Which pairs of a robot and a scene can meet at all, and the arrays about them that the kernel walks through.
+
+What costs time and stands still between two questions is done here, once: names, pairs, margins, balls about what
+moves, bounds and ellipsoids in world coordinates of what stands. `CollisionChecker` asks about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _check
+from loewner._check import Floats
+from loewner._kernels import handles, kinematics, rigid, shapes, states
+from loewner._kernels.contact import SHAPE_ROUNDINGS
+from loewner.bodies import Bodies, Ints, Packed
+from loewner.errors import UnknownNameError
+from loewner.robots import Robot
+from loewner.scenes import Pair, Scene
+
+# Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
+STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
+
+# Entries of a symmetric matrix in the order of the kernels, and back.
+_UPPER = np.triu_indices(3)
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedPairs:
+    """The pairs to check, at one state of the scene, and what the kernel takes; made by `prepared`.
+
+    Attributes
+    ----------
+    robot : Robot
+    version, structure_version : int
+        Of the scene that this belongs to.
+    names : tuple of str
+        Of all bodies: those that move with links first, then those that stand in the world.
+    bodies : Bodies
+        The same, packed; what moves in the frame of its link.
+    link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
+        See `handles.checking_of`.
+    hits : ndarray of int64, shape (pairs,)
+        Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
+    handle : int
+        The arrays, for the kernel; good for as long as this lives.
+    """
+
+    robot: Robot
+    version: int
+    structure_version: int
+    names: tuple[str, ...]
+    bodies: Bodies
+    link: Ints
+    balls: Floats
+    pairs: Ints
+    margins: Floats
+    order: Ints
+    standing: NDArray[np.float32]
+    standing_rows: NDArray[np.float32]
+    standing_poses: Floats
+    hits: Ints
+    handle: int = field(init=False)
+    _table: Ints = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        arrays = (
+            *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order,
+            self.standing, self.standing_rows, self.standing_poses,
+        )  # fmt: skip
+        table = handles.table_of(arrays)
+        object.__setattr__(self, "_table", table)
+        object.__setattr__(self, "handle", table.ctypes.data)
+
+    def ordered(self) -> CheckedPairs:
+        """The same with the pairs that hit most often first."""
+        return replace(self, order=np.argsort(-self.hits, kind="stable"))
+
+    def placed(self, scene: Scene, version: int) -> CheckedPairs:
+        """The same with the bodies that stand still where the scene has them now.
+
+        Parameters
+        ----------
+        scene : Scene
+            With the bodies and rules that this was prepared from.
+        version : int
+            The scene's, read before anything else of it was.
+        """
+        packed, poses = self.bodies._packed, scene.static_poses
+        start = packed.piece_start[len(self.link) :]
+        flat = np.ascontiguousarray(poses.reshape(-1, 16))
+        # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
+        standing, rows = self.standing.copy(), self.standing_rows.copy()
+        for k in np.flatnonzero((flat != self.standing_poses).any(axis=1)):
+            placed = [_placed_row(packed.kernel[4][p], poses[k]) for p in range(start[k], start[k + 1])]
+            for p, row in enumerate(placed, start[k] - start[0]):
+                rows[p] = _single(row)
+            standing[k, :7] = _single(_bounds(packed, start[k], placed, poses[k]))
+        return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
+
+    def poses(self, Q: Floats) -> Floats:
+        """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""
+        moving = self.robot.forward_kinematics(Q)[:, self.link]
+        standing = self.standing_poses.reshape(-1, 4, 4)
+        return np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
+
+
+def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) -> CheckedPairs:
+    """Prepare all pairs that can meet and may not touch.
+
+    Parameters
+    ----------
+    robot : Robot
+    scene : Scene
+    skipped : iterable of pairs of str
+        Links that may touch, besides what the scene allows.
+    version : int
+        The scene's, read before anything else of it was.
+
+    Raises
+    ------
+    UnknownNameError
+        If the scene names a link that the robot does not have, or a body as one of its links.
+    """
+    structure_version = scene.structure_version
+    _check_names(robot, scene)
+    names, bodies, link = _bodies(robot, scene)
+    pairs = _pairs(robot, names, link, _allowed_pairs(scene, skipped))
+    start = bodies._packed.piece_start[len(link) :]
+    count = len(start) - 1
+    unplaced = CheckedPairs(
+        robot, version, structure_version, names, bodies, link,
+        balls=np.array([_ball(bodies._packed, k) for k in range(len(link))]).reshape(-1, 5),
+        pairs=pairs,
+        margins=_margins(scene, [(names[a], names[b]) for a, b in pairs.tolist()]),
+        order=np.arange(len(pairs)),
+        standing=np.zeros((count, states.BOUNDS), dtype=np.float32),
+        standing_rows=np.zeros((start[-1] - start[0], shapes.HOT), dtype=np.float32),
+        standing_poses=np.full((count, 16), np.nan),  # differs from every pose
+        hits=np.zeros(len(pairs), dtype=np.int64),
+    )  # fmt: skip
+    return unplaced.placed(scene, version)
+
+
+# -- names and pairs --------------------------------------------------------------------------
+
+
+def _check_names(robot: Robot, scene: Scene) -> None:
+    links, all_names = robot.link_names, (*scene.names, *robot.link_names)
+    for body, held in scene.attachments.items():
+        if held.link not in links:
+            raise _check.unknown_name(f"link in attach of {body!r}", held.link, links)
+        for name in held.touch_links:
+            if name not in all_names:
+                raise _check.unknown_name(f"touch link in attach of {body!r}", name, links)
+    for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
+        for name in (name for names in sorted(named) for name in names):
+            if name not in all_names:
+                raise _check.unknown_name(f"body or link in {place}", name, all_names)
+    for name in scene.names:
+        if name in robot.link_names:
+            raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
+
+
+def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], Bodies, Ints]:
+    """Names and bodies, those that move first; and the link that each of these moves with."""
+    links = {name: k for k, name in enumerate(robot.link_names)}
+    moving = [(name, links[name], body) for name, body in robot.bodies.items()]
+    moving += [
+        (name, links[held.link], scene[name].transformed(held.T_link_body)) for name, held in scene.attachments.items()
+    ]
+    moving = [entry for entry in moving if entry[2]._packed.piece_start[-1] > 0]
+    standing = scene.static_names
+    bodies = Bodies([*(body for _, _, body in moving), *(scene[name] for name in standing)])
+    link = np.array([number for _, number, _ in moving], dtype=np.int64)
+    return (*(name for name, _, _ in moving), *standing), bodies, link
+
+
+def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]:
+    touching = {frozenset((name, link)) for name, held in scene.attachments.items() for link in held.touch_links}
+    return {frozenset(pair) for pair in (*skipped, *scene.allowed)} | touching
+
+
+def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[frozenset[str]]) -> Ints:
+    """Pairs of bodies, as places in `names`, the first of which moves."""
+    # Links that are rigidly joined are one thing; its number is that of its first link.
+    parent, kind = robot.tree[0], robot.tree[1]
+    thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))[link].tolist()
+    pairs = [
+        (a, b)
+        for a in range(len(link))
+        for b in range(a + 1, len(names))
+        if not (b < len(link) and thing[a] == thing[b]) and frozenset((names[a], names[b])) not in may_touch
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _margins(scene: Scene, named: list[Pair]) -> Floats:
+    """What each pair keeps, metres; the scene's own margin is none of two links."""
+    own = scene.margins
+
+    def margin(a: str, b: str) -> float:
+        if a in scene or b in scene:
+            return scene.margin_of(a, b)
+        of_pair = own.get((min(a, b), max(a, b)))
+        return of_pair if of_pair is not None else max(own.get((a,), 0.0), own.get((b,), 0.0))
+
+    return np.array([margin(a, b) for a, b in named], dtype=float)
+
+
+# -- bounds and rows --------------------------------------------------------------------------
+
+
+def _ball(packed: Packed, k: int) -> tuple[float, ...]:
+    """Center and radius of a ball about all pieces of a body, and the farthest it reaches from the origin."""
+    first, last = packed.piece_start[k], packed.piece_start[k + 1]
+    centers = packed.kernel[0][first:last, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    # The kernel takes the center of a single piece to be that of its outer ellipsoid.
+    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+    radius = max(_farthest(packed, p, np.eye(4), middle) for p in range(first, last)) * STRETCH
+    return (*middle, radius, (np.linalg.norm(middle) + radius) * STRETCH)
+
+
+def _bounds(packed: Packed, first: int, placed: list[Floats], T: Floats) -> Floats:
+    """Center of a box along the axes of the world about a placed body, radius of a ball about it, half the box's sides.
+
+    Parameters
+    ----------
+    packed : Packed
+    first : int
+        The body's first piece.
+    placed : list of ndarray
+        `_placed_row` of each of its pieces.
+    T : ndarray, shape (4, 4)
+        Where it stands.
+    """
+    last = first + len(placed)
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    for p, row in enumerate(placed, first):
+        least, most = _box(packed, p, T, row)
+        lower, upper = np.minimum(lower, least), np.maximum(upper, most)
+    reach = packed.kernel[0][first:last, shapes.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
+    off = 2 * states.OFF * reach + states.LEAST
+    center, half = (lower + upper) / 2, (upper - lower) / 2 + off
+    ball = max((_farthest(packed, p, T, center) for p in range(first, last)), default=0.0)
+    wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
+    return np.array((*center, wide, *(half * STRETCH)))
+
+
+def _placed_row(hot: Floats, T: Floats) -> Floats:
+    """The ellipsoids of a piece in world coordinates, as a row of the certificate."""
+    R, t = T[:3, :3], T[:3, 3]
+    row = hot.copy()
+    for at in (shapes.OUTER_CENTER, shapes.INNER_CENTER):
+        row[at : at + 3] = R @ hot[at : at + 3] + t
+    for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
+        row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
+    row[shapes.REACH] += np.abs(t).sum()
+    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
+    return row
+
+
+def _single(rows: Floats) -> NDArray[np.float32]:
+    """The same in single precision; what is too large is infinite there, and certifies nothing."""
+    with np.errstate(over="ignore"):
+        return rows.astype(np.float32)
+
+
+def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
+    """Corners of a box along the axes of the world about a placed piece, up to rounding."""
+    center = row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    Q = row[[shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]]
+    half = np.sqrt(Q + SHAPE_ROUNDINGS * Q.sum())
+    least, most = center - half, center + half
+    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
+        corners = _corners(packed, p, T)
+        least, most = np.maximum(least, corners.min(axis=0)), np.minimum(most, corners.max(axis=0))
+    return least, most
+
+
+def _farthest(packed: Packed, p: int, T: Floats, center: Floats) -> float:
+    """Distance of the farthest point of a placed piece from a point of the world, or more; up to rounding."""
+    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
+        return float(np.linalg.norm(_corners(packed, p, T) - center, axis=1).max())
+    row = packed.kernel[0][p]
+    middle = T[:3, :3] @ row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3] + T[:3, 3]
+    return float(np.linalg.norm(middle - center) + row[shapes.OUTER_RADIUS])
+
+
+def _corners(packed: Packed, p: int, T: Floats) -> Floats:
+    points = packed.points[packed.layout[p, shapes.POINTS_FROM] : packed.layout[p, shapes.POINTS_TO]]
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
