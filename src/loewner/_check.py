@@ -144,7 +144,8 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     except InputError as error:
         raise PoseError(str(error)) from None
     if array.shape[-2:] != (4, 4):
-        raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}")
+        cure = "; T = np.eye(4), T[:3, :3] = rotation, T[:3, 3] = translation makes one"
+        raise PoseError(f"{name}: expected shape (..., 4, 4), found {shape_text(array.shape)}{cure}")
     if not array.flags.carray:  # read-only: to Numba another type, see above
         array = array.copy()
     if check:

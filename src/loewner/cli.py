@@ -15,8 +15,8 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from loewner import paper
 
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
+
+# By how much of the mesh's volume pieces may exceed it without a word.
+WORTH_TELLING = 0.01
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
 AT_ONCE = 50_000
@@ -276,6 +279,8 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> No
 
 
 def _compile(options: argparse.Namespace) -> int:
+    if not sys.stderr.isatty():  # where no bar shows
+        print(f"loewner: compiling {', '.join(options.only)}; takes a minute or two", file=sys.stderr, flush=True)
     with _progress() as bar:
         task = bar.add_task("compiling", total=None)
         folder = compile_kernels(
@@ -323,7 +328,9 @@ def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:
 def _covering_text(covering: loewner.Covering | None) -> str:
     if covering is None:
         return "-"
-    excess = "" if np.isnan(covering.excess_volume) else f", {100 * covering.excess_volume:+.1f} % volume"
+    excess = f", {100 * covering.excess_volume:+.1f} % volume"
+    if np.isnan(covering.excess_volume):
+        excess = ", mesh not closed"
     if covering.exact:
         return f"{covering.kind}, holds the mesh{excess}"
     return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"
@@ -394,8 +401,9 @@ def _print_answer(
     if verdict == loewner.Verdict.AMBIGUOUS:
         print("            --method exact decides it")
     for name, body in ((options.a, a), (options.b, b)):
-        if body.covering is not None and not body.covering.exact:
-            print(f"note: {name}: {_covering_text(body.covering)}")
+        # NaN, of a mesh that is not closed, is told as well.
+        if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
+            print(f"note: {name}: {_covering_text(body.covering)}; the answer is about the pieces")
 
 
 def _numbers(vector: Floats) -> str:
@@ -407,14 +415,15 @@ def _body(path: Path, options: argparse.Namespace) -> loewner.Body:
 
 
 def _from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:
-    return loewner.Body.from_mesh(
-        path,
-        decompose=not options.hull,
-        threshold=options.threshold,
-        max_pieces=options.max_pieces,
-        seed=options.seed,
-        **more,
-    )
+    with _warnings_as_lines():
+        return loewner.Body.from_mesh(
+            path,
+            decompose=not options.hull,
+            threshold=options.threshold,
+            max_pieces=options.max_pieces,
+            seed=options.seed,
+            **more,
+        )
 
 
 def _pose(text: str | None, name: str) -> Floats | None:
@@ -424,7 +433,7 @@ def _pose(text: str | None, name: str) -> Floats | None:
     if Path(text).suffix.lower() in (".npy", ".txt"):
         return _pose_file(Path(text))
     try:
-        numbers = [float(word) for word in text.split()]
+        numbers = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
@@ -458,8 +467,7 @@ def _pose_file(path: Path) -> Floats:
 
 def _robot(options: argparse.Namespace) -> loewner.Robot:
     """Read the robot, with progress; warnings become lines of their own."""
-    with warnings.catch_warnings(record=True) as caught, _progress() as progress:
-        warnings.simplefilter("always", UserWarning)
+    with _warnings_as_lines(), _progress() as progress:
         task = progress.add_task(options.urdf.name, total=None)
         robot = loewner.Robot.from_urdf(
             options.urdf,
@@ -468,9 +476,18 @@ def _robot(options: argparse.Namespace) -> loewner.Robot:
             decompose=options.decompose,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
-    for warning in caught:
-        print(f"loewner: warning: {warning.message}", file=sys.stderr)
     return robot
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        try:
+            yield
+        finally:
+            for warning in caught:
+                print(f"loewner: warning: {warning.message}", file=sys.stderr)
 
 
 def _robot_info(options: argparse.Namespace) -> int:

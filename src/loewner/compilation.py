@@ -53,10 +53,13 @@ def _fits() -> None:
 
     points = np.random.default_rng(0).normal(size=(12, 3))
     loewner.Body.from_points(points)
+    loewner.Body.from_points(np.random.default_rng(0).normal(size=(4000, 3)))  # with a map of directions
     loewner.mvce(points)
     loewner.mvie(points)
     one, other = (loewner.Ellipsoids([x, 0.0, 0.0], np.eye(3)) for x in (0.0, 3.0))
     loewner.near_points(one, other)
+    loewner.contact_function(one, other)
+    loewner.overlap(one, other)
 
 
 def _robots() -> None:

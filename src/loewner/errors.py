@@ -145,3 +145,8 @@ class MissingExtraError(LoewnerError, ImportError):
         ...
     loewner.errors.MissingExtraError: reading and decomposing meshes needs trimesh: pip install "loewner[meshes]"
     """
+
+
+def installing(extra: str) -> str:
+    """How to install an optional part, for messages: by name, or in a clone of the sources."""
+    return f'pip install "loewner[{extra}]", or pip install ".[{extra}]" in a clone'

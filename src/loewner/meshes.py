@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner.errors import FileError, GeometryError, InputError, MissingExtraError
+from loewner.errors import FileError, GeometryError, InputError, MissingExtraError, installing
 from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
@@ -178,6 +178,11 @@ def convex_pieces(
     FileError, GeometryError, MissingExtraError
         As `load`; GeometryError also for a flat mesh.
 
+    Warns
+    -----
+    UserWarning
+        If a mesh to decompose is not closed: its inside is not solid then.
+
     Notes
     -----
     A mesh whose connected parts are all closed and convex (its volume is its hull's, to 1e-3)
@@ -221,6 +226,12 @@ def convex_pieces(
         kind = "convex" if len(parts) > 1 or _close(volume, _hull_volume(hull)) else "hull"
         return _result(parts, Covering(kind, True, 0.0, 0.0, len(vertices)), volume)
 
+    if np.isnan(volume):
+        warnings.warn(
+            "mesh: not closed, so that its inside is not known to be solid and what is in there may be FREE; close its "
+            "holes, or take its convex hull (decompose=False). Decomposing may take minutes",
+            stacklevel=2,
+        )
     hulls = _coacd(vertices, triangles, threshold, max_pieces, seed)
     size = _size(vertices)
     cells, owner, samples = _outside(vertices[triangles], hulls, GROWTH * size, CELL_SIZE * size)
@@ -307,7 +318,7 @@ def _import(package: str) -> Any:
 
 
 def _install_hint(package: str) -> str:
-    return f'reading and decomposing meshes needs {package}: pip install "loewner[meshes]"'
+    return f"reading and decomposing meshes needs {package}: {installing('meshes')}"
 
 
 def _metres(mesh: Any) -> float:

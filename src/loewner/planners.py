@@ -18,7 +18,7 @@ from loewner import _check
 from loewner._check import Floats
 from loewner.bodies import Ints
 from loewner.checkers import CollisionChecker
-from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError
+from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
 from loewner.robots import Robot
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
@@ -400,5 +400,5 @@ def _ompl(part: str) -> Any:
     try:
         from ompl import base, geometric, util
     except ImportError:
-        raise MissingExtraError('planners need OMPL: pip install "loewner[planners]"') from None
+        raise MissingExtraError(f"planners need OMPL: {installing('planners')}") from None
     return {"base": base, "geometric": geometric, "util": util}[part]

@@ -20,7 +20,7 @@ from loewner._files import replacing
 from loewner._proportions import wilson
 from loewner.bodies import Body
 from loewner.checkers import CollisionChecker, Settled
-from loewner.errors import FileError, InputError, MissingExtraError
+from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
 
 COLOURS = ("#4477aa", "#cc6677")
@@ -447,7 +447,7 @@ def _figure(width: float, height: float) -> Any:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingExtraError('figures need matplotlib: pip install "loewner[plots]"') from None
+        raise MissingExtraError(f"figures need matplotlib: {installing('plots')}") from None
     # Not through pyplot: that would keep every figure alive and choose a window system.
     return Figure(figsize=(width, height))
 

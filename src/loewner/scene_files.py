@@ -25,7 +25,7 @@ from loewner._check import Floats
 from loewner._files import replacing
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.bodies import ARRAYS, Body
-from loewner.errors import FileError, InputError, MissingExtraError
+from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scenes import Scene
 
 Maker = Callable[..., Body]
@@ -150,7 +150,7 @@ def _yaml() -> Any:
     try:
         import yaml
     except ImportError:
-        raise MissingExtraError('scene files need PyYAML: pip install "loewner[robots]"') from None
+        raise MissingExtraError(f"scene files need PyYAML: {installing('robots')}") from None
     return yaml
 
 

@@ -16,7 +16,7 @@ from loewner._check import Floats
 from loewner._kernels.near_points import PAPER_ANGLE
 from loewner.ellipsoid_pairs import near_points
 from loewner.ellipsoids import Ellipsoids
-from loewner.errors import MissingExtraError
+from loewner.errors import MissingExtraError, installing
 from loewner.paper.experiment import Experiment
 
 FIGURES = ("figure-1", "figure-2", "figure-3", "figure-4")
@@ -36,7 +36,7 @@ def require_matplotlib() -> Any:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingExtraError('figures: expected matplotlib, found none; pip install "loewner[plots]"') from None
+        raise MissingExtraError(f"figures need matplotlib: {installing('plots')}") from None
     return Figure
 
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
-from loewner.errors import InputError, LoewnerError, MissingExtraError
+from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
 from loewner.queries import Verdict
 from loewner.viewer.drawing import Rgb, light, place
 
@@ -288,7 +288,7 @@ def _serve(title: str, host: str, port: int) -> Any:
         import viser
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
-        raise MissingExtraError(f'the viewer needs {package}: pip install "loewner[viewer]"') from None
+        raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
     if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < 65536:
         raise InputError(f"port: expected a whole number from 0 (any free port) to 65535, found {port!r}")
     # viser would quietly take another port, and wait for ever at an address that is none.

@@ -132,7 +132,9 @@ class RobotViewer(Viewer):
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         robot = checker.robot
         self.checker = checker
-        self._q = np.array(robot.checked_one(robot.configuration() if q is None else q))
+        # Not every robot can stand at zero.
+        start = np.clip(robot.configuration(), robot.lower, robot.upper) if q is None else q
+        self._q = np.array(robot.checked_one(start))
         if not checker.checked_pairs:
             raise InputError(
                 "checker: expected pairs to check, found none; the robot has "
