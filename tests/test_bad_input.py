@@ -124,6 +124,20 @@ def test_bad_lengths_of_capsules():
             Body.capsule(1, bad)
 
 
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e200])
+def test_sizes_beyond_the_kernels(size: float):
+    """Refused with the range that is allowed, without a warning on the way there."""
+    for make in (
+        lambda: Body.sphere(size),
+        lambda: Body.cylinder(size, size),
+        lambda: Body.capsule(size, size),
+        lambda: Body.cone(size, size),
+        lambda: Body.ellipsoid([size, size, size]),
+    ):
+        with pytest.raises(GeometryError, match="expected sizes between 1e-30 and 1e\\+30 m"):
+            make()
+
+
 def test_bad_shapes_of_sizes():
     for make in (
         lambda: Body.box([1, 1]),

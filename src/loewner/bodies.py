@@ -146,6 +146,10 @@ def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
 def _table(p: Packed) -> Floats:
     """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
     table = np.zeros((len(p.layout), shapes.COLUMNS))
+    # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
+    largest = np.abs(p.outer_factor).max(axis=(1, 2), initial=0.0)
+    if not (largest < LARGEST).all():
+        raise _wrong_sizes(largest, largest)
     upper = np.triu_indices(3)
     for center, factor, at_center, at_shape in (
         (p.outer_center, p.outer_factor, shapes.OUTER_CENTER, shapes.OUTER_SHAPE),
@@ -172,11 +176,15 @@ def _table(p: Packed) -> Floats:
     table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
     reach = table[:, shapes.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
-        raise GeometryError(
-            f"pieces: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found "
-            f"{outer[:, 0].min():g} .. {reach.max():g}"
-        )
+        raise _wrong_sizes(outer[:, 0], reach)
     return table
+
+
+def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
+    """Make the error about pieces too small or too large for the kernels."""
+    return GeometryError(
+        f"pieces: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {least.min():g} .. {most.max():g}"
+    )
 
 
 def _single(hot: Floats) -> NDArray[np.float32]:
@@ -541,9 +549,12 @@ class Body(_Bodies):
         # Smallest (a, a, b) around: its support must exceed h|cos| + r, that is
         # a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b² - a² - h²; the volume is least at
         # k² - 2h²k - 3h²r² = 0. The largest inside is (r, r, h + r).
-        k = h * (h + np.hypot(h, np.sqrt(3.0) * r))
-        grow = np.sqrt(1 + h * h / k)
-        a, b = r * grow, grow * np.sqrt(r * r + k)
+        # In units of the greater length, that no square over- or underflows.
+        unit = max(r, h)
+        x, y = r / unit, h / unit
+        k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
+        grow = np.sqrt(1 + y * y / k)
+        a, b = r * grow, unit * grow * np.sqrt(x * x + k)
         return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
 
     @classmethod
