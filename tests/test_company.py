@@ -223,3 +223,16 @@ def test_distance_of_a_union_is_the_least(counts: tuple[int, int]):
         assert found.distance[n] == pytest.approx(each.distance.min(), abs=1e-9)
     offset = found.distance[:, None] * found.normal
     assert found.witness_b - found.witness_a == pytest.approx(offset, abs=1e-8)
+
+
+@pytest.mark.parametrize("ratio", [1e3, 1e5])
+def test_order_of_bodies_of_very_different_size(ratio: float):
+    """The larger first or the smaller first: as many verdicts, with a margin too, and the same."""
+    rng = np.random.default_rng(1)
+    a, b = (Bodies.ellipsoids(SEMI_AXES["round"](rng, COUNT) * s) for s in (ratio**0.5, ratio**-0.5))
+    c = contacts(rng, a.outer, b.outer, EACH, Setting(("", ""), world=0.0), 0.0, (-4, -2))
+    for margin in (0.0, 1e-9 * ratio**-0.5):
+        one = loewner.classify(a[c.k], c.Ta, b[c.k], c.Tb, margin=margin)
+        other = loewner.classify(b[c.k], c.Tb, a[c.k], c.Ta, margin=margin)
+        assert (one != Verdict.AMBIGUOUS).all()
+        assert np.array_equal(one, other)

@@ -455,6 +455,22 @@ single_spheres, single_certify = _stages(
 )
 
 
+@inline
+def _ordered(turn, p, q, x, y, z):
+    """The two ellipsoids and the vector from one center to the other's; the other way round where `turn` says so."""
+    return (
+        (
+            choose(turn, q[0], p[0]), choose(turn, q[1], p[1]), choose(turn, q[2], p[2]), choose(turn, q[3], p[3]),
+            choose(turn, q[4], p[4]), choose(turn, q[5], p[5]), choose(turn, q[6], p[6]), choose(turn, q[7], p[7]),
+        ),
+        (
+            choose(turn, p[0], q[0]), choose(turn, p[1], q[1]), choose(turn, p[2], q[2]), choose(turn, p[3], q[3]),
+            choose(turn, p[4], q[4]), choose(turn, p[5], q[5]), choose(turn, p[6], q[6]), choose(turn, p[7], q[7]),
+        ),
+        choose(turn, 0.0 - x, x), choose(turn, 0.0 - y, y), choose(turn, 0.0 - z, z),
+    )  # fmt: skip
+
+
 @njit()
 def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
     """Certify the listed piece pairs at the best s, in double precision, with any margin.
@@ -473,8 +489,13 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier,
         far = _clear(x, y, z, near_a[OUTER_RADIUS] + near_b[OUTER_RADIUS], size, margin, UNIT_ROUNDOFF)
         p = _shape(columns(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a, moved_a)
         q = _shape(columns(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b, moved_b)
+        # The larger second: s is then small, and keeps its digits where the sizes are far apart.
+        turn = near_a[OUTER_RADIUS] > near_b[OUTER_RADIUS]
+        p, q, x, y, z = _ordered(turn, p, q, x, y, z)
         s, nx, ny, nz = _best(p, q, x, y, z)
-        _put_three(V, OUT_NORMAL, at, nx, ny, nz)
+        _put_three(
+            V, OUT_NORMAL, at, choose(turn, 0.0 - nx, nx), choose(turn, 0.0 - ny, ny), choose(turn, 0.0 - nz, nz)
+        )
         gap = separation(
             p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, size
         )
@@ -486,6 +507,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier,
         x, y, z = _offset(
             a, moved_a, near_a[c], near_a[c + 1], near_a[c + 2], b, moved_b, near_b[c], near_b[c + 1], near_b[c + 2]
         )
+        p, q, x, y, z = _ordered(turn, p, q, x, y, z)
         s, nx, ny, nz = _best(p, q, x, y, z)
         level, distance, _, _, _, _, _, _, _ = nearness(
             p[0], p[1], p[2], p[3], p[4], p[5], q[0], q[1], q[2], q[3], q[4], q[5], x, y, z, nx, ny, nz, s,
