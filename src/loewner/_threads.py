@@ -27,9 +27,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pools.clear)  # a child process inherits the pool, but not its threads
 
 
+# Shares of `least` items that one thread alone takes at a time: each starts with cold caches, but the user must be able
+# to interrupt.
+ALONE = 16
+
+
 def share(total: int, least: int) -> int:
     """Items a thread takes at a time, `least` or more: a few shares each, so that the last one is not waited for."""
-    return max(least, -(-total // (4 * numba.get_num_threads())))
+    threads = numba.get_num_threads()
+    return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
 
 def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
