@@ -320,7 +320,7 @@ def test_open_mesh_is_decomposed_and_covered():
     """A box without a lid is no solid, and that is said; its surface is covered all the same."""
     mesh = trimesh.creation.box((1, 1, 1))
     mesh.update_faces(mesh.triangles_center[:, 2] < 0.49)
-    with pytest.warns(UserWarning, match="mesh: not closed, .* may be FREE"):
+    with pytest.warns(UserWarning, match="mesh: has holes, .* may be FREE"):
         pieces, covering = meshes.convex_pieces(mesh, threshold=1.0)
     assert covering.exact
     assert np.isnan(covering.excess_volume)

@@ -330,7 +330,7 @@ def _covering_text(covering: loewner.Covering | None) -> str:
         return "-"
     excess = f", {100 * covering.excess_volume:+.1f} % volume"
     if np.isnan(covering.excess_volume):
-        excess = ", mesh not closed"
+        excess = ", volume of the mesh unknown"
     if covering.exact:
         return f"{covering.kind}, holds the mesh{excess}"
     return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"

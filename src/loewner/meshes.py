@@ -181,7 +181,7 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to decompose is not closed: its inside is not solid then.
+        If a mesh to decompose has holes: its inside is not solid then.
 
     Notes
     -----
@@ -226,10 +226,10 @@ def convex_pieces(
         kind = "convex" if len(parts) > 1 or _close(volume, _hull_volume(hull)) else "hull"
         return _result(parts, Covering(kind, True, 0.0, 0.0, len(vertices)), volume)
 
-    if np.isnan(volume):
+    if _has_holes(triangles):
         warnings.warn(
-            "mesh: not closed, so that its inside is not known to be solid and what is in there may be FREE; close its "
-            "holes, or take its convex hull (decompose=False). Decomposing may take minutes",
+            "mesh: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
+            "them, or take its convex hull (decompose=False). Decomposing may take minutes",
             stacklevel=2,
         )
     hulls = _coacd(vertices, triangles, threshold, max_pieces, seed)
@@ -352,6 +352,13 @@ def _welded(vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
         )
     used, triangles = np.unique(triangles, return_inverse=True)
     return vertices[used], triangles.reshape(-1, 3)
+
+
+def _has_holes(triangles: Triangles) -> bool:
+    """Whether a surface ends somewhere: closed parts may share edges, and triangles may be turned over."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts % 2).any())
 
 
 def _is_closed(triangles: Triangles) -> bool:
