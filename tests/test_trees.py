@@ -135,7 +135,7 @@ def test_every_piece_is_in_its_tree_once():
     rng = np.random.default_rng(6)
     counts = (3, 8, 9, 64, 65, 130, 1)
     packed = Bodies([cloud(rng, count) for count in counts])._packed
-    start, groups, children, roots = packed.kernel[3], *packed.kernel[6:]
+    start, groups, children, roots = packed.kernel[3], *packed.kernel[6:9]
     boxes = groups.reshape(-1, 6, boxtree.WIDE)
 
     def below(group: int) -> list[int]:

@@ -90,7 +90,9 @@ class Packed:
         layout, points = _kernel_points(self)
         hot = np.ascontiguousarray(table[:, : shapes.HOT])
         start = self.piece_start.copy()
-        kernel = (table, layout, points, start, hot, _single(hot), *_trees(table, start))
+        single = _single(hot)
+        vertices = points.astype(np.float32) if len(single) else np.empty(0, dtype=np.float32)
+        kernel = (table, layout, points, start, hot, single, *_trees(table, start), vertices)
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
         object.__setattr__(self, "handle_table", handles.table_of(kernel))

@@ -6,7 +6,7 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 
 import numpy as np
 
-from loewner._kernels import lanes, trees
+from loewner._kernels import lanes, trees, walk
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of
@@ -23,9 +23,20 @@ from loewner._kernels.lanes import (
 )
 from loewner._kernels.pair_search import scratch
 from loewner._kernels.rigid import RIGID, fault
-from loewner._kernels.shapes import REACH, ask_points, prefetch_points
+from loewner._kernels.shapes import REACH, ask_vertices
 from loewner._kernels.vectors import SINGLE_LANES
-from loewner._kernels.verdicts import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN
+from loewner._kernels.verdicts import (
+    AMBIGUOUS,
+    BY_GAP,
+    BY_INNER,
+    BY_OUTER,
+    BY_SEARCH,
+    BY_SPHERE,
+    COLLIDING,
+    EXACT,
+    FREE,
+    OPEN,
+)
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
 # that single precision could not settle. Or a pose that is no rigid motion.
@@ -125,85 +136,134 @@ def _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
 
 
 @njit()
-def _search(margin, count, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally):
-    """Settle listed piece pairs that the ellipsoids left open by the exact searches."""
-    ta, la, xa = arrays_of(pack_a)[:3]
-    tb, lb, xb = arrays_of(pack_b)[:3]
-    Ta, Tb, S, N, W = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(W)
-    for n in range(-AHEAD, count):
-        if n + AHEAD < count:
-            prefetch_points(la, xa, S[PIECE_A * BLOCK + n + AHEAD])
-            prefetch_points(lb, xb, S[PIECE_B * BLOCK + n + AHEAD])
-        if n < 0:
-            continue
+def _search(query, count, S, N, desk, walking, last, out, tally):
+    """Settle listed piece pairs that the ellipsoids left open by the exact searches.
+
+    Pairs of small polytopes that no plane separates at once wait for a walk, `walking` of them, until they fill
+    registers; returns how many. None are left if these are the last.
+    """
+    _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
+    Ta, Tb, S, N = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N)
+    together = margin == 0.0 and len(a[5]) > 0 and len(b[5]) > 0
+    for n in range(count):
         k = S[PAIR * BLOCK + n]
         if out[k] == COLLIDING:
             continue
         i, j = S[PIECE_A * BLOCK + n], S[PIECE_B * BLOCK + n]
         ka, kb = S[POSE_A * BLOCK + n], S[POSE_B * BLOCK + n]
-        size = ta[i, REACH] + tb[j, REACH]
-        for r in range(3):
-            size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
-        nx, ny, nz = N[n], N[BLOCK + n], N[2 * BLOCK + n]
-        verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W, result)
-        tally[t] += 1
-        if verdict != FREE:
-            out[k] = verdict
+        x, y, z = N[n], N[BLOCK + n], N[2 * BLOCK + n]
+        if not (together and walk.walks(a[1], i) and walk.walks(b[1], j)):
+            _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally)
+            continue
+        walk.put(desk[0], walking, k, i, j, ka, kb, x, y, z)
+        free = walk.plane(a[5], a[1], a[9], i, Ta, ka, b[5], b[1], b[9], j, Tb, kb, x, y, z)
+        tally[BY_GAP] += free
+        walking += not free
+        if walking == SINGLE_LANES:
+            _walk(query, walking, desk, out, tally)
+            walking = np.int64(0)
+    if last and walking > 0:
+        _walk(query, walking, desk, out, tally)
+        walking = np.int64(0)
+    return walking
 
 
 @njit()
-def _flush(query, hint, count, held, waiting, lists, out, tally):
+def _walk(query, count, desk, out, tally):
+    """Settle up to sixteen pairs of small polytopes."""
+    _, _, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
+    a, b = arrays_of(pack_a), arrays_of(pack_b)
+    L, N, _, found = desk[0]
+    if count >= walk.FEW:
+        walk.settle(count, a[5], a[1], a[9], Ta, moved_a, b[5], b[1], b[9], Tb, moved_b, desk[0])
+    else:
+        found[:count] = walk.OPEN
+    for n in range(count):
+        k = L[PAIR * SINGLE_LANES + n]
+        if found[n] == walk.OPEN:
+            _search_one(
+                query, k, L[PIECE_A * SINGLE_LANES + n], L[PIECE_B * SINGLE_LANES + n], L[POSE_A * SINGLE_LANES + n],
+                L[POSE_B * SINGLE_LANES + n], N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n], desk, out, tally,
+            )  # fmt: skip
+        else:
+            tally[BY_SEARCH] += 1
+            if found[n] == walk.TOUCHING:
+                out[k] = COLLIDING
+
+
+@njit()
+def _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally):
+    """Settle one open piece pair, whatever its pieces."""
+    _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
+    ta, la, xa = arrays_of(pack_a)[:3]
+    tb, lb, xb = arrays_of(pack_b)[:3]
+    Ta, Tb = borrowed(Ta), borrowed(Tb)
+    size = ta[i, REACH] + tb[j, REACH]
+    for r in range(3):
+        size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
+    verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, x, y, z, desk[1], desk[2])
+    tally[t] += 1
+    # In a body of many pieces another pair may have been found colliding meanwhile.
+    if verdict != FREE and out[k] != COLLIDING:
+        out[k] = verdict
+
+
+@njit()
+def _flush(query, hint, count, held, waiting, walking, lists, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
     Those left open wait for the exact search in S and N, `held` of them, while the next block is certified: their
     vertices then arrive meanwhile. The few that need the best s wait in U, `waiting` of them, until they fill
-    registers. If the list is not DISTINCT nothing waits: what is found at once may spare the rest.
+    registers; so do those that need a walk, `walking` of them (see `_search`). If the list is not DISTINCT nothing
+    waits: what is found at once may spare the rest.
 
     Parameters
     ----------
     query : tuple
         Mode, margin; for each operand the handle of its pieces, its poses, and whether they move anything.
     lists : tuple of ndarray
-        L, the list; tier and V, what certificates write; S and N; U; W and result, for the search to write to.
+        L, the list; tier and V, what certificates write; S and N; U; and room for
+        the searches: `walk.workspace`, `pair_search.scratch`, nine numbers.
 
     Returns
     -------
     hint : int
         FAR | CLOSE for how to start with the next block, or FAULTY.
-    held, waiting : int
+    held, waiting, walking : int
     """
     mode, margin, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
     a, b = arrays_of(pack_a), arrays_of(pack_b)
-    L, tier, V, S, N, U, W, result = lists
+    L, tier, V, S, N, U, desk = lists
     L, tier, V, S, N, U = borrowed(L), borrowed(tier), borrowed(V), borrowed(S), borrowed(N), borrowed(U)
-    Ta, Tb, W = borrowed(Ta), borrowed(Tb), borrowed(W)
+    Ta, Tb = borrowed(Ta), borrowed(Tb)
     listed = count
     _fill(count, L)
     single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
         count = _culled(count, margin, hint & ASKING != 0, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier)
         if count < 0:
-            return FAULTY, held, waiting
+            return FAULTY, held, waiting, walking
         if count == 0:
             tally[BY_SPHERE] += listed
-            return hint & (FAR | CLOSE), held, waiting
+            return hint & (FAR | CLOSE), held, waiting, walking
         _fill(count, L)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if margin > 0.0 or hint & BEST:
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
-            return FAULTY, held, waiting
+            return FAULTY, held, waiting, walking
     else:
         asking = hint & (ASKING | FAR) == ASKING
         done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
         if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
-            return FAULTY, held, waiting
+            return FAULTY, held, waiting, walking
         for lane in range(count):
             unsure += tier[lane] == lanes.UNSURE
         if hint & DISTINCT and waiting + unsure <= BLOCK:
             if unsure > 0:
                 waiting = _wait(count, waiting, L, tier, U)
         elif unsure > 0 and not _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
-            return FAULTY, held, waiting
+            return FAULTY, held, waiting, walking
 
     # Without branches: nobody can predict how the next pair comes out.
     far, outer, inner, left = listed - count, 0, 0, 0
@@ -231,9 +291,9 @@ def _flush(query, hint, count, held, waiting, lists, out, tally):
     hint = FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0)) | hint & DISTINCT
     if mode != EXACT:
         tally[OPEN] += left
-        return hint & (FAR | CLOSE), np.int64(0), waiting
+        return hint & (FAR | CLOSE), np.int64(0), waiting, walking
     if held > 0:
-        _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
+        walking = _search(query, held, S, N, desk, walking, False, out, tally)
     held = np.int64(0)
     for lane in range(count):
         for row in range(PAIR, POSE_B + 1):
@@ -242,12 +302,12 @@ def _flush(query, hint, count, held, waiting, lists, out, tally):
             N[row * BLOCK + held] = V[row * BLOCK + lane]
         held += tier[lane] == OPEN
     for n in range(held):
-        ask_points(a[0], a[1], a[2], S[PIECE_A * BLOCK + n])
-        ask_points(b[0], b[1], b[2], S[PIECE_B * BLOCK + n])
+        ask_vertices(a[1], a[9], S[PIECE_A * BLOCK + n])
+        ask_vertices(b[1], b[9], S[PIECE_B * BLOCK + n])
     if hint & DISTINCT == 0 and held > 0:
-        _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
+        walking = _search(query, held, S, N, desk, walking, True, out, tally)
         held = np.int64(0)
-    return hint & (FAR | CLOSE), held, waiting
+    return hint & (FAR | CLOSE), held, waiting, walking
 
 
 @inline
@@ -329,9 +389,8 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     S = np.empty((POSE_B + 1) * BLOCK, np.int64)
     U = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
-    W = scratch()
-    result = np.empty(9)
-    lists, again = (L, tier, V, S, N, U, W, result), (U, tier, V, S, N, L, W, result)
+    desk = walk.workspace(), scratch(), np.empty(9)
+    lists, again = (L, tier, V, S, N, U, desk), (U, tier, V, S, N, L, desk)
     query = mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb)
     listed = rows.shape[1] > 0
     # Typed: a constant would have `_flush` compiled twice.
@@ -339,6 +398,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     count = np.int64(0)
     held = np.int64(0)
     waiting = np.int64(0)
+    walking = np.int64(0)
     if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
         # One piece a body: nothing to look up.
         k = start
@@ -366,16 +426,15 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 k += more
             out[k - count : k] = FREE
             hint |= DISTINCT | CONSECUTIVE | ASKING * (k + LEAD <= stop)
-            hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
+            hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
             if hint != FAULTY and (waiting >= ENOUGH or (waiting > 0 and k == stop)):
                 # They say nothing about the blocks to come.
                 best, none = np.int64(DISTINCT | BEST), np.int64(0)
-                after, held, waiting = _flush(query, best, waiting, held, none, again, out, tally)
+                after, held, waiting, walking = _flush(query, best, waiting, held, none, walking, again, out, tally)
                 hint = FAULTY if after == FAULTY else hint
             if hint == FAULTY:
                 return False
-        if held > 0:
-            _search(margin, held, pack_a, Ta, pack_b, Tb, S, N, W, result, out, tally)
+        _search(query, held, S, N, desk, walking, True, out, tally)
         return True
 
     steps = np.empty(trees.STEPS, np.int64)
@@ -397,10 +456,10 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 _put(L, count, k, found_a[c], found_b[c], ka, kb)
                 count += 1
                 if count == BLOCK:
-                    hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
+                    hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
                     if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        hint, held, waiting = _flush(query, hint, count, held, waiting, lists, out, tally)
+        hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
     return hint != FAULTY

@@ -134,6 +134,69 @@ def farthest(typingctx, points, start, stop, x, y, z):
     return signature, codegen
 
 
+def _dots(builder, data, index, direction, kind):
+    """Products of one block with a direction."""
+    places = [builder.gep(data, [_plus(builder, index, BLOCK * c)]) for c in range(3)]
+    align = 4 if kind.element == ir.FloatType() else 8
+    block = [builder.load(builder.bitcast(place, kind.as_pointer()), align=align) for place in places]
+    return _dot(builder, block, direction)
+
+
+def _largest(builder, a, b):
+    """The larger ones of two vectors; b where they do not compare."""
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
+@intrinsic
+def extent(typingctx, points, start, stop, x, y, z):
+    """extent(points, start, stop, x, y, z): the largest dot product of columns start .. stop, in single precision.
+
+    At least one block. Up to three are read without a branch, the last one again where there are fewer: how many there
+    are is hard to predict.
+    """
+    real = types.float32
+    signature = real(points, types.int64, types.int64, real, real, real)
+    kind = ir.VectorType(ir.FloatType(), BLOCK)
+
+    def codegen(context, builder, signature, args):
+        data = _data(context, builder, signature.args[0], args[0])
+        start, stop = args[1], args[2]
+        direction = [_splat(builder, value, kind) for value in args[3:]]
+        three = ir.Constant(_WORD, 3)
+        last = _plus(builder, stop, -BLOCK)
+        best = None
+        for b in range(3):
+            at = _plus(builder, start, BLOCK * b)
+            at = builder.select(builder.icmp_signed("<", at, last), at, last)
+            product = _dots(builder, data, builder.mul(at, three), direction, kind)
+            best = product if best is None else _largest(builder, best, product)
+        before = builder.block
+        loop = builder.append_basic_block("extent.loop")
+        done = builder.append_basic_block("extent.done")
+        rest = _plus(builder, start, 3 * BLOCK)
+        builder.cbranch(builder.icmp_signed("<", rest, stop), loop, done)
+
+        builder.position_at_end(loop)
+        i, so_far = builder.phi(_WORD), builder.phi(kind)
+        next_best = _largest(builder, so_far, _dots(builder, data, builder.mul(i, three), direction, kind))
+        next_i = _plus(builder, i, BLOCK)
+        i.add_incoming(rest, before)
+        i.add_incoming(next_i, loop)
+        so_far.add_incoming(best, before)
+        so_far.add_incoming(next_best, loop)
+        builder.cbranch(builder.icmp_signed("<", next_i, stop), loop, done)
+
+        builder.position_at_end(done)
+        value = builder.phi(kind)
+        value.add_incoming(best, before)
+        value.add_incoming(next_best, loop)
+        for half in (4, 2, 1):
+            value = _largest(builder, _pick(builder, value, 0, half), _pick(builder, value, half, half))
+        return builder.extract_element(value, ir.Constant(_HALF, 0))
+
+    return signature, codegen
+
+
 @intrinsic
 def place(typingctx, points, start, stop, r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z, placed, to):
     """place(points, start, stop, r00 ... r22, x, y, z, placed, to): write R p + (x, y, z) for a range of columns.

@@ -50,7 +50,7 @@ def _singles(typingctx, address):
 @inline
 def arrays_of(handle):
     """The arrays of a packed set from its handle."""
-    t = carray(_integers(handle), (9, ENTRIES))
+    t = carray(_integers(handle), (10, ENTRIES))
     return (
         carray(_floats(t[0, 0]), (t[0, 1], t[0, 2])),
         carray(_integers(t[1, 0]), (t[1, 1], t[1, 2])),
@@ -61,6 +61,7 @@ def arrays_of(handle):
         carray(_floats(t[6, 0]), (t[6, 1],)),
         carray(_integers(t[7, 0]), (t[7, 1],)),
         carray(_integers(t[8, 0]), (t[8, 1],)),
+        carray(_singles(t[9, 0]), (t[9, 1],)),
     )
 
 

@@ -96,7 +96,7 @@ ROWS = 3
 
 
 @inline
-def _turns(r):
+def turns(r):
     """Mask: rotations that are not exactly the identity."""
     off = magnitude(r[1]) + magnitude(r[2]) + magnitude(r[3]) + magnitude(r[5]) + magnitude(r[6]) + magnitude(r[7])
     on = magnitude(r[0] - 1.0) + magnitude(r[4] - 1.0) + magnitude(r[8] - 1.0)
@@ -120,7 +120,7 @@ def _size(a, reach_a, b, reach_b):
 
 
 @inline
-def _rounded_size(a, reach_a, b, reach_b):
+def rounded_size(a, reach_a, b, reach_b):
     """The same where the translations were rounded before they are subtracted."""
     t = magnitude(a[9]) + magnitude(a[10]) + magnitude(a[11]) + magnitude(b[9]) + magnitude(b[10]) + magnitude(b[11])
     return t + reach_a + reach_b
@@ -381,8 +381,8 @@ def _stages(fetch, ask, lanes, pose, size_of, unit, tiny, sure):
             b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
             if not (a[12] and b[12]):
                 return False
-            turned_a = moved_a and bits(_turns(a)) != 0
-            turned_b = moved_b and bits(_turns(b)) != 0
+            turned_a = moved_a and bits(turns(a)) != 0
+            turned_b = moved_b and bits(turns(b)) != 0
             near_a = fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER)
             near_b = fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER)
             size = size_of(a, near_a[REACH], b, near_b[REACH])
@@ -446,12 +446,12 @@ def _stages(fetch, ask, lanes, pose, size_of, unit, tiny, sure):
     return spheres, certify
 
 
-_pose = _poses(columns, ALL, is_rigid, 1.0)
-_single_pose = _poses(single_columns, SINGLE_ALL, is_rigid_single, np.float32(1.0))
+pose_of = _poses(columns, ALL, is_rigid, 1.0)
+single_pose_of = _poses(single_columns, SINGLE_ALL, is_rigid_single, np.float32(1.0))
 
-spheres, certify = _stages(columns, ask, LANES, _pose, _size, UNIT_ROUNDOFF, 1e-300, SURE)
+spheres, certify = _stages(columns, ask, LANES, pose_of, _size, UNIT_ROUNDOFF, 1e-300, SURE)
 single_spheres, single_certify = _stages(
-    single_columns, ask_single, SINGLE_LANES, _single_pose, _rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
+    single_columns, ask_single, SINGLE_LANES, single_pose_of, rounded_size, SINGLE_ROUNDOFF, 1e-30, SINGLE_SURE
 )
 
 
@@ -478,8 +478,8 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier,
     Parameters and result as for `certify`, but that every pair left is OPEN.
     """
     for at in range(0, count, LANES):
-        a = _pose(Ta, L, POSE_A * BLOCK + at, moved_a)
-        b = _pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+        a = pose_of(Ta, L, POSE_A * BLOCK + at, moved_a)
+        b = pose_of(Tb, L, POSE_B * BLOCK + at, moved_b)
         if not (a[12] and b[12]):
             return False
         near_a = columns(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER)

@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of nine arrays:
+A packed set of pieces is a tuple of ten arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -18,6 +18,8 @@ A packed set of pieces is a tuple of nine arrays:
     sixth powers of lengths in single precision.
 ``groups`` (48 G,) float64, ``children`` (8 G,) int64, ``roots`` (n,) int64
     Trees over the pieces of bodies that have many, see `trees`.
+``vertices`` (3 V,) float32
+    ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
 
 Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
 C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
@@ -79,12 +81,12 @@ def prefetch_points(layout, points, piece):
 
 
 @inline
-def ask_points(table, layout, points, piece):
-    """The same long ahead, and the row of the table besides: into the second-level cache, which can wait for more."""
-    ask_line(table, piece * COLUMNS)
+def ask_vertices(layout, vertices, piece):
+    """Ask for the same in single precision long ahead: into the second-level cache, which can wait for more."""
     if layout[piece, KIND] == POLYTOPE:
-        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
-            ask_line(points, at)
+        first = 3 * layout[piece, POINTS_FROM]
+        for at in range(first & -(2 * LINE), 3 * layout[piece, POINTS_TO], 2 * LINE):
+            ask_line(vertices, at)
 
 
 @inline

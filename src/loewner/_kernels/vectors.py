@@ -469,6 +469,53 @@ def load_single(typingctx, array, offset):
 
 
 @intrinsic
+def store_apart(typingctx, array, offset, step, eight):
+    """Write eight vectors to a flat array of their precision, the first at `offset` and each other `step` further."""
+
+    def generate(context, builder, sig, args):
+        array, at, step, eight = args
+        for x in cgutils.unpack_tuple(builder, eight, 8):
+            address = _address(context, builder, sig.args[0], array, at)
+            builder.store(x, builder.bitcast(address, x.type.as_pointer()), align=4)
+            at = builder.add(at, step)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, array, integer, integer, eight), generate
+
+
+@intrinsic
+def load_rounded(typingctx, array, offset):
+    """Read sixteen doubles from a flat array from `offset` on, in single precision."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        wide = ir.VectorType(ir.DoubleType(), SINGLE_LANES)
+        return builder.fptrunc(builder.load(builder.bitcast(address, wide.as_pointer()), align=8), single.llvm)
+
+    return signature(single, array, types.int64), generate
+
+
+@intrinsic
+def single_column(typingctx, table, width, rows, at, column):
+    """One column of sixteen rows of a table of float32; parameters as for `columns`."""
+
+    def generate(context, builder, sig, args):
+        array, wide, numbers, at, column = args
+        result = ir.Constant(single.llvm, ir.Undefined)
+        for lane in range(SINGLE_LANES):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+            first = builder.add(builder.mul(row, wide), column)
+            value = builder.load(_address(context, builder, sig.args[0], array, first))
+            result = builder.insert_element(result, value, ir.Constant(ir.IntType(32), lane))
+        return result
+
+    integer = types.int64
+    return signature(single, table, integer, rows, integer, integer), generate
+
+
+@intrinsic
 def store_rounded(typingctx, array, offset, x):
     """Write eight doubles to a flat array of float32 from `offset` on."""
 
