@@ -6,9 +6,10 @@ threads enter it at once.
 """
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 
@@ -39,10 +40,39 @@ def share(total: int, least: int) -> int:
 
 
 def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
-    """What run(first, last) returns over shares of 0..total, of `least` or more; if that is one, on this thread."""
+    """What run(first, last) returns over shares of 0..total, of `least` or more; if that is one, on this thread.
+
+    This thread takes shares like the others: to wait for one to wake up costs as much as 1,000 pairs.
+    """
     if total <= least:
         return [run(0, total)]
-    return list(over_blocks(run, total, share(total, least)))
+    size = share(total, least)
+    starts = range(0, total, size)
+    todo = deque(enumerate(starts))
+    results: list[Any] = [None] * len(starts)
+
+    def work() -> None:
+        try:
+            while todo:
+                try:
+                    n, start = todo.popleft()
+                except IndexError:  # another thread took the last one
+                    return
+                results[n] = run(start, min(start + size, total))
+        except BaseException:
+            todo.clear()
+            raise
+
+    threads = min(numba.get_num_threads(), len(starts))
+    others = [_pool(threads).submit(work) for _ in range(threads - 1)] if threads > 1 else []
+    try:
+        work()
+    finally:
+        # Whatever happened here, nobody may go on writing to the caller's arrays.
+        errors = [other.exception() for other in others if not other.cancel()]
+    for error in filter(None, errors):
+        raise error
+    return results
 
 
 def over_blocks(
