@@ -91,7 +91,8 @@ class Packed:
         hot = np.ascontiguousarray(table[:, : shapes.HOT])
         start = self.piece_start.copy()
         single = _single(hot)
-        vertices = points.astype(np.float32) if len(single) else np.empty(0, dtype=np.float32)
+        vertices = blocks.aligned(len(points) if len(single) else 0, np.float32)
+        vertices[:] = points[: len(vertices)]
         kernel = (table, layout, points, start, hot, single, *_trees(table, start), vertices)
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)

@@ -8,6 +8,7 @@ import numpy as np
 
 from loewner._kernels import lanes, trees, walk
 from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.blocks import prefetch
 from loewner._kernels.exact import exact_piece_pair
 from loewner._kernels.handles import arrays_of
 from loewner._kernels.lanes import (
@@ -23,7 +24,7 @@ from loewner._kernels.lanes import (
 )
 from loewner._kernels.pair_search import scratch
 from loewner._kernels.rigid import RIGID, fault
-from loewner._kernels.shapes import REACH, ask_vertices
+from loewner._kernels.shapes import LAYOUT, REACH, ask_vertices, prefetch_vertices
 from loewner._kernels.vectors import SINGLE_LANES
 from loewner._kernels.verdicts import (
     AMBIGUOUS,
@@ -50,6 +51,12 @@ LEAD = 2 * BLOCK  # piece pairs between asking for their rows and their use
 # Said to `_flush` besides: the list is of bodies of one piece, no pair twice; of consecutive ones; it tells what comes
 # later; and it is of pairs that need the best s.
 DISTINCT, CONSECUTIVE, ASKING, BEST = 4, 8, 16, 32
+
+HALF = (POSE_B + 1) * BLOCK  # of the list of pairs that are open: one is searched while the other fills
+
+# What is carried from block to block: how many pairs are held for the search, in which half of the list; wait for the
+# best s; wait for a walk.
+HELD, TURN, WAITING, WALKING, STATES = 0, 1, 2, 3, 4
 
 ENOUGH = BLOCK // 2  # pairs that need the best s are settled when so many have come together
 
@@ -136,23 +143,43 @@ def _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
 
 
 @njit()
-def _search(query, count, S, N, desk, walking, last, out, tally):
-    """Settle listed piece pairs that the ellipsoids left open by the exact searches.
+def _search(query, half, count, fresh, last, lists, state, out, tally):
+    """Settle the open piece pairs listed in one half of S and N by the exact searches.
 
-    Pairs of small polytopes that no plane separates at once wait for a walk, `walking` of them, until they fill
-    registers; returns how many. None are left if these are the last.
+    Pairs of small polytopes that no plane separates at once wait for a walk, `state[WALKING]` of them, until they fill
+    registers. None are left if these are the last.
+
+    Parameters
+    ----------
+    half, count : int
+        Which half, and how many pairs it has.
+    fresh : int
+        Pairs in the other half, whose vertices are asked for: between the searches, which a burst of it would hold up.
+    last : bool
     """
     _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
+    _, _, _, S, N, _, desk = lists
     a, b = arrays_of(pack_a), arrays_of(pack_b)
-    Ta, Tb, S, N = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N)
+    Ta, Tb, S, N, state = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(state)
     together = margin == 0.0 and len(a[5]) > 0 and len(b[5]) > 0
-    for n in range(count):
-        k = S[PAIR * BLOCK + n]
+    at, way = half * HALF, half * (ROWS * BLOCK)
+    other = HALF - at
+    walking = state[WALKING]
+    for n in range(max(count, fresh)):
+        if n < fresh:
+            ask_vertices(a[1], a[9], S[other + PIECE_A * BLOCK + n])
+            ask_vertices(b[1], b[9], S[other + PIECE_B * BLOCK + n])
+        if n + AHEAD < count:
+            prefetch_vertices(a[1], a[9], S[at + PIECE_A * BLOCK + n + AHEAD])
+            prefetch_vertices(b[1], b[9], S[at + PIECE_B * BLOCK + n + AHEAD])
+        if n >= count:
+            continue
+        k = S[at + PAIR * BLOCK + n]
         if out[k] == COLLIDING:
             continue
-        i, j = S[PIECE_A * BLOCK + n], S[PIECE_B * BLOCK + n]
-        ka, kb = S[POSE_A * BLOCK + n], S[POSE_B * BLOCK + n]
-        x, y, z = N[n], N[BLOCK + n], N[2 * BLOCK + n]
+        i, j = S[at + PIECE_A * BLOCK + n], S[at + PIECE_B * BLOCK + n]
+        ka, kb = S[at + POSE_A * BLOCK + n], S[at + POSE_B * BLOCK + n]
+        x, y, z = N[way + n], N[way + BLOCK + n], N[way + 2 * BLOCK + n]
         if not (together and walk.walks(a[1], i) and walk.walks(b[1], j)):
             _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally)
             continue
@@ -166,7 +193,7 @@ def _search(query, count, S, N, desk, walking, last, out, tally):
     if last and walking > 0:
         _walk(query, walking, desk, out, tally)
         walking = np.int64(0)
-    return walking
+    state[WALKING] = walking
 
 
 @njit()
@@ -210,60 +237,60 @@ def _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally):
 
 
 @njit()
-def _flush(query, hint, count, held, waiting, walking, lists, out, tally):
+def _flush(query, hint, count, state, lists, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
-    Those left open wait for the exact search in S and N, `held` of them, while the next block is certified: their
-    vertices then arrive meanwhile. The few that need the best s wait in U, `waiting` of them, until they fill
-    registers; so do those that need a walk, `walking` of them (see `_search`). If the list is not DISTINCT nothing
-    waits: what is found at once may spare the rest.
+    Those left open wait for the exact search in one half of S and N while the next block is certified: their vertices
+    then arrive meanwhile. The few that need the best s wait in U until they fill registers; so do those that need a
+    walk (see `_search`). If the list is not DISTINCT nothing waits: what is found at once may spare the rest.
 
     Parameters
     ----------
     query : tuple
         Mode, margin; for each operand the handle of its pieces, its poses, and whether they move anything.
+    state : ndarray of int64
+        How many pairs are HELD for the search and in which half (TURN), are WAITING for the best s, and are WALKING.
     lists : tuple of ndarray
-        L, the list; tier and V, what certificates write; S and N; U; and room for
-        the searches: `walk.workspace`, `pair_search.scratch`, nine numbers.
+        L, the list; tier and V, what certificates write; S and N; U; and for the searches to write to:
+        `walk.workspace`, `pair_search.scratch`, nine numbers.
 
     Returns
     -------
     hint : int
         FAR | CLOSE for how to start with the next block, or FAULTY.
-    held, waiting, walking : int
     """
     mode, margin, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
     a, b = arrays_of(pack_a), arrays_of(pack_b)
     L, tier, V, S, N, U, desk = lists
     L, tier, V, S, N, U = borrowed(L), borrowed(tier), borrowed(V), borrowed(S), borrowed(N), borrowed(U)
-    Ta, Tb = borrowed(Ta), borrowed(Tb)
+    Ta, Tb, state = borrowed(Ta), borrowed(Tb), borrowed(state)
     listed = count
     _fill(count, L)
     single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
     if hint & FAR:
         count = _culled(count, margin, hint & ASKING != 0, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier)
         if count < 0:
-            return FAULTY, held, waiting, walking
+            return FAULTY
         if count == 0:
             tally[BY_SPHERE] += listed
-            return hint & (FAR | CLOSE), held, waiting, walking
+            return hint & (FAR | CLOSE)
         _fill(count, L)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if margin > 0.0 or hint & BEST:
         if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
-            return FAULTY, held, waiting, walking
+            return FAULTY
     else:
         asking = hint & (ASKING | FAR) == ASKING
         done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
         if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
-            return FAULTY, held, waiting, walking
+            return FAULTY
         for lane in range(count):
             unsure += tier[lane] == lanes.UNSURE
-        if hint & DISTINCT and waiting + unsure <= BLOCK:
+        if hint & DISTINCT and state[WAITING] + unsure <= BLOCK:
             if unsure > 0:
-                waiting = _wait(count, waiting, L, tier, U)
+                state[WAITING] = _wait(count, state[WAITING], L, tier, U)
         elif unsure > 0 and not _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
-            return FAULTY, held, waiting, walking
+            return FAULTY
 
     # Without branches: nobody can predict how the next pair comes out.
     far, outer, inner, left = listed - count, 0, 0, 0
@@ -291,23 +318,28 @@ def _flush(query, hint, count, held, waiting, walking, lists, out, tally):
     hint = FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0)) | hint & DISTINCT
     if mode != EXACT:
         tally[OPEN] += left
-        return hint & (FAR | CLOSE), np.int64(0), waiting, walking
-    if held > 0:
-        walking = _search(query, held, S, N, desk, walking, False, out, tally)
+        return hint & (FAR | CLOSE)
+    # First where they are: few are open, and each has much to copy.
+    turn = 1 - state[TURN]
+    at, way = turn * HALF, turn * (ROWS * BLOCK)
     held = np.int64(0)
     for lane in range(count):
-        for row in range(PAIR, POSE_B + 1):
-            S[row * BLOCK + held] = L[row * BLOCK + lane]
-        for row in range(ROWS):
-            N[row * BLOCK + held] = V[row * BLOCK + lane]
+        S[at + held] = lane
         held += tier[lane] == OPEN
     for n in range(held):
-        ask_vertices(a[1], a[9], S[PIECE_A * BLOCK + n])
-        ask_vertices(b[1], b[9], S[PIECE_B * BLOCK + n])
-    if hint & DISTINCT == 0 and held > 0:
-        walking = _search(query, held, S, N, desk, walking, True, out, tally)
-        held = np.int64(0)
-    return hint & (FAR | CLOSE), held, waiting, walking
+        lane = S[at + n]
+        for row in range(PAIR, POSE_B + 1):
+            S[at + row * BLOCK + n] = L[row * BLOCK + lane]
+        for row in range(ROWS):
+            N[way + row * BLOCK + n] = V[row * BLOCK + lane]
+        prefetch(a[1], S[at + PIECE_A * BLOCK + n] * LAYOUT)
+        prefetch(b[1], S[at + PIECE_B * BLOCK + n] * LAYOUT)
+    if hint & DISTINCT:
+        _search(query, state[TURN], state[HELD], held, False, lists, state, out, tally)
+        state[HELD], state[TURN] = held, turn
+    elif held > 0:
+        _search(query, turn, held, np.int64(0), True, lists, state, out, tally)
+    return hint & (FAR | CLOSE)
 
 
 @inline
@@ -384,9 +416,9 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     a, b = arrays_of(pack_a), arrays_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     V = np.empty(ROWS * BLOCK)
-    N = np.empty(ROWS * BLOCK)
+    N = np.empty(2 * ROWS * BLOCK)
     L = np.empty(LISTS * BLOCK, np.int64)
-    S = np.empty((POSE_B + 1) * BLOCK, np.int64)
+    S = np.empty(2 * HALF, np.int64)
     U = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
     desk = walk.workspace(), scratch(), np.empty(9)
@@ -396,9 +428,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     # Typed: a constant would have `_flush` compiled twice.
     hint = np.int64(0)
     count = np.int64(0)
-    held = np.int64(0)
-    waiting = np.int64(0)
-    walking = np.int64(0)
+    state = np.zeros(STATES, np.int64)
     if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
         # One piece a body: nothing to look up.
         k = start
@@ -426,15 +456,17 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 k += more
             out[k - count : k] = FREE
             hint |= DISTINCT | CONSECUTIVE | ASKING * (k + LEAD <= stop)
-            hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
+            hint = _flush(query, hint, count, state, lists, out, tally)
+            waiting = state[WAITING]
             if hint != FAULTY and (waiting >= ENOUGH or (waiting > 0 and k == stop)):
                 # They say nothing about the blocks to come.
-                best, none = np.int64(DISTINCT | BEST), np.int64(0)
-                after, held, waiting, walking = _flush(query, best, waiting, held, none, walking, again, out, tally)
-                hint = FAULTY if after == FAULTY else hint
+                state[WAITING] = 0
+                if _flush(query, np.int64(DISTINCT | BEST), waiting, state, again, out, tally) == FAULTY:
+                    hint = np.int64(FAULTY)
             if hint == FAULTY:
                 return False
-        _search(query, held, S, N, desk, walking, True, out, tally)
+        if state[HELD] + state[WALKING] > 0:
+            _search(query, state[TURN], state[HELD], np.int64(0), True, lists, state, out, tally)
         return True
 
     steps = np.empty(trees.STEPS, np.int64)
@@ -456,10 +488,10 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 _put(L, count, k, found_a[c], found_b[c], ka, kb)
                 count += 1
                 if count == BLOCK:
-                    hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
+                    hint = _flush(query, hint, count, state, lists, out, tally)
                     if hint == FAULTY:
                         return False
                     count = np.int64(0)
     if count > 0:
-        hint, held, waiting, walking = _flush(query, hint, count, held, waiting, walking, lists, out, tally)
+        hint = _flush(query, hint, count, state, lists, out, tally)
     return hint != FAULTY

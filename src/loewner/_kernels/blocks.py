@@ -32,10 +32,10 @@ def entry(column):
 
 
 @njit()
-def aligned(count):
+def aligned(count, kind=np.float64):
     """Make an uninitialised flat array that starts at a cache line."""
-    raw = np.empty(count + LINE)
-    skip = (-(raw.ctypes.data // 8)) % LINE
+    raw = np.empty(count + CACHE_LINE, kind)
+    skip = -raw.ctypes.data % CACHE_LINE // raw.itemsize
     return raw[skip : skip + count]
 
 

@@ -40,7 +40,6 @@ from loewner._kernels.vectors import (
     larger,
     load_rounded,
     load_single,
-    magnitude,
     mark,
     root,
     single_column,
@@ -61,9 +60,10 @@ MOST = 64  # vertices of a piece: more and sixteen pairs leave the first-level c
 # Share of the first direction in the second, of unit vectors. 0.5 to 0.8 serve equally well.
 KEPT = np.float32(0.7)
 
-# Errors in units of the roundoff: of a product with a support point, times the lengths; of a point, times the lengths;
-# of a product of three points, times the third power of the largest.
-PRODUCT_ERROR, WIDTH_ERROR, POINT_ERROR, VOLUME_ERROR = 96.0, 16.0, 16.0, 256.0
+# Errors in units of the roundoff, each twice what docs/certified.md derives: of a product with a support point, all in
+# single precision or only in what `plane` rounds, times the lengths; of a product of three points, times the third
+# power of the largest, and of a sum of four such products; of three points together, times the lengths and the square.
+PRODUCT_ERROR, WIDTH_ERROR, VOLUME_ERROR, SUM_ERROR, POINT_ERROR = 72.0, 16.0, 98.0, 632.0, 64.0
 
 SHORT = 1e-30  # directions whose square is less are not trusted: it may be short of digits
 
@@ -298,7 +298,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         apart = apart | ((_dot(px, py, pz, ax, ay, az) > error * length) & (squared > SHORT))
         if bits(apart | touching) == SINGLE_ALL:
             break
-        largest = larger(largest, magnitude(ax) + magnitude(ay) + magnitude(az))
+        largest = larger(largest, _dot(ax, ay, az, ax, ay, az))
         if r == 0:
             # Between the first direction and that of the first point lies what saves a round.
             kept = KEPT / length
@@ -318,10 +318,12 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         f = -_dot(fx, fy, fz, ax, ay, az)
         g = -_dot(gx, gy, gz, ax, ay, az)
         h = -_dot(hx, hy, hz, ax, ay, az)
-        # The origin is inside if the three and the base, f + g + h + base = -volume, are all clear of rounding.
-        doubt = SINGLE_ROUNDOFF * (largest * largest) * (VOLUME_ERROR * largest + 24.0 * POINT_ERROR * size)
-        volume = magnitude(_dot(fx, fy, fz, e1x, e1y, e1z))
-        inside = (f < -doubt) & (g < -doubt) & (h < -doubt) & (volume + (f + g + h) > doubt)
+        # The origin is inside if the three and the base, volume - f - g - h, are all negative, clear of rounding.
+        reach = root(largest)
+        slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
+        base = _dot(fx, fy, fz, e1x, e1y, e1z) - (f + g + h)
+        inside = (f < -slack) & (g < -slack) & (h < -slack)
+        inside = inside & (base < -SINGLE_ROUNDOFF * largest * (SUM_ERROR * reach + POINT_ERROR * size))
         touching = touching | (three & inside)
         if bits(apart | touching) == SINGLE_ALL:
             break
