@@ -19,8 +19,7 @@ from rivals import CoalLoop, CoalPython, FclPython, Missing, Settings, all_setti
 from samples import Array, Pairs, clearance, paper_pairs, poses, repeated_pairs, world_vertices
 
 COUNT, QUICK = 100_000, 2_000
-# Pairs that one call at a time from Python gets, and pairs of ellipsoids; the times are per pair.
-FROM_PYTHON, ELLIPSOIDS = 20_000, 5_000
+ELLIPSOIDS = 5_000  # pairs of them; the times are per pair
 # Pairs on which the ways to ask Coal are first compared, and how many of the fastest then run on all pairs.
 TRIAL, FINALISTS = 2_000, 4
 # The data that the required ratios are about, and the same with every hull turned; the others' ratios are shown beside.
@@ -92,7 +91,7 @@ def compare(p: Pairs, quick: bool, folder: Path) -> list[Row]:
     differing, note = differences(colliding, guessed), f"classify says {shares}"
     case, us = f"{p.name}: boolean", "collide, estimate"
     rows.append(Row(case, us, cost, "our exact answer", None, len(p), None, differing, note))
-    return rows + beside_python(p.part(slice(0, FROM_PYTHON)), colliding[:FROM_PYTHON], rounds)
+    return rows + beside_python(p, colliding, rounds)
 
 
 def contests(p: Pairs, colliding: Array) -> list[Contest]:
@@ -206,7 +205,8 @@ def beside_python(p: Pairs, colliding: Array, rounds: int) -> list[Row]:
             rows.append(Row(case, "collide", None, name, None, len(p), required, note=f"not run: {missing}"))
             continue
         cost = race(
-            {"us": timed(lambda: loewner.collide(*p.arguments()), len(p)), "rival": rival.measured("collide")}, rounds
+            {"us": timed(lambda: loewner.collide(*p.arguments()), len(p)), "rival": rival.measured("collide")},
+            3 * rounds,
         )
         said = np.array(rival.collide())
         note = f"one call per pair{judged_by_programs(p, colliding, said)}"

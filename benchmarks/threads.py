@@ -17,6 +17,7 @@ from report import REQUIRED, Row
 from samples import repeated_pairs
 
 COUNT, QUICK = 200_000, 10_000
+ROUNDS = 25  # a batch takes milliseconds, and is easily disturbed
 # Steps of the control: plain arithmetic, which nothing but the machine keeps from running twice as fast on two threads.
 STEPS, QUICK_STEPS = 60_000_000, 600_000
 
@@ -61,8 +62,8 @@ def run(quick: bool, folder: Path) -> list[Row]:
     rows = []
     for name, (items, query) in queries.items():
         cost: dict[str, Cost] = race(
-            {str(t): timed(partial(on, t, query), items) for t in (1, 2)}, 2 if quick else 7
-        )  # fmt: skip
+            {str(t): timed(partial(on, t, query), items) for t in (1, 2)}, 2 if quick else ROUNDS
+        )
         differing = int((np.asarray(on(1, query)) != np.asarray(on(2, query))).sum())
         grown = cost["2"].cpu / cost["1"].cpu
         note = (

@@ -75,6 +75,12 @@ def row_of(k, shape, strides):
     return row
 
 
+@inline
+def _entry(array, place):
+    """An entry of a flat array, not counted from the end: a signed place might be."""
+    return array[np.uint64(place)]
+
+
 @njit()
 def is_identity(T):
     """Tell whether an operand has one pose only and that does nothing."""
@@ -167,19 +173,19 @@ def _search(query, half, count, fresh, last, lists, state, out, tally):
     walking = state[WALKING]
     for n in range(max(count, fresh)):
         if n < fresh:
-            ask_vertices(a[1], a[9], S[other + PIECE_A * BLOCK + n])
-            ask_vertices(b[1], b[9], S[other + PIECE_B * BLOCK + n])
+            ask_vertices(a[1], a[9], _entry(S, other + PIECE_A * BLOCK + n))
+            ask_vertices(b[1], b[9], _entry(S, other + PIECE_B * BLOCK + n))
         if n + AHEAD < count:
-            prefetch_vertices(a[1], a[9], S[at + PIECE_A * BLOCK + n + AHEAD])
-            prefetch_vertices(b[1], b[9], S[at + PIECE_B * BLOCK + n + AHEAD])
+            prefetch_vertices(a[1], a[9], _entry(S, at + PIECE_A * BLOCK + n + AHEAD))
+            prefetch_vertices(b[1], b[9], _entry(S, at + PIECE_B * BLOCK + n + AHEAD))
         if n >= count:
             continue
-        k = S[at + PAIR * BLOCK + n]
-        if out[k] == COLLIDING:
+        k = _entry(S, at + PAIR * BLOCK + n)
+        if _entry(out, k) == COLLIDING:
             continue
-        i, j = S[at + PIECE_A * BLOCK + n], S[at + PIECE_B * BLOCK + n]
-        ka, kb = S[at + POSE_A * BLOCK + n], S[at + POSE_B * BLOCK + n]
-        x, y, z = N[way + n], N[way + BLOCK + n], N[way + 2 * BLOCK + n]
+        i, j = _entry(S, at + PIECE_A * BLOCK + n), _entry(S, at + PIECE_B * BLOCK + n)
+        ka, kb = _entry(S, at + POSE_A * BLOCK + n), _entry(S, at + POSE_B * BLOCK + n)
+        x, y, z = _entry(N, way + n), _entry(N, way + BLOCK + n), _entry(N, way + 2 * BLOCK + n)
         if not (together and walk.walks(a[1], i) and walk.walks(b[1], j)):
             _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally)
             continue
@@ -324,16 +330,16 @@ def _flush(query, hint, count, state, lists, out, tally):
     at, way = turn * HALF, turn * (ROWS * BLOCK)
     held = np.int64(0)
     for lane in range(count):
-        S[at + held] = lane
+        S[np.uint64(at + held)] = lane
         held += tier[lane] == OPEN
     for n in range(held):
-        lane = S[at + n]
+        lane = _entry(S, at + n)
         for row in range(PAIR, POSE_B + 1):
-            S[at + row * BLOCK + n] = L[row * BLOCK + lane]
+            S[np.uint64(at + row * BLOCK + n)] = _entry(L, row * BLOCK + lane)
         for row in range(ROWS):
-            N[way + row * BLOCK + n] = V[row * BLOCK + lane]
-        prefetch(a[1], S[at + PIECE_A * BLOCK + n] * LAYOUT)
-        prefetch(b[1], S[at + PIECE_B * BLOCK + n] * LAYOUT)
+            N[np.uint64(way + row * BLOCK + n)] = _entry(V, row * BLOCK + lane)
+        prefetch(a[1], _entry(L, PIECE_A * BLOCK + lane) * LAYOUT)
+        prefetch(b[1], _entry(L, PIECE_B * BLOCK + lane) * LAYOUT)
     if hint & DISTINCT:
         _search(query, state[TURN], state[HELD], held, False, lists, state, out, tally)
         state[HELD], state[TURN] = held, turn

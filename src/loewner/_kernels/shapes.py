@@ -90,6 +90,7 @@ def _asking(prefetch):
     @inline
     def ask(layout, vertices, piece):
         """Ask for the vertices of a small polytope in single precision ahead of their use."""
+        piece = np.uint64(piece)  # not from the end
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
             # Those of three blocks without a branch, as in `blocks.extent`.

@@ -100,15 +100,17 @@ def workspace():
 def put(work, at, k, i, j, ka, kb, nx, ny, nz):
     """List a pair: its number, its pieces and their poses, a direction from a to b."""
     L, N = work[0], work[1]
+    at = np.uint64(at)
     for row, value in ((PAIR, k), (PIECE_A, i), (PIECE_B, j), (POSE_A, ka), (POSE_B, kb)):
-        L[row * SINGLE_LANES + at] = value
+        L[np.uint64(row * SINGLE_LANES) + at] = value
     for row, part in ((0, nx), (1, ny), (2, nz)):
-        N[row * SINGLE_LANES + at] = part
+        N[np.uint64(row * SINGLE_LANES) + at] = part
 
 
 @inline
 def walks(layout, piece):
     """Tell whether a piece is one that the functions below take."""
+    piece = np.uint64(piece)  # not from the end
     return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
 
 
@@ -206,6 +208,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
         Of a: hot columns and vertices in single precision and layout (see `shapes`), piece; poses, and which. Of b the
         same. The pieces are such that `walks`.
     """
+    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
     width_a = extent(
         xa, la[i, POINTS_FROM], la[i, POINTS_TO],
