@@ -57,7 +57,8 @@ class Crowd(NamedTuple):
         operands = []
         for bodies, rows, T in ((self.a, self.ia, self.Ta), (self.b, self.ib, self.Tb)):
             _, layout, _, _, _, single, _, _, _, vertices = bodies._packed.kernel
-            assert (layout[rows, shapes.KIND] == shapes.POLYTOPE).all() and len(vertices) > 0
+            assert (layout[rows, shapes.KIND] == shapes.POLYTOPE).all()
+            assert len(vertices) > 0
             assert (layout[rows, shapes.POINTS_TO] - layout[rows, shapes.POINTS_FROM]).max() <= walk.MOST
             poses = np.eye(4)[None] if T is None else np.ascontiguousarray(T[which])
             operands += [single, layout, vertices, np.ascontiguousarray(rows[which]), poses, T is not None]
@@ -130,7 +131,7 @@ def test_what_is_said_is_true(names: tuple[str, str]):
 
 
 def test_directions_that_are_none():
-    """Zero, not a number, infinite, or out of the range of single precision: never a lie, and the walk finds its way."""
+    """Zero, not a number, infinite, or out of range: never a lie, and the walk finds its way."""
     rng = np.random.default_rng(5)
     pairs, gap, axis = crowd(rng, ("ball 20", "boxes"), 0.0, 1.0, True, (4, 6))
     for size in (0.0, np.nan, np.inf, -np.inf, 1e-40, 1e-16, 1e18, 1e25, 1e36):
