@@ -141,6 +141,17 @@ def test_directions_that_are_none():
         assert not (found == np.where(gap > 0, walk.TOUCHING, walk.APART)).any()
 
 
+def test_a_plane_does_not_overflow():
+    """Two boxes on top of each other, far from the origins of their bodies; every product is below single precision."""
+    corners = box_corners(np.ones(3)) - [500.0, 0.0, 0.0]
+    boxes, T = Bodies.from_points([corners]), np.tile(np.eye(4), (16, 1, 1))
+    rows = np.zeros(16, dtype=np.int64)
+    for size in 10.0 ** np.arange(10, 160, 5):
+        found, free = Crowd(boxes, rows, T, boxes, rows, T).ask(np.tile([size, 0.0, 0.0], (16, 1)))
+        assert not free.any(), size
+        assert not (found == walk.APART).any(), size
+
+
 def test_lanes_know_nothing_of_each_other():
     """In any place, among any others, with few or many vertices: the same answer."""
     rng = np.random.default_rng(6)

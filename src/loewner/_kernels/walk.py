@@ -226,7 +226,8 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
     error += POSITION_ROUNDINGS * (abs(tx) + abs(ty) + abs(tz))
     squared = x * x + y * y + z * z
-    return (gap > error * np.sqrt(squared)) & (squared > SHORT)
+    # What is longer may overflow single precision.
+    return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)
 
 
 @inline
