@@ -437,14 +437,13 @@ def _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result):
             return UNSETTLED, -np.inf, np.inf
     live = np.int64(15)
     f, lower = _nearest(W, live)
-    upper = np.inf
     for used in range(4, MAX_POINTS):
         nx, ny, nz = W[_NX + f], W[_NY + f], W[_NZ + f]
         height = _add_point(W, K, used, vectors_a, vectors_b, nx, ny, nz)
-        upper = min(upper, height)
         if height <= error:
             break
-        if height - lower <= 4.0 * error or upper - lower <= tolerance:
+        # This face's own plane: another's may be as near already, but its normal is not the one at hand.
+        if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
             return SETTLED, lower, height
