@@ -258,6 +258,24 @@ def turned(r, x, y, z):
 
 
 @inline
+def turned_back(r, x, y, z):
+    """Rᵀ times a vector; R row by row, of which more may follow."""
+    return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+
+
+@inline
+def dot(ax, ay, az, bx, by, bz):
+    """a · b."""
+    return ax * bx + ay * by + az * bz
+
+
+@inline
+def cross(ax, ay, az, bx, by, bz):
+    """a × b."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@inline
 def rotated(r00, r01, r02, r10, r11, r12, r20, r21, r22, q0, q1, q2, q3, q4, q5):
     """R Q Rᵀ of a symmetric matrix."""
     t00, t01, t02 = times(q0, q1, q2, q3, q4, q5, r00, r01, r02)

@@ -28,6 +28,7 @@ from loewner._kernels.contact import (
     POSITION_ROUNDINGS,
     SHAPE_ROUNDINGS,
     UNIT_ROUNDOFF,
+    dot,
     maximize,
     nearness,
     normal_at,
@@ -145,16 +146,11 @@ def _shape(c, r, moved):
 
 
 @inline
-def _dot(ax, ay, az, bx, by, bz):
-    return ax * bx + ay * by + az * bz
-
-
-@inline
 def _guess(p, q, x, y, z, tiny):
     """s of two spheres as wide as the ellipsoids are along r."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], x, y, z)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], x, y, z)
-    return share(larger(_dot(px, py, pz, x, y, z), tiny), larger(_dot(qx, qy, qz, x, y, z), tiny))
+    return share(larger(dot(px, py, pz, x, y, z), tiny), larger(dot(qx, qy, qz, x, y, z), tiny))
 
 
 @inline
@@ -212,10 +208,10 @@ def _apart(p, q, x, y, z, nx, ny, nz, s, size, unit, sure):
     """
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
-    pn = _dot(px, py, pz, nx, ny, nz)
-    qn = _dot(qx, qy, qz, nx, ny, nz)
-    squared = _dot(nx, ny, nz, nx, ny, nz)
-    along = _dot(nx, ny, nz, x, y, z)
+    pn = dot(px, py, pz, nx, ny, nz)
+    qn = dot(qx, qy, qz, nx, ny, nz)
+    squared = dot(nx, ny, nz, nx, ny, nz)
+    along = dot(nx, ny, nz, x, y, z)
     # n·r > √b + √c, with n·r rounded down and the squared widths b and c rounded up.
     a = along - POSITION_ERROR * unit * size * (magnitude(nx) + magnitude(ny) + magnitude(nz))
     b = pn + SHAPE_ERROR * unit * (p[0] + p[3] + p[5]) * squared
@@ -238,9 +234,9 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit, sure):
     """Mask: surely a common point at (1-s) P n from a's center. And mask: surely F > 1, so that there is none."""
     px, py, pz = times(p[0], p[1], p[2], p[3], p[4], p[5], nx, ny, nz)
     qx, qy, qz = times(q[0], q[1], q[2], q[3], q[4], q[5], nx, ny, nz)
-    pn = _dot(px, py, pz, nx, ny, nz)
-    qn = _dot(qx, qy, qz, nx, ny, nz)
-    squared = _dot(nx, ny, nz, nx, ny, nz)
+    pn = dot(px, py, pz, nx, ny, nz)
+    qn = dot(qx, qy, qz, nx, ny, nz)
+    squared = dot(nx, ny, nz, nx, ny, nz)
     length = magnitude(nx) + magnitude(ny) + magnitude(nz)
     u = 1.0 - s
     # The point seen from a, and how far the same point seen from b misses it: zero in exact arithmetic.
@@ -254,7 +250,7 @@ def _common(p, q, grip_a, grip_b, x, y, z, nx, ny, nz, s, size, unit, sure):
     free_b = 1.0 - 32.0 * unit - (s * error_q * length + slack) * grip_b
     inside_a = (free_a > 0.0) & (u * u * (pn + error_p * squared) <= free_a * free_a)
     inside_b = (free_b > 0.0) & (s * s * (qn + error_q * squared) <= free_b * free_b)
-    F = s * u * _dot(nx, ny, nz, x, y, z)
+    F = s * u * dot(nx, ny, nz, x, y, z)
     least = u / (grip_a * grip_a) + s / (grip_b * grip_b)
     doubt = _doubt(p, q, least, miss, s, size, unit, sure)
     return inside_a & inside_b, ((F - 1.0) * least > 1.25 * doubt) & (doubt < least)

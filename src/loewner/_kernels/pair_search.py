@@ -13,7 +13,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.blocks import BLOCK, aligned, entry, farthest, place
-from loewner._kernels.contact import UNIT_ROUNDOFF
+from loewner._kernels.contact import UNIT_ROUNDOFF, cross
 from loewner._kernels.gjk import APART, DISTANCE_TOLERANCE, ERROR_SHARE, TOUCHING, UNSETTLED
 from loewner._kernels.shapes import KIND, LARGE, POINTS_FROM, POINTS_TO, POLYTOPE, placed_support
 from loewner._kernels.simplex import segment_weight, triangle_weights
@@ -84,17 +84,12 @@ def _supports(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_
 
 
 @inline
-def _cross(ax, ay, az, bx, by, bz):
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@inline
 def _edge(ax, ay, az, bx, by, bz):
     """Line case: how many points stay, and the direction from the feature away from the origin."""
     ux, uy, uz = bx - ax, by - ay, bz - az
     if ux * ax + uy * ay + uz * az < 0.0:
-        px, py, pz = _cross(ux, uy, uz, ax, ay, az)
-        nx, ny, nz = _cross(px, py, pz, ux, uy, uz)
+        px, py, pz = cross(ux, uy, uz, ax, ay, az)
+        nx, ny, nz = cross(px, py, pz, ux, uy, uz)
         return 2, nx, ny, nz
     return 1, ax, ay, az
 
@@ -147,9 +142,9 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
             b1x, b1y, b1z = bx - ax, by - ay, bz - az
             c1x, c1y, c1z = cx - ax, cy - ay, cz - az
             e1x, e1y, e1z = ex - ax, ey - ay, ez - az
-            fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-            gx, gy, gz = _cross(c1x, c1y, c1z, e1x, e1y, e1z)
-            hx, hy, hz = _cross(e1x, e1y, e1z, b1x, b1y, b1z)
+            fx, fy, fz = cross(b1x, b1y, b1z, c1x, c1y, c1z)
+            gx, gy, gz = cross(c1x, c1y, c1z, e1x, e1y, e1z)
+            hx, hy, hz = cross(e1x, e1y, e1z, b1x, b1y, b1z)
             f = -(fx * ax + fy * ay + fz * az)
             g = -(gx * ax + gy * ay + gz * az)
             h = -(hx * ax + hy * ay + hz * az)
@@ -176,9 +171,9 @@ def quick(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, e
         else:
             b1x, b1y, b1z = bx - ax, by - ay, bz - az
             c1x, c1y, c1z = cx - ax, cy - ay, cz - az
-            fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-            qx, qy, qz = _cross(fx, fy, fz, c1x, c1y, c1z)
-            rx, ry, rz = _cross(b1x, b1y, b1z, fx, fy, fz)
+            fx, fy, fz = cross(b1x, b1y, b1z, c1x, c1y, c1z)
+            qx, qy, qz = cross(fx, fy, fz, c1x, c1y, c1z)
+            rx, ry, rz = cross(b1x, b1y, b1z, fx, fy, fz)
             if qx * ax + qy * ay + qz * az < 0.0:
                 if c1x * ax + c1y * ay + c1z * az < 0.0:
                     bx, by, bz = cx, cy, cz
@@ -225,9 +220,9 @@ def _triangle(ax, ay, az, px, py, pz, qx, qy, qz):
     wx, wy, wz = qx - ax, qy - ay, qz - az
     along_p = ax * ux + ay * uy + az * uz
     along_q = ax * wx + ay * wy + az * wz
-    nx, ny, nz = _cross(ux, uy, uz, wx, wy, wz)
-    mx, my, mz = _cross(ax, ay, az, ux, uy, uz)
-    lx, ly, lz = _cross(ax, ay, az, wx, wy, wz)
+    nx, ny, nz = cross(ux, uy, uz, wx, wy, wz)
+    mx, my, mz = cross(ax, ay, az, ux, uy, uz)
+    lx, ly, lz = cross(ax, ay, az, wx, wy, wz)
     # Barycentric coordinates of the origin's foot, times the squared area.
     of_q = nx * mx + ny * my + nz * mz
     of_p = -(nx * lx + ny * ly + nz * lz)
@@ -239,10 +234,10 @@ def _triangle(ax, ay, az, px, py, pz, qx, qy, qz):
     if along_p >= 0.0 and along_q >= 0.0:
         return 0, ax, ay, az
     if of_q <= 0.0 and along_p < 0.0:
-        nx, ny, nz = _cross(ux, uy, uz, mx, my, mz)
+        nx, ny, nz = cross(ux, uy, uz, mx, my, mz)
         return 1 if px * ux + py * uy + pz * uz > 0.0 else -1, nx, ny, nz
     if of_p <= 0.0 and along_q < 0.0:
-        nx, ny, nz = _cross(wx, wy, wz, lx, ly, lz)
+        nx, ny, nz = cross(wx, wy, wz, lx, ly, lz)
         return 2 if qx * wx + qy * wy + qz * wz > 0.0 else -1, nx, ny, nz
     return -1, ax, ay, az
 
@@ -371,9 +366,9 @@ def near(
                 b1x, b1y, b1z = bx - ax, by - ay, bz - az
                 c1x, c1y, c1z = cx - ax, cy - ay, cz - az
                 e1x, e1y, e1z = ex - ax, ey - ay, ez - az
-                fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-                gx, gy, gz = _cross(c1x, c1y, c1z, e1x, e1y, e1z)
-                hx, hy, hz = _cross(e1x, e1y, e1z, b1x, b1y, b1z)
+                fx, fy, fz = cross(b1x, b1y, b1z, c1x, c1y, c1z)
+                gx, gy, gz = cross(c1x, c1y, c1z, e1x, e1y, e1z)
+                hx, hy, hz = cross(e1x, e1y, e1z, b1x, b1y, b1z)
                 # Positive: the origin lies beyond the face opposite e, b, c.
                 volume = fx * e1x + fy * e1y + fz * e1z
                 sign = np.copysign(1.0, volume)

@@ -6,8 +6,8 @@ takes all cases of the simplex together, each pair choosing its own. Two or thre
 
 The walk is in single precision. What it finds is proven nonetheless, by a support plane clear of the origin or by a
 tetrahedron of points of A - B that holds it, both clear of what that precision rounds (docs/certified.md). Pairs
-nearer to contact, one in hundreds, have no proof here and are left to `pair_search`; so nothing a pair is told depends
-on how it was reached or on the pairs beside it.
+nearer to contact, two in a thousand, have no proof here and are left to `pair_search`; so nothing a pair is told
+depends on how it was reached or on the pairs beside it.
 
 References
 ----------
@@ -19,7 +19,7 @@ import numpy as np
 from loewner._kernels import blocks
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.blocks import extent
-from loewner._kernels.contact import POSITION_ROUNDINGS, turned
+from loewner._kernels.contact import POSITION_ROUNDINGS, cross, dot, turned, turned_back
 from loewner._kernels.lanes import (
     PAIR,
     PIECE_A,
@@ -31,6 +31,7 @@ from loewner._kernels.lanes import (
     single_pose_of,
     turns,
 )
+from loewner._kernels.pair_search import KEPT
 from loewner._kernels.shapes import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.vectors import (
     SINGLE_ALL,
@@ -48,17 +49,14 @@ from loewner._kernels.vectors import (
     store_apart,
 )
 
-# What `walk` says of a pair.
+# What `settle` says of a pair.
 OPEN, APART, TOUCHING = 0, 1, 2
 
-ROUNDS = 10  # five settle 19 in 20 pairs, nine all but one in a thousand
+ROUNDS = 10  # five settle nine in ten pairs, eight all but one in a hundred
 
 FEW = 4  # pairs that are sooner searched one by one
 
 MOST = 64  # vertices of a piece: more and sixteen pairs leave the first-level cache
-
-# Share of the first direction in the second, of unit vectors. 0.5 to 0.8 serve equally well.
-KEPT = np.float32(0.7)
 
 # Errors in units of the roundoff, each twice what docs/certified.md derives: of a product with a support point, all in
 # single precision or only in what `plane` rounds, times the lengths; of a product of three points, times the third
@@ -183,22 +181,6 @@ def _farthest(W, start, stop, x, y, z):
 
 
 @inline
-def _turned_back(r, x, y, z):
-    """Rᵀ times a vector; R row by row, of which more may follow."""
-    return r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
-
-
-@inline
-def _cross(ax, ay, az, bx, by, bz):
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@inline
-def _dot(ax, ay, az, bx, by, bz):
-    return ax * bx + ay * by + az * bz
-
-
-@inline
 def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
     """Tell whether the plane across a direction from a to b surely separates two pieces, margin 0.
 
@@ -234,7 +216,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
 def _directions(N):
     """The directions to start from; any, where there is none."""
     x, y, z = load_rounded(N, 0), load_rounded(N, SINGLE_LANES), load_rounded(N, 2 * SINGLE_LANES)
-    given = _dot(x, y, z, x, y, z) > SHORT
+    given = dot(x, y, z, x, y, z) > SHORT
     return choose(given, x, 1.0), choose(given, y, 0.0), choose(given, z, 0.0)
 
 
@@ -287,9 +269,9 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         ux, uy, uz = -px, -py, -pz
         vx, vy, vz = px, py, pz
         if turned_a:
-            ux, uy, uz = _turned_back(a, ux, uy, uz)
+            ux, uy, uz = turned_back(a, ux, uy, uz)
         if turned_b:
-            vx, vy, vz = _turned_back(b, vx, vy, vz)
+            vx, vy, vz = turned_back(b, vx, vy, vz)
         ux, uy, uz = _farthest(W, np.int64(0), ends_a, ux, uy, uz)
         vx, vy, vz = _farthest(W, ends_a, ends_b, vx, vy, vz)
         if turned_a:
@@ -297,16 +279,16 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         if turned_b:
             vx, vy, vz = turned(b, vx, vy, vz)
         ax, ay, az = ux - (vx + tx), uy - (vy + ty), uz - (vz + tz)
-        squared = _dot(px, py, pz, px, py, pz)
+        squared = dot(px, py, pz, px, py, pz)
         length = root(squared)
-        apart = apart | ((_dot(px, py, pz, ax, ay, az) > error * length) & (squared > SHORT))
+        apart = apart | ((dot(px, py, pz, ax, ay, az) > error * length) & (squared > SHORT))
         if bits(apart | touching) == SINGLE_ALL:
             break
-        largest = larger(largest, _dot(ax, ay, az, ax, ay, az))
+        largest = larger(largest, dot(ax, ay, az, ax, ay, az))
         if r == 0:
             # Between the first direction and that of the first point lies what saves a round.
-            kept = KEPT / length
-            rest = (np.float32(1.0) - KEPT) / root(_dot(ax, ay, az, ax, ay, az))
+            kept = np.float32(KEPT) / length
+            rest = np.float32(1.0 - KEPT) / root(dot(ax, ay, az, ax, ay, az))
             px, py, pz = kept * px + rest * ax, kept * py + rest * ay, kept * pz + rest * az
             bx, by, bz = ax, ay, az
             continue
@@ -316,16 +298,16 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         b1x, b1y, b1z = bx - ax, by - ay, bz - az
         c1x, c1y, c1z = cx - ax, cy - ay, cz - az
         e1x, e1y, e1z = ex - ax, ey - ay, ez - az
-        fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-        gx, gy, gz = _cross(c1x, c1y, c1z, e1x, e1y, e1z)
-        hx, hy, hz = _cross(e1x, e1y, e1z, b1x, b1y, b1z)
-        f = -_dot(fx, fy, fz, ax, ay, az)
-        g = -_dot(gx, gy, gz, ax, ay, az)
-        h = -_dot(hx, hy, hz, ax, ay, az)
+        fx, fy, fz = cross(b1x, b1y, b1z, c1x, c1y, c1z)
+        gx, gy, gz = cross(c1x, c1y, c1z, e1x, e1y, e1z)
+        hx, hy, hz = cross(e1x, e1y, e1z, b1x, b1y, b1z)
+        f = -dot(fx, fy, fz, ax, ay, az)
+        g = -dot(gx, gy, gz, ax, ay, az)
+        h = -dot(hx, hy, hz, ax, ay, az)
         # The origin is inside if the three and the base, volume - f - g - h, are all negative, clear of rounding.
         reach = root(largest)
         slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
-        base = _dot(fx, fy, fz, e1x, e1y, e1z) - (f + g + h)
+        base = dot(fx, fy, fz, e1x, e1y, e1z) - (f + g + h)
         inside = (f < -slack) & (g < -slack) & (h < -slack)
         inside = inside & (base < -SINGLE_ROUNDOFF * largest * (SUM_ERROR * reach + POINT_ERROR * size))
         touching = touching | (three & inside)
@@ -347,24 +329,24 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         # Of a triangle the origin is over the inside, or beyond the edge a b or a c.
         b1x, b1y, b1z = bx - ax, by - ay, bz - az
         c1x, c1y, c1z = cx - ax, cy - ay, cz - az
-        fx, fy, fz = _cross(b1x, b1y, b1z, c1x, c1y, c1z)
-        qx, qy, qz = _cross(fx, fy, fz, c1x, c1y, c1z)
-        rx, ry, rz = _cross(b1x, b1y, b1z, fx, fy, fz)
-        beyond_c = plane & (_dot(qx, qy, qz, ax, ay, az) < 0.0)
-        beyond_b = _dot(rx, ry, rz, ax, ay, az) < 0.0
+        fx, fy, fz = cross(b1x, b1y, b1z, c1x, c1y, c1z)
+        qx, qy, qz = cross(fx, fy, fz, c1x, c1y, c1z)
+        rx, ry, rz = cross(b1x, b1y, b1z, fx, fy, fz)
+        beyond_c = plane & (dot(qx, qy, qz, ax, ay, az) < 0.0)
+        beyond_b = dot(rx, ry, rz, ax, ay, az) < 0.0
         line = beyond_b | beyond_c | ~plane
-        swap = beyond_c & (_dot(c1x, c1y, c1z, ax, ay, az) < 0.0)
+        swap = beyond_c & (dot(c1x, c1y, c1z, ax, ay, az) < 0.0)
         bx, by, bz = choose(swap, cx, bx), choose(swap, cy, by), choose(swap, cz, bz)
 
         # Of a line the origin is beside the inside, or beyond a.
         ux, uy, uz = bx - ax, by - ay, bz - az
-        beside = _dot(ux, uy, uz, ax, ay, az) < 0.0
-        qx, qy, qz = _cross(ux, uy, uz, ax, ay, az)
-        qx, qy, qz = _cross(qx, qy, qz, ux, uy, uz)
+        beside = dot(ux, uy, uz, ax, ay, az) < 0.0
+        qx, qy, qz = cross(ux, uy, uz, ax, ay, az)
+        qx, qy, qz = cross(qx, qy, qz, ux, uy, uz)
         two = line & beside
         three = ~line
         # Turned so that a, b, c runs counter-clockwise seen from the origin.
-        other = _dot(fx, fy, fz, ax, ay, az) <= 0.0
+        other = dot(fx, fy, fz, ax, ay, az) <= 0.0
         px = choose(three, choose(other, -fx, fx), choose(beside, qx, ax))
         py = choose(three, choose(other, -fy, fy), choose(beside, qy, ay))
         pz = choose(three, choose(other, -fz, fz), choose(beside, qz, az))
