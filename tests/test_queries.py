@@ -1,5 +1,6 @@
 """The laws of classify, collide and distance, on pairs whose truth the oracles know."""
 
+import pickle
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch
-from loewner import Bodies, Body, Verdict, classify, collide, distance
+from loewner import Bodies, Body, Verdict, classify, collide, distance, queries
 from oracles import (
     HullPool,
     Support,
@@ -687,3 +688,52 @@ def test_pairs_that_do_not_exist(links_and_obstacles, pairs, told):
             query(a, Ta, b, Tb, pairs=pairs)
     with pytest.raises(loewner.PoseError, match="as many bodies as poses"):
         collide(a, Ta[:3], b, Tb, pairs=[[0, 0]])
+
+
+def test_deep_in_a_cone_with_the_origin_on_a_face():
+    """GJK ends with three points here; the depth was then sought to more digits than there are, the witnesses wrong."""
+    Ta, Tb, upright = np.eye(4), np.eye(4), np.eye(4)
+    Ta[:3, 3] = [0.3949288093670008, -0.4230924575572125, -0.0069885899329622525]
+    Tb[:3] = [
+        [-0.5192160134366026, 0.2860656126309713, -0.8053453896689725, 0.38757794010443514],
+        [0.14541119733657223, 0.9581477005563033, 0.24659393262571044, -0.41391702903931515],
+        [0.8421818776726001, 0.010929281254321951, -0.539082772615781, -0.005996200828824572],
+    ]
+    upright[:3, 3] = [0.033, -0.354, 0.29]
+    cone = Body.cone(0.3, 0.8)
+    rng = np.random.default_rng(4)
+    many = np.tile(np.eye(4), (2000, 1, 1))
+    many[:, :3, 3] = rng.uniform(-0.45, 0.45, size=(2000, 3)).round(3)
+    for a, A, T in ((Body.sphere(0.3), Ta, Tb), (Body.cylinder(0.2, 0.3), None, upright), (cone, None, many)):
+        found = distance(a, A, cone, T, exact=True)
+        along = np.multiply(np.expand_dims(found.distance, -1), found.normal)
+        assert found.witness_b - found.witness_a == pytest.approx(along, abs=1e-8)
+    assert distance(Body.sphere(0.3), Ta, cone, Tb, exact=True).distance == pytest.approx(-0.43472, abs=1e-5)
+
+
+def test_a_batch_with_a_pair_that_cannot_be_settled(monkeypatch):
+    """An error that names the pair and keeps the answers to all others."""
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [2.0, 3.0, 0.1, 5.0, 6.0]
+    sphere, box = Body.sphere(0.3), Body.box([1.0, 1.0, 1.0])
+    right = distance(sphere, None, box, poses, exact=True)
+    settle = queries.distances.distance_range
+
+    def one_left(*arguments):
+        left = settle(*arguments)
+        arguments[-1][2] = 1  # the status of the third pair
+        return left
+
+    monkeypatch.setattr(queries.distances, "distance_range", one_left)
+    with pytest.raises(loewner.ConvergenceError, match=r"1 of 5 .* flat index 2") as caught:
+        distance(sphere, None, box, poses, exact=True)
+    found = caught.value.partial
+    assert caught.value.indices.tolist() == [2]
+    assert np.isnan(found.distance).tolist() == [False, False, True, False, False]
+    assert np.isnan(found.normal[2]).all()
+    for k in (0, 1, 3, 4):
+        assert found.distance[k] == right.distance[k]
+        assert (found.witness_b[k] == right.witness_b[k]).all()
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (again.indices == [2]).all()
+    assert str(again) == str(caught.value)

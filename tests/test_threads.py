@@ -95,3 +95,24 @@ def test_one_thread_alone_takes_large_shares():
         assert in_shares(lambda first, last: last - first, 10 * _threads.ALONE + 5, 10) == [10 * _threads.ALONE, 5]
     finally:
         numba.set_num_threads(before)
+
+
+def test_an_interrupt_while_arrays_are_handed_back_is_one(threads):
+    """Numba says SystemError if Ctrl-C comes while a kernel's results become Python's."""
+
+    def run(first, last):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    with pytest.raises(KeyboardInterrupt):
+        in_shares(run, 100, 10)
+    with pytest.raises(KeyboardInterrupt):
+        in_shares(run, 1, 10)
+
+    def fault(first, last):
+        raise SystemError("another")
+
+    with pytest.raises(SystemError, match="another"):
+        in_shares(fault, 1, 10)

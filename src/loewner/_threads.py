@@ -45,7 +45,7 @@ def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
     This thread takes shares like the others: to wait for one to wake up costs as much as 1,000 pairs.
     """
     if total <= least:
-        return [run(0, total)]
+        return [_uninterrupted(run, 0, total)]
     size = share(total, least)
     starts = range(0, total, size)
     todo = deque(enumerate(starts))
@@ -58,7 +58,7 @@ def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
                     n, start = todo.popleft()
                 except IndexError:  # another thread took the last one
                     return
-                results[n] = run(start, min(start + size, total))
+                results[n] = _uninterrupted(run, start, min(start + size, total))
         except BaseException:
             todo.clear()
             raise
@@ -73,6 +73,16 @@ def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
     for error in filter(None, errors):
         raise error
     return results
+
+
+def _uninterrupted(run: Callable[[int, int], T], first: int, last: int) -> T:
+    """run(first, last); an interrupt while a kernel hands back its arrays is one, not a fault of Numba's."""
+    try:
+        return run(first, last)
+    except SystemError as error:
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        raise
 
 
 def over_blocks(

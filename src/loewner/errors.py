@@ -4,6 +4,10 @@ Each also derives from the built-in exception a caller would expect, so that
 ``except ValueError`` keeps working for people who never heard of this module.
 """
 
+from typing import Any
+
+import numpy as np
+
 
 class LoewnerError(Exception):
     """Base of all errors raised by `loewner`.
@@ -62,6 +66,14 @@ class PoseError(InputError):
 class ConvergenceError(LoewnerError, ArithmeticError):
     """An iteration did not reach its certificate; nothing is returned instead of a guess.
 
+    Attributes
+    ----------
+    indices : ndarray of int
+        Of a batch of pairs: the flat indices of those that could not be settled.
+    partial : object or None
+        What the query would have returned: the answers to all other pairs. For these, `collide` says True, and
+        exact distances, witnesses and normals are NaN.
+
     Examples
     --------
     >>> import numpy as np
@@ -73,6 +85,14 @@ class ConvergenceError(LoewnerError, ArithmeticError):
     ...     print(str(error).split(";")[1])
      a thin body far from the origin may not have that many digits: ask for a larger tol, or move it to the origin
     """
+
+    def __init__(self, message: str, indices: Any = (), partial: Any = None) -> None:
+        super().__init__(message)
+        self.indices = np.asarray(indices, dtype=np.intp)
+        self.partial = partial
+
+    def __reduce__(self) -> Any:
+        return type(self), (str(self), self.indices, self.partial)
 
 
 class PlanningError(LoewnerError, RuntimeError):

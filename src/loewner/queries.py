@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -379,12 +379,13 @@ def collide(
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
     if method == "exact":
         out, _ = _settle(verdicts.EXACT, keep, asked)
-        _refuse_unsettled(out == Verdict.AMBIGUOUS, "collide")
     else:
         out, _ = _settle(verdicts.CERTIFY, keep, asked)
         _estimate(code, keep, asked, out)
-    colliding = out == Verdict.COLLIDING
-    return bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
+    unsettled = out == Verdict.AMBIGUOUS
+    colliding = (out == Verdict.COLLIDING) | unsettled
+    found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
+    return _refused(unsettled, "collide", found) if unsettled.any() else found
 
 
 def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
@@ -484,7 +485,9 @@ def distance(
         # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
         lower, upper, _, value = numbers
         np.maximum(lower, np.minimum(value, upper, out=value), out=value)
-    _refuse_unsettled(status != 0, "distance")
+    unsettled = status != 0
+    for answers in (*numbers[3:], *vectors):
+        answers[unsettled] = np.nan
 
     def shaped(x: Floats) -> Any:
         if len(x) != n:
@@ -493,7 +496,8 @@ def distance(
             return float(x[0]) if x.ndim == 1 else x[0]
         return x.reshape(shape + x.shape[1:])
 
-    return Distance(*(shaped(x) for x in (*numbers, *vectors))) if exact else Distance(*map(shaped, numbers[:3]))
+    found = Distance(*(shaped(x) for x in (*numbers, *vectors))) if exact else Distance(*map(shaped, numbers[:3]))
+    return _refused(unsettled, "distance", found) if unsettled.any() else found
 
 
 def _rule_code(rule: str) -> int:
@@ -502,11 +506,13 @@ def _rule_code(rule: str) -> int:
     return RULES[rule]
 
 
-def _refuse_unsettled(unsettled: NDArray[np.bool_], query: str) -> None:
+def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:
     """An answer that arithmetic could not settle is an exception, never a guess."""
-    if unsettled.any():
-        first = int(np.flatnonzero(unsettled)[0])
-        raise ConvergenceError(
-            f"{query}: {int(unsettled.sum())} of {unsettled.size} pairs could not be settled, the first at flat "
-            f"index {first}; treat them as colliding or change their poses by a hair"
-        )
+    indices = np.flatnonzero(unsettled)
+    raise ConvergenceError(
+        f"{query}: {len(indices)} of {unsettled.size} pairs could not be settled, the first at flat index "
+        f"{indices[0]}; treat them as colliding, or change their poses by a hair (the error's `indices` name them, its "
+        "`partial` has the answers to all others)",
+        indices,
+        partial,
+    )

@@ -77,6 +77,9 @@ SETTLED = 1e-9
 # a plane and two witnesses, never less than the true one.
 SETTLED_CURVED = 1e-3
 
+# What the witnesses of a depth may miss it by, of the same lengths.
+WITNESSES = 1e-5
+
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
 
@@ -370,15 +373,21 @@ def _distance_with_care(
         _write(G, k, weights, d, result)
         return upper, upper - lower
     S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
-    # The depth sought is the upper bound: the support plane of the normal that comes with it.
-    accuracy = DEPTH_ACCURACY if k == 4 else CONTACT_ACCURACY
+    # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
+    # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
     shallow, deep = penetration(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy,
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, DEPTH_ACCURACY,
         S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
     )  # fmt: skip
+    graze = k < 4 and deep != FLAT and deep <= SETTLED / POSITION_ROUNDINGS * error
+    if graze:
+        shallow, deep = penetration(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, CONTACT_ACCURACY,
+            S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
+        )  # fmt: skip
     if deep != FLAT:
-        if k < 4:
-            # A graze. An expanding polytope that does not hold the origin need not hold the origin's foot in
+        if graze:
+            # An expanding polytope that does not hold the origin need not hold the origin's foot in
             # its nearest face either; GJK's points may be the better ones.
             normal, points = result[:3].copy(), result[3:].copy()
             missed = _miss(result, -deep)
@@ -521,7 +530,10 @@ def _measure_late(late, queue, a, Ta, b, Tb, S, D, K, result, out):
         )
         curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
         tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
-        _record(lane, queue, Ta, S, value, gap, tolerance, radius(ta, la, i), radius(tb, lb, j), result, out)
+        ra, rb = radius(ta, la, i), radius(tb, lb, j)
+        if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * S[SIZE * LANES + lane]:
+            tolerance = -1.0  # a depth whose witnesses do not bear it out
+        _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out)
 
 
 @inline
