@@ -1,4 +1,4 @@
-"""Verdicts for ranges of pairs: lists of piece pairs for the certificate, then the open ones one by one.
+"""Verdicts for ranges of pairs: lists of piece pairs for the certificate, then the exact searches for the open ones.
 
 The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d of each operand
 (two bodies, two pose arrays): broadcasting without copies.
