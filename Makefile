@@ -2,6 +2,7 @@
 #   make demo     the main job on robot meshes, a picture, the paper, an arm in a shelf
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
+#   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make docs     the documentation, as pages in docs/_build/html
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
@@ -13,9 +14,9 @@ PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 
-.PHONY: help demo test verify bench check docs clean
+.PHONY: help demo test verify fuzz bench check docs clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 6
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 7
 
 demo: $(VENV)/.demo
 	$(BIN)/python -m loewner compile --only verdicts fits robots
@@ -23,10 +24,14 @@ demo: $(VENV)/.demo
 
 test: $(VENV)/.dev
 	$(BIN)/python -m loewner compile
-	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify" tests
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 verify: $(VENV)/.dev
 	$(PYTEST) -s -m verify tests
+
+fuzz: $(VENV)/.dev
+	$(BIN)/python -m loewner compile
+	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/fits.py

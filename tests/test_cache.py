@@ -1,23 +1,27 @@
 """The compiled-kernel cache: an edit anywhere in the kernels changes the answer at once."""
 
+import hashlib
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import loewner
 from loewner import compilation
+from loewner._kernels import _jit, _sealed
 
 ASK = """
 import sys
 sys.path.insert(0, {root!r})
 import loewner.ellipsoids
 assert loewner.__file__.startswith({root!r}), loewner.__file__
-from loewner._kernels import edited_caller
-print(edited_caller.answer(1.0))
+from loewner._kernels.edited import caller
+print(caller.answer(1.0))
 """
 
 CALLEE = """
@@ -30,7 +34,7 @@ def constant():
 
 CALLER = """
 from loewner._kernels._jit import njit
-from loewner._kernels.edited_callee import constant
+from loewner._kernels.edited.callee import constant
 
 @njit()
 def answer(x):
@@ -38,22 +42,29 @@ def answer(x):
 """
 
 
-def ask(root: Path, cache: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def ask(root: Path, cache: Path, first: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
     env = {**os.environ, "LOEWNER_CACHE_DIR": str(cache), "PYTHONDONTWRITEBYTECODE": "1", **environment}
     env.pop("PYTHONPATH", None)
     return subprocess.run(
-        [sys.executable, "-c", ASK.format(root=str(root))], env=env, capture_output=True, text=True, check=True
+        [sys.executable, "-c", first + ASK.format(root=str(root))], env=env, capture_output=True, text=True, check=True
     )
+
+
+def entries(cache: Path) -> list[Path]:
+    return sorted(cache.rglob("*.kernel"))
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A copy of the package with two kernels of its own, one calling the other from another file."""
+    """A copy of the package with two kernels in a subfolder, one calling the other from another file."""
     root = tmp_path / "site"
     source = Path(loewner.__file__).parent
     shutil.copytree(source, root / "loewner", ignore=shutil.ignore_patterns("__pycache__"))
-    (root / "loewner" / "_kernels" / "edited_callee.py").write_text(CALLEE.format(value=1.0))
-    (root / "loewner" / "_kernels" / "edited_caller.py").write_text(CALLER)
+    folder = root / "loewner" / "_kernels" / "edited"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "callee.py").write_text(CALLEE.format(value=1.0))
+    (folder / "caller.py").write_text(CALLER)
     return root
 
 
@@ -62,8 +73,8 @@ def test_an_edited_callee_changes_the_answer(package: Path, tmp_path: Path):
     cache = tmp_path / "cache"
     first = ask(package, cache)
     assert float(first.stdout) == 2.0
-    assert list(cache.rglob("*.nbi")), "the first run must have filled the cache, or nothing is tested"
-    callee = package / "loewner" / "_kernels" / "edited_callee.py"
+    assert entries(cache), "the first run must have filled the cache, or nothing is tested"
+    callee = package / "loewner" / "_kernels" / "edited" / "callee.py"
     stamp = callee.stat()
     callee.write_text(CALLEE.format(value=5.0))
     # Not even the time stamp gives the edit away.
@@ -84,6 +95,105 @@ def test_no_place_for_a_cache_is_no_error(package: Path, tmp_path: Path):
     blocked = tmp_path / "a file"
     blocked.write_text("")
     assert float(ask(package, blocked).stdout) == 2.0
+
+
+def foreign(data: bytes) -> bytes:
+    """A sealed file as it should be, of something else."""
+    content = pickle.dumps(("not", "a", "kernel"))
+    return _sealed.HEADER + hashlib.sha256(content).digest() + content
+
+
+DAMAGE = {
+    "empty": lambda data: b"",
+    "cut": lambda data: data[: len(data) // 2],
+    "random": lambda data: np.random.default_rng(0).bytes(len(data)),
+    "one bit": lambda data: data[:-100] + bytes([data[-100] ^ 16]) + data[-99:],
+    "header": lambda data: data[:5] + b"!" + data[6:],
+    "longer": lambda data: data + b"more",
+    "foreign": foreign,
+}
+
+
+def answer(x: float) -> float:
+    return x + 1.0
+
+
+@pytest.fixture
+def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """A function that compiles `answer` as a new process would, and gives its answer and what was said."""
+    monkeypatch.setattr(_jit, "CACHE_FOLDER", tmp_path / "kernels")
+    monkeypatch.delenv("LOEWNER_QUIET", raising=False)
+
+    def run() -> tuple[float, str]:
+        monkeypatch.setattr(_jit, "_said", set())
+        return _jit.njit()(answer)(1.0), capsys.readouterr().err
+
+    assert run() == (2.0, "")  # Numba's event names loewner's own kernels only, so that nothing is announced here
+    return run
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_entry_is_made_anew(compiled, tmp_path: Path, kind: str):
+    """Whatever happened to an entry, the answer is right, one line says which file it was, and it happens once."""
+    (entry,) = entries(tmp_path)
+    entry.write_bytes(DAMAGE[kind](entry.read_bytes()))
+    result, said = compiled()
+    assert result == 2.0
+    assert len(said.splitlines()) == 1
+    assert str(entry) in said
+    assert "compiling it anew" in said
+    assert compiled() == (2.0, "")
+
+
+def test_any_flipped_bit_is_noticed(compiled, tmp_path: Path, rng: np.random.Generator):
+    """Machine code with one wrong bit is never run: all of 200 places, header and checksum included."""
+    (entry,) = entries(tmp_path)
+    whole = entry.read_bytes()
+    for place in [*range(60), *rng.integers(len(whole), size=140)]:
+        data = bytearray(whole)
+        data[place] ^= 1 << int(rng.integers(8))
+        entry.write_bytes(data)
+        with pytest.raises(_sealed.DamagedFileError):
+            _sealed.read(entry)
+
+
+def test_an_entry_that_cannot_be_read_is_no_error(compiled, tmp_path: Path):
+    """A folder stands where the entry should be: the kernel is compiled in memory, and that is said."""
+    (entry,) = entries(tmp_path)
+    entry.unlink()
+    entry.mkdir()
+    result, said = compiled()
+    assert result == 2.0
+    assert f"{entry} cannot be read" in said
+    assert f"{entry.parent} cannot be written" in said
+
+
+FULL = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+"""
+
+
+def test_a_full_disk_is_no_error(package: Path, tmp_path: Path):
+    """Where a write fails half way, the kernel stays in memory, one line says so, and nothing is left on disk."""
+    cache = tmp_path / "cache"
+    ran = ask(package, cache, first=FULL)
+    assert float(ran.stdout) == 2.0
+    assert ran.stderr.count("cannot be written (File too large); compiled kernels stay in memory") == 1
+    assert [path for path in cache.rglob("*") if path.is_file()] == []
+
+
+def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Compiling ahead without a place to keep the result is an error that names the folder."""
+    blocked = tmp_path / "a file"
+    blocked.write_text("")
+    monkeypatch.setenv("LOEWNER_CACHE_DIR", str(blocked))
+    monkeypatch.setattr(compilation, "_PARTS", {"little": None})
+    monkeypatch.setattr(compilation, "PARTS", ("little",))
+    child = "from loewner._kernels import rigid; import numpy as np; rigid.fault(np.eye(4))"
+    monkeypatch.setattr(compilation, "_code", lambda name: child)
+    with pytest.raises(loewner.FileError, match="a file/kernels-.* cannot be written"):
+        compilation.compile_kernels(["little"])
 
 
 QUERIES = """

@@ -119,9 +119,13 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
 
 def _compile_apart(name: str) -> None:
     """One part in a process of its own: Numba compiles one function at a time in each."""
-    # Numba makes millions of small objects that stay: looking through them for garbage takes a sixth of the time.
-    code = f"import gc; gc.set_threshold(200_000, 50, 100); from loewner.compilation import _PARTS; _PARTS[{name!r}]()"
-    command = [sys.executable, "-c", code]
+    told = "from loewner._kernels import _jit; import sys; sys.exit(_jit.unwritten())"
+    command = [sys.executable, "-c", f"{_code(name)}; {told}"]
     ran = subprocess.run(command, env={**os.environ, "LOEWNER_QUIET": "1"}, capture_output=True, text=True, check=False)
     if ran.returncode:
         raise FileError(f"{CACHE_FOLDER}: the kernels for {name} could not be compiled:\n{ran.stderr.strip()[-2000:]}")
+
+
+def _code(name: str) -> str:
+    # Numba makes millions of small objects that stay: looking through them for garbage takes a sixth of the time.
+    return f"import gc; gc.set_threshold(200_000, 50, 100); from loewner.compilation import _PARTS; _PARTS[{name!r}]()"

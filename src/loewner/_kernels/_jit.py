@@ -1,24 +1,33 @@
 """How kernels are compiled, and where the compiled code is kept.
 
-Numba's own on-disk cache notices a change only in the file of the function itself, not in a
-function it calls from another file. Stale collision code is dangerous, so the cache folder's
-name carries a hash of every source file of this package: any edit starts from an empty folder.
+Numba's own cache on disk notices a change only in the file of the function itself, not in a function it calls from
+another file, and it trusts what it reads. Stale or damaged collision code is dangerous. So the cache here is our own:
+the folder's name carries a hash of every source file of this package, any edit starts from an empty folder, and each
+entry is a sealed file (`_sealed`) that is dropped and made anew when it is damaged.
 
 The folder is ``$LOEWNER_CACHE_DIR`` if set, else the user's cache folder of the platform.
 """
 
 import hashlib
 import os
+import pickle
 import platform
+import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba import types
 from numba.core import event
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
 from numba.extending import intrinsic
+
+from loewner._kernels import _sealed
 
 _config: Any = numba.config  # its settings are made at run time; no type knows them
 
@@ -28,10 +37,12 @@ FASTMATH = {"contract"}
 
 
 def _source_hash() -> str:
-    """Hash of all kernel sources and of what else decides the compiled code."""
-    digest = hashlib.sha256(f"{numba.__version__} {platform.python_version()} {platform.machine()}".encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode())
+    """Hash of all kernel sources, subfolders included, and of what else decides the compiled code."""
+    made_with = numba.__version__, platform.python_version(), platform.machine(), _config.BOUNDSCHECK, _config.OPT
+    digest = hashlib.sha256(repr(made_with).encode())
+    home = Path(__file__).parent
+    for path in sorted(home.rglob("*.py")):
+        digest.update(path.relative_to(home).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -46,29 +57,25 @@ def _user_cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loewner"
 
 
-def _writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
-
-
 CACHE_FOLDER = _user_cache_folder() / f"kernels-{_source_hash()}"
-_CACHING = _writable(CACHE_FOLDER)  # without a place to write, compile in memory every time
+
+_said: set[str] = set()
+
+
+def _say(text: str) -> None:
+    """Tell people something on standard error, each thing once per process."""
+    if text not in _said and "LOEWNER_QUIET" not in os.environ:
+        print(f"loewner: {text}", file=sys.stderr, flush=True)
+    _said.add(text)
 
 
 class _Announcer(event.Listener):
-    """Say once per process that kernels are being compiled, on standard error."""
-
-    announced = False
+    """Say once per process that kernels are being compiled."""
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data.get("dispatcher")
-        ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("loewner._kernels")
-        if ours and not self.announced and "LOEWNER_QUIET" not in os.environ:
-            self.announced = True
-            print("loewner: compiling kernels for this machine (first use only) ...", file=sys.stderr, flush=True)
+        if getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("loewner._kernels"):
+            _say("compiling kernels for this machine (first use only) ...")
 
     def on_end(self, event: Any) -> None:
         pass
@@ -77,15 +84,74 @@ class _Announcer(event.Listener):
 event.register("numba:compile", _Announcer())
 
 
-def _name_by_process(dispatcher: Any) -> None:
-    """Let no two processes write compiled code under one name.
+def _identity(value: Any) -> Any:
+    """What tells the functions that one factory makes apart: their code and what they close over.
 
-    Numba numbers the data files of a function. Two processes that compile it for different argument types at
-    the same time would take the same number, and one type could then load the code of the other.
+    All sources are in the name of the folder. Paths are not: a copy of the package elsewhere finds the same entries.
     """
-    files = dispatcher._cache._cache_file
-    plain = files._data_name
-    files._data_name = lambda number: f"{os.getpid()}-{plain(number)}"
+    function = getattr(value, "py_func", value)
+    if not callable(function) or isinstance(function, type) or not hasattr(function, "__code__"):
+        return repr(value)
+    cells = tuple(_identity(cell.cell_contents) for cell in function.__closure__ or ())
+    return function.__module__, function.__qualname__, function.__code__.co_code.hex(), cells
+
+
+class _KernelCache(NullCache):
+    """Compiled code of one kernel on disk: one sealed file for each signature and processor.
+
+    No fault of the disk is an error here: what cannot be read is compiled, what cannot be written stays in memory.
+    """
+
+    failure: OSError | None = None  # why something could not be written last
+
+    def __init__(self, kernel: Callable[..., Any]) -> None:
+        self._kernel = kernel
+
+    @property
+    def cache_path(self) -> str:
+        return str(CACHE_FOLDER)
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        """Name of an entry: the kernel, and a hash of what else its code depends on."""
+        key = hashlib.sha256(repr((signature, codegen.magic_tuple(), _identity(self._kernel))).encode())
+        module = self._kernel.__module__.removeprefix("loewner._kernels.")
+        name = re.sub(r"[^A-Za-z0-9_.]", "", f"{module}.{self._kernel.__qualname__}")
+        return CACHE_FOLDER / f"{name}-{key.hexdigest()[:24]}.kernel"
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        try:
+            parts = pickle.loads(_sealed.read(path))
+            return CompileResult._rebuild(target_context, *parts)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            why = f"cannot be read ({error.strerror or error})"
+        except _sealed.DamagedFileError:
+            why = "is damaged"
+        except Exception as error:  # sealed, but not by this code: whatever is wrong with it, it is of no use
+            why = f"is not understood ({type(error).__name__})"
+        _say(f"{path} {why}; compiling it anew")
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        if data.lifted or data.library.has_dynamic_globals:
+            return  # holds addresses of this process
+        try:
+            CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
+            _sealed.write(self._path(sig, data.codegen), dumps(data._reduce()))
+        except OSError as error:
+            _KernelCache.failure = error
+            _say(f"{CACHE_FOLDER} cannot be written ({error.strerror or error}); compiled kernels stay in memory")
+
+
+def unwritten() -> str | None:
+    """Why compiled code could not be kept on disk, if that happened in this process."""
+    error = _KernelCache.failure
+    return None if error is None else f"{CACHE_FOLDER} cannot be written ({error.strerror or error})"
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -93,14 +159,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(error_model="numpy", fastmath=FASTMATH, nogil=True, **options)(function)
-        if _CACHING and not _config.DISABLE_JIT:
-            before = _config.CACHE_DIR
-            _config.CACHE_DIR = str(CACHE_FOLDER)
-            try:
-                dispatcher.enable_caching()
-                _name_by_process(dispatcher)
-            finally:
-                _config.CACHE_DIR = before
+        if not _config.DISABLE_JIT:
+            dispatcher._cache = _KernelCache(function)
         return dispatcher
 
     return decorate
