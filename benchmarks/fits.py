@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from loewner import fits, polytopes
-from loewner._kernels.mvce import fit_outer
+from loewner._kernels.fits.mvce import fit_outer
 
 TOL = 1e-4
 

@@ -9,7 +9,7 @@ import numpy as np
 import loewner
 from clock import race, threads_set_to, timed
 from loewner import Body, bodies, queries
-from loewner._kernels import verdicts
+from loewner._kernels import codes as verdicts
 from report import Row
 from samples import poses, rotations
 

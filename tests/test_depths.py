@@ -11,7 +11,9 @@ from scipy.optimize import brentq
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, stretch
 from loewner import Bodies, Body
-from loewner._kernels import curved, epa, polytope_depth
+from loewner._kernels.ellipsoids import signed_distance as curved
+from loewner._kernels.narrow import epa_fast as polytope_depth
+from loewner._kernels.narrow import epa_robust as epa
 from oracles import directional_distance, ellipsoid_support, fibonacci_sphere, hull, pack, posed_support
 
 seeds = st.integers(0, 2**32 - 1)

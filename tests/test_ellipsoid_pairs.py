@@ -17,8 +17,8 @@ from loewner import (
     near_points,
     overlap,
 )
-from loewner._kernels import near_points as kernel
-from loewner._kernels import pair_contact
+from loewner._kernels.ellipsoids import contact_robust as pair_contact
+from loewner._kernels.ellipsoids import near_points as kernel
 from oracles import exact_ellipsoid_verdict
 
 METHODS = ["lin-han", "rimon-boyd", "center-line"]

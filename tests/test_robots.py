@@ -13,10 +13,10 @@ import trimesh
 
 import loewner
 from loewner import FileError, GeometryError, InputError, PoseError, Robot, UnknownNameError, link_bodies
-from loewner._kernels import kinematics
 from loewner._kernels._jit import njit
-from loewner._kernels.trigonometry import sine_cosine
-from loewner._kernels.vectors import load, store
+from loewner._kernels.robots import kinematics
+from loewner._kernels.simd.trig import sine_cosine
+from loewner._kernels.simd.vectors import load, store
 from robot_oracle import disagreement, robots_folder
 
 

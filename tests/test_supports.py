@@ -8,9 +8,9 @@ import pytest
 import loewner
 from families import box_corners, polygon, prism, random_poses
 from loewner import Bodies, Body
-from loewner._kernels import shapes
 from loewner._kernels._jit import njit
-from loewner._kernels.directions import direction_map
+from loewner._kernels.pieces import shapes
+from loewner._kernels.pieces.directions import direction_map
 
 
 @njit()

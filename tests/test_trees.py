@@ -8,7 +8,10 @@ from hypothesis import strategies as st
 import loewner
 from families import random_poses
 from loewner import Bodies, Body, Verdict, bodies, queries
-from loewner._kernels import boxtree, rigid, trees, verdicts
+from loewner._kernels import codes as verdicts
+from loewner._kernels.pieces import poses as rigid
+from loewner._kernels.trees import boxes as boxtree
+from loewner._kernels.trees import piece_tree as trees
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -8,8 +8,10 @@ import pytest
 import loewner
 from families import box_corners, pieces, posed_near_contact, random_poses, rotations
 from loewner import Bodies, Body, PoseError
-from loewner._kernels import shapes, verdicts, walk
+from loewner._kernels import codes as verdicts
 from loewner._kernels._jit import njit
+from loewner._kernels.narrow import gjk_batch as walk
+from loewner._kernels.pieces import shapes
 from loewner.queries import _prepare, _settle
 from oracles import differences, hull, pack, posed_gaps
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner._kernels import rigid
+from loewner._kernels.pieces import poses as rigid
 from loewner.errors import InputError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]

@@ -21,7 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
-from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
+from loewner._kernels.pieces import directions, shapes
+from loewner._kernels.pieces import pack as handles
+from loewner._kernels.pieces import poses as rigid
+from loewner._kernels.simd import support as blocks
+from loewner._kernels.trees import piece_tree as trees
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 
@@ -172,7 +176,7 @@ def _table(p: Packed) -> Floats:
     # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
     bend = 2 * rigid.ROTATION_TOLERANCE
     table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
-    table[:, shapes.INNER_GRIP] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
+    table[:, shapes.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
     table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
     table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.
@@ -196,7 +200,7 @@ def _single(hot: Floats) -> NDArray[np.float32]:
     if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
         return np.empty((0, shapes.HOT), dtype=np.float32)
     rounded = hot.copy()
-    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= 1 + 2.0**-22
+    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= 1 + 2.0**-22
     return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
 
 

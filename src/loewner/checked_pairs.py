@@ -14,8 +14,12 @@ from numpy.typing import NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import handles, kinematics, rigid, shapes, states
-from loewner._kernels.contact import SHAPE_ROUNDINGS
+from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
+from loewner._kernels.pieces import pack as handles
+from loewner._kernels.pieces import poses as rigid
+from loewner._kernels.pieces import shapes
+from loewner._kernels.robots import configurations as states
+from loewner._kernels.robots import kinematics
 from loewner.bodies import Bodies, Ints, Packed
 from loewner.errors import UnknownNameError
 from loewner.robots import Robot
@@ -260,7 +264,7 @@ def _placed_row(hot: Floats, T: Floats) -> Floats:
     for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
         row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
     row[shapes.REACH] += np.abs(t).sum()
-    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= states.UP
+    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= states.UP
     return row
 
 

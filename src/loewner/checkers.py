@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, queries
 from loewner._check import Floats
-from loewner._kernels import states, verdicts
+from loewner._kernels import codes as verdicts
+from loewner._kernels.robots import configurations as states
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Ints
 from loewner.checked_pairs import CheckedPairs, prepared
@@ -292,7 +293,7 @@ class CollisionChecker:
         return Settled(
             free_by_bounds=free[verdicts.BY_SPHERE],
             free_by_ellipsoids=free[verdicts.BY_OUTER],
-            free_by_planes=free[verdicts.BY_GAP],
+            free_by_planes=free[verdicts.BY_PLANE],
             free_by_search=free[verdicts.BY_SEARCH],
             colliding_by_ellipsoids=hit[verdicts.BY_INNER],
             colliding_by_search=hit[verdicts.BY_SEARCH],

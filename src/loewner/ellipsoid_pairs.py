@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import near_points as _near
-from loewner._kernels import pair_contact as _contact
+from loewner._kernels.ellipsoids import contact_robust as _contact
+from loewner._kernels.ellipsoids import near_points as _near
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, InputError, UnknownNameError
 

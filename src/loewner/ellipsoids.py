@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import rigid
+from loewner._kernels.pieces import poses as rigid
 from loewner.errors import GeometryError, InputError
 
 

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import fits as kernel
-from loewner._kernels import halfspaces as halfspace_kernel
-from loewner._kernels import hulls as hull_kernel
-from loewner._kernels import mvce as mvce_kernel
-from loewner._kernels import mvie as mvie_kernel
+from loewner._kernels.fits import halfspaces as halfspace_kernel
+from loewner._kernels.fits import hulls as hull_kernel
+from loewner._kernels.fits import mvce as mvce_kernel
+from loewner._kernels.fits import mvie as mvie_kernel
+from loewner._kernels.fits import pieces as kernel
 from loewner._threads import over_blocks
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import halfspaces as halfspace_kernel
-from loewner._kernels import hulls as kernel
-from loewner._kernels.mvce import FLAT
+from loewner._kernels.fits import halfspaces as halfspace_kernel
+from loewner._kernels.fits import hulls as kernel
+from loewner._kernels.fits.mvce import FLAT
 from loewner._threads import over_blocks
 from loewner.errors import GeometryError, InputError
 

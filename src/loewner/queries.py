@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import batch, careful, distances, verdicts
+from loewner._kernels import codes as verdicts
+from loewner._kernels.pipeline import distances
+from loewner._kernels.pipeline import fallback as careful
+from loewner._kernels.pipeline import verdicts as batch
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import kinematics
+from loewner._kernels.robots import kinematics
 from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
 from loewner.descriptions import VALUES, Description, Joint, Semantics, read_srdf, read_urdf

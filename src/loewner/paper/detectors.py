@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._check import Floats
-from loewner._kernels import detectors as _detectors
-from loewner._kernels import shapes
-from loewner._kernels.near_points import PAPER_ANGLE
+from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
+from loewner._kernels.paper import detectors as _detectors
+from loewner._kernels.pieces import shapes
 from loewner.bodies import Bodies
 from loewner.ellipsoid_pairs import contact_function
 from loewner.ellipsoids import Ellipsoids

@@ -1,0 +1,1 @@
+"""Two ellipsoids: contact function, near points, distances."""

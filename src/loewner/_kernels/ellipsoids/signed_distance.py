@@ -1,0 +1,511 @@
+"""Signed distance of two ellipsoids, or of an ellipsoid and a ball, with the global minimum proven for depths.
+
+With F_A, F_B the factors and c the vector between the centers, h(n) = |F_Aᵀn| + |F_Bᵀn| - n·c is the support
+function of A - B. Its least value over unit n is the penetration depth if positive and minus the distance if
+negative. Newton's method on the sphere finds a local minimum to rounding, in the factors themselves and never
+in their squares, so that thin ellipsoids keep their digits.
+
+A negative minimum is the only one, because A - B is convex. So is one below the smallest radius of curvature
+of A - B: a ball of that radius rolls freely inside A - B, which is therefore a convex set plus the ball, and
+the origin lies outside the convex set. For deeper pairs the other minima must be ruled out. By the
+inequality of Cauchy and Schwarz (√x + √y)² is the least of (1 + 1/r) x + (1 + r) y over r > 0, so
+
+    min h = min over r of D(1 + 1/r, 1 + r),   D(p, q) = min over n of √(nᵀ(p P + q Q) n) - n·c,
+
+where D(p, q) is the signed distance of the point c from the boundary of one ellipsoid: a secular equation with one
+root. One dimension is left, and D is concave in (p, q) as a minimum of concave functions. The arc of the
+hyperbola (p - 1)(q - 1) = 1 between r1 and r2 lies in the triangle of its ends and the point where the
+tangents there meet, hence D on the arc is at least its linear interpolation in the triangle. The gap shrinks
+with the square of the interval, and branch and bound over r settles the rest.
+
+References
+----------
+Blaschke's rolling theorem: Schneider (2014), "Convex Bodies: The Brunn-Minkowski Theory", theorem 3.2.12.
+Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its hard case).
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, shape_matrix
+from loewner._kernels.pieces.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
+
+# Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
+MAX_STEPS = 80
+DAMPING_LIMIT = 1e3  # damping, relative to the size, at which a step no longer moves the normal
+
+MAX_SWEEPS = 12  # Jacobi's method needs 3 or 4
+MAX_SECULAR = 60  # mostly 4 or 5
+
+# What the proof of a global minimum leaves open, relative to the lengths involved, and how many intervals it may
+# look at. Rounding in D itself is about 1e-15.
+PROOF_GAP = 1e-11
+MAX_INTERVALS = 600
+GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
+_STACK = 160
+
+# The share of the smallest radius of curvature up to which a depth is taken for unique: less than all, for rounding.
+ROLLING_SHARE = 0.999
+
+STEEP = 1e-12  # slope, relative to the size, above which a descent is taken to have stalled
+MAX_RESTARTS = 20
+
+
+@inline
+def _image(table, layout, piece, T, t):
+    """Factor of a placed ellipsoid, row by row (zero for a ball's core), and its center less the body's translation."""
+    row = table[piece]
+    f = FRAME_FACTOR
+    c = FRAME_CENTER
+    a, b, d = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
+    f0 = a * row[f] + b * row[f + 3] + d * row[f + 6]
+    f1 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
+    f2 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
+    x = a * row[c] + b * row[c + 1] + d * row[c + 2]
+    a, b, d = T[t, 1, 0], T[t, 1, 1], T[t, 1, 2]
+    f3 = a * row[f] + b * row[f + 3] + d * row[f + 6]
+    f4 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
+    f5 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
+    y = a * row[c] + b * row[c + 1] + d * row[c + 2]
+    a, b, d = T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
+    f6 = a * row[f] + b * row[f + 3] + d * row[f + 6]
+    f7 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
+    f8 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
+    z = a * row[c] + b * row[c + 1] + d * row[c + 2]
+    if layout[piece, KIND] == POINT:
+        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), x, y, z
+    return (f0, f1, f2, f3, f4, f5, f6, f7, f8), x, y, z
+
+
+@inline
+def _pulled(F, x, y, z):
+    """Fᵀ times a vector."""
+    return F[0] * x + F[3] * y + F[6] * z, F[1] * x + F[4] * y + F[7] * z, F[2] * x + F[5] * y + F[8] * z
+
+
+@inline
+def _support(F, x, y, z):
+    """Support value and support point of F·ball."""
+    u, v, w = _pulled(F, x, y, z)
+    h = np.sqrt(u * u + v * v + w * w)
+    scale = 1.0 / h if h > 0.0 else 0.0
+    u, v, w = u * scale, v * scale, w * scale
+    return h, F[0] * u + F[1] * v + F[2] * w, F[3] * u + F[4] * v + F[5] * w, F[6] * u + F[7] * v + F[8] * w
+
+
+@inline
+def _bend(F, n, e, g):
+    """Slope and second derivatives of |Fᵀn| along the unit vectors e and g, square to n and to each other."""
+    u, v, w = _pulled(F, n[0], n[1], n[2])
+    h = np.sqrt(u * u + v * v + w * w)
+    scale = 1.0 / h if h > 0.0 else 0.0
+    u, v, w = u * scale, v * scale, w * scale
+    ax, ay, az = _pulled(F, e[0], e[1], e[2])
+    bx, by, bz = _pulled(F, g[0], g[1], g[2])
+    one = ax * u + ay * v + az * w
+    two = bx * u + by * v + bz * w
+    ax, ay, az = ax - one * u, ay - one * v, az - one * w
+    bx, by, bz = bx - two * u, by - two * v, bz - two * w
+    return (
+        h,
+        one,
+        two,
+        (ax * ax + ay * ay + az * az) * scale,
+        (ax * bx + ay * by + az * bz) * scale,
+        (bx * bx + by * by + bz * bz) * scale,
+    )
+
+
+@inline
+def _across(n):
+    """Two unit vectors square to the unit vector n (Duff and others 2017)."""
+    x, y, z = n
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
+
+
+@inline
+def _model(FA, FB, c, n):
+    """h at n, its slopes along two directions square to n, its second derivatives there, and the directions."""
+    e, g = _across(n)
+    ha, a1, a2, a11, a12, a22 = _bend(FA, n, e, g)
+    hb, b1, b2, b11, b12, b22 = _bend(FB, n, e, g)
+    h = ha + hb - (n[0] * c[0] + n[1] * c[1] + n[2] * c[2])
+    s1 = a1 + b1 - (e[0] * c[0] + e[1] * c[1] + e[2] * c[2])
+    s2 = a2 + b2 - (g[0] * c[0] + g[1] * c[1] + g[2] * c[2])
+    return h, s1, s2, a11 + b11 - h, a12 + b12, a22 + b22 - h, e, g
+
+
+@njit()
+def descend(FA, FB, c, n, size):
+    """Local minimum of h from the unit vector n on, by damped Newton steps.
+
+    Returns
+    -------
+    n : tuple of float
+    h, slope : float
+        The value, and the length of the gradient left, which is how far the witnesses are off each other.
+    """
+    rounding = 8.0 * UNIT_ROUNDOFF * size
+    damping = 0.0
+    h, s1, s2, h11, h12, h22, e, g = _model(FA, FB, c, n)
+    slope = np.sqrt(s1 * s1 + s2 * s2)
+    for _ in range(MAX_STEPS):
+        if slope <= rounding:
+            break
+        # The least eigenvalue must be positive for a way down.
+        mean = 0.5 * (h11 + h22)
+        half = 0.5 * (h11 - h22)
+        spread = np.sqrt(half * half + h12 * h12)
+        lift = damping
+        if mean - spread + lift < 1e-3 * slope:
+            lift = 1e-3 * slope - (mean - spread) + damping
+        k11, k22 = h11 + lift, h22 + lift
+        det = k11 * k22 - h12 * h12
+        t1 = (h12 * s2 - k22 * s1) / det
+        t2 = (h12 * s1 - k11 * s2) / det
+        step = np.sqrt(t1 * t1 + t2 * t2)
+        if not step > 0.0:
+            break
+        if step > 1.0:
+            t1, t2 = t1 / step, t2 / step
+        x = n[0] + t1 * e[0] + t2 * g[0]
+        y = n[1] + t1 * e[1] + t2 * g[1]
+        z = n[2] + t1 * e[2] + t2 * g[2]
+        length = np.sqrt(x * x + y * y + z * z)
+        tried = (x / length, y / length, z / length)
+        value, w1, w2, w11, w12, w22, we, wg = _model(FA, FB, c, tried)
+        left = np.sqrt(w1 * w1 + w2 * w2)
+        if value < h - rounding or (value <= h + rounding and left < slope):
+            n, h, s1, s2, h11, h12, h22, e, g, slope = tried, value, w1, w2, w11, w12, w22, we, wg, left
+            damping = 0.0 if damping < 1e-6 * size else 0.1 * damping
+        else:
+            damping = max(8.0 * damping, 0.5 * lift, slope, 1e-12 * size)
+            if damping > DAMPING_LIMIT * size:
+                break
+    return n, h, slope
+
+
+@inline
+def _turn(a, b, off):
+    """Tangent, cosine and sine of the Jacobi rotation that clears the off-diagonal entry between a and b."""
+    theta = 0.5 * (b - a)
+    t = off / (theta + np.copysign(np.sqrt(theta * theta + off * off), theta))
+    cosine = 1.0 / np.sqrt(t * t + 1.0)
+    return t, cosine, t * cosine
+
+
+@inline
+def _form(M, V, j, k):
+    """One entry of Vᵀ M V, for M given by its upper triangle."""
+    x, y, z = V[0, k], V[1, k], V[2, k]
+    return (
+        V[0, j] * (M[0] * x + M[1] * y + M[2] * z)
+        + V[1, j] * (M[1] * x + M[3] * y + M[4] * z)
+        + V[2, j] * (M[2] * x + M[4] * y + M[5] * z)
+    )
+
+
+@njit()
+def eigen(M, V):
+    """Eigenvalues of a symmetric matrix, unordered, by Jacobi's method.
+
+    V must be orthogonal: the eigenvectors of a similar matrix save work. Its columns become the eigenvectors.
+    """
+    m00, m01, m02 = _form(M, V, 0, 0), _form(M, V, 0, 1), _form(M, V, 0, 2)
+    m11, m12, m22 = _form(M, V, 1, 1), _form(M, V, 1, 2), _form(M, V, 2, 2)
+    for _ in range(MAX_SWEEPS):
+        small = 0.25 * UNIT_ROUNDOFF * (abs(m00) + abs(m11) + abs(m22))
+        if abs(m01) + abs(m02) + abs(m12) <= small:
+            break
+        if m01 != 0.0:
+            t, p, s = _turn(m00, m11, m01)
+            m00, m11 = m00 - t * m01, m11 + t * m01
+            m02, m12 = p * m02 - s * m12, s * m02 + p * m12
+            m01 = 0.0
+            for r in range(3):
+                V[r, 0], V[r, 1] = p * V[r, 0] - s * V[r, 1], s * V[r, 0] + p * V[r, 1]
+        if m02 != 0.0:
+            t, p, s = _turn(m00, m22, m02)
+            m00, m22 = m00 - t * m02, m22 + t * m02
+            m01, m12 = p * m01 - s * m12, s * m01 + p * m12
+            m02 = 0.0
+            for r in range(3):
+                V[r, 0], V[r, 2] = p * V[r, 0] - s * V[r, 2], s * V[r, 0] + p * V[r, 2]
+        if m12 != 0.0:
+            t, p, s = _turn(m11, m22, m12)
+            m11, m22 = m11 - t * m12, m22 + t * m12
+            m01, m02 = p * m01 - s * m02, s * m01 + p * m02
+            m12 = 0.0
+            for r in range(3):
+                V[r, 1], V[r, 2] = p * V[r, 1] - s * V[r, 2], s * V[r, 1] + p * V[r, 2]
+    return m00, m11, m22
+
+
+@njit()
+def boundary_depth(m0, m1, m2, x, y, z):
+    """Least of √(nᵀMn) - n·c over unit n, for M = diag(m) and c = (x, y, z): how deep c is in the ellipsoid M.
+
+    With the nearest boundary point M w and its normal w, c = (M + t) w for the t > -min m that makes wᵀMw = 1.
+    The unknown is t + min m, so that t close to its bound keeps its digits.
+
+    Returns
+    -------
+    depth : float
+        Negative outside.
+    n : tuple of float
+    """
+    least = max(min(m0, min(m1, m2)), 0.0)
+    m0, m1, m2 = max(m0, least), max(m1, least), max(m2, least)
+    g0, g1, g2 = m0 - least, m1 - least, m2 - least
+    a0, a1, a2 = np.sqrt(m0) * abs(x), np.sqrt(m1) * abs(y), np.sqrt(m2) * abs(z)
+    t = max(0.0, max(a0 - g0, max(a1 - g1, a2 - g2)))  # where one term alone reaches 1: left of the root
+    for _ in range(MAX_SECULAR):
+        q0 = a0 / (g0 + t) if a0 > 0.0 else 0.0
+        q1 = a1 / (g1 + t) if a1 > 0.0 else 0.0
+        q2 = a2 / (g2 + t) if a2 > 0.0 else 0.0
+        total = q0 * q0 + q1 * q1 + q2 * q2
+        if not total > 1.0:
+            break
+        # Newton's step for 1/√total = 1, a concave function: it never passes the root.
+        falling = (
+            (q0 * q0 / (g0 + t) if a0 > 0.0 else 0.0)
+            + (q1 * q1 / (g1 + t) if a1 > 0.0 else 0.0)
+            + (q2 * q2 / (g2 + t) if a2 > 0.0 else 0.0)
+        )
+        step = total * (np.sqrt(total) - 1.0) / falling
+        t += step
+        if step <= 2.0 * UNIT_ROUNDOFF * t:
+            break
+    w0 = x / (g0 + t) if a0 > 0.0 else 0.0
+    w1 = y / (g1 + t) if a1 > 0.0 else 0.0
+    w2 = z / (g2 + t) if a2 > 0.0 else 0.0
+    level = m0 * w0 * w0 + m1 * w1 * w1 + m2 * w2 * w2
+    if t == 0.0 and level < 1.0:
+        # The hard case: c has no part along the shortest axis, so the normal may lean to either side of it.
+        lean = np.sqrt((1.0 - level) / least) if least > 0.0 else 1.0
+        if g0 == 0.0:
+            w0 = lean
+        elif g1 == 0.0:
+            w1 = lean
+        else:
+            w2 = lean
+    length = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
+    return (least - t) * length, (w0 / length, w1 / length, w2 / length)
+
+
+@njit()
+def enclosing_depth(p, q, P, Q, c, V):
+    """D(p, q): how deep c is in the ellipsoid with shape matrix p P + q Q, and the normal there."""
+    m0, m1, m2 = eigen(
+        (
+            p * P[0] + q * Q[0], p * P[1] + q * Q[1], p * P[2] + q * Q[2],
+            p * P[3] + q * Q[3], p * P[4] + q * Q[4], p * P[5] + q * Q[5],
+        ), V,
+    )  # fmt: skip
+    depth, w = boundary_depth(
+        m0, m1, m2,
+        V[0, 0] * c[0] + V[1, 0] * c[1] + V[2, 0] * c[2],
+        V[0, 1] * c[0] + V[1, 1] * c[1] + V[2, 1] * c[2],
+        V[0, 2] * c[0] + V[1, 2] * c[1] + V[2, 2] * c[2],
+    )  # fmt: skip
+    return depth, (
+        V[0, 0] * w[0] + V[0, 1] * w[1] + V[0, 2] * w[2],
+        V[1, 0] * w[0] + V[1, 1] * w[1] + V[1, 2] * w[2],
+        V[2, 0] * w[0] + V[2, 1] * w[1] + V[2, 2] * w[2],
+    )
+
+
+@inline
+def _ratio(FA, FB, n):
+    """How far A reaches along n over how far B does."""
+    ax, ay, az = _pulled(FA, n[0], n[1], n[2])
+    bx, by, bz = _pulled(FB, n[0], n[1], n[2])
+    return np.sqrt((ax * ax + ay * ay + az * az) / (bx * bx + by * by + bz * bz))
+
+
+@njit()
+def _refined(FA, FB, P, Q, c, n, h, slope, size, V):
+    """Go on where a descent has ended with a slope left.
+
+    Where Newton's steps stall, as they may on the needle-sharp ends of thin ellipsoids, the enclosing
+    ellipsoid that touches at n leads on: its own nearest point is never worse.
+    """
+    for _ in range(MAX_RESTARTS):
+        if slope <= STEEP * size:
+            break
+        ratio = _ratio(FA, FB, n)
+        _, other = enclosing_depth(1.0 + 1.0 / ratio, 1.0 + ratio, P, Q, c, V)
+        other, value, left = descend(FA, FB, c, other, size)
+        if value < h or left < slope:
+            n, h, slope = other, value, left
+    return n, h, slope
+
+
+@njit()
+def _axes(P, V):
+    """Smallest and largest semi-axis of an ellipsoid with shape matrix P."""
+    m0, m1, m2 = eigen(P, V)
+    most = max(m0, max(m1, m2))
+    return np.sqrt(max(min(m0, min(m1, m2)), UNIT_ROUNDOFF * UNIT_ROUNDOFF * most)), np.sqrt(most)
+
+
+@njit()
+def global_minimum(FA, FB, c, n, size):
+    """Least value of h over all unit vectors.
+
+    Parameters
+    ----------
+    FA, FB : tuple of 9 float
+        Factors of the placed ellipsoids, row by row.
+    c : tuple of 3 float
+        From the center of A to that of B.
+    n : tuple of 3 float
+        Unit vector to start from.
+    size : float
+        Upper bound on the lengths involved.
+
+    Returns
+    -------
+    n : tuple of float
+        Where the least value found is.
+    h, lower, slope : float
+        That value, a lower bound on all values, and how far the witnesses at n are off each other.
+    """
+    n, h, slope = descend(FA, FB, c, n, size)
+    if h <= 0.0 and slope <= STEEP * size:
+        return n, h, h, slope
+    V = np.eye(3)
+    P, Q = shape_matrix(FA), shape_matrix(FB)
+    n, h, slope = _refined(FA, FB, P, Q, c, n, h, slope, size, V)
+    if h <= 0.0:
+        return n, h, h, slope
+    small_a, large_a = _axes(P, V)
+    small_b, large_b = _axes(Q, V)
+    if h <= ROLLING_SHARE * (small_a * small_a / large_a + small_b * small_b / large_b):
+        return n, h, h, slope
+
+    # Branch and bound over r. The first intervals grow away from the minimum at hand: there the bound is the tightest.
+    first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
+    middle = min(max(_ratio(FA, FB, n), first), last)
+    stack = np.empty((_STACK, 4))
+    top = 0
+    for side in (-1.0, 1.0):
+        end = first if side < 0.0 else last
+        near = middle
+        near_depth, other = enclosing_depth(1.0 + 1.0 / near, 1.0 + near, P, Q, c, V)
+        away = np.sqrt(8.0 * PROOF_GAP)
+        while near != end and top < _STACK // 2:
+            far = middle * np.exp(side * away)
+            if side * (far - end) >= 0.0 or top == _STACK // 2 - 1:
+                far = end
+            far_depth, other = enclosing_depth(1.0 + 1.0 / far, 1.0 + far, P, Q, c, V)
+            if far_depth < h - 0.5 * PROOF_GAP * size:
+                n, h, slope = _better(FA, FB, P, Q, c, other, size, V, n, h, slope)
+            stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = near, near_depth, far, far_depth
+            top += 1
+            near, near_depth = far, far_depth
+            away *= GROWTH
+    lower = h
+    looked = 0
+    while top > 0:
+        top -= 1
+        looked += 1
+        one, one_depth, two, two_depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        tip, _ = enclosing_depth(1.0 + 2.0 / (one + two), 1.0 + 2.0 * one * two / (one + two), P, Q, c, V)
+        half = np.sqrt(one * two)
+        bound = min(one_depth, two_depth)
+        if tip < bound:
+            # The tip's share in the triangle is at most this on the arc.
+            weight = 0.5 * (one + two) / half
+            bound += weight / (1.0 + weight) * (tip - bound)
+        if bound >= h - PROOF_GAP * size - _rounding(one, two, P, Q, h) or top + 2 > _STACK or looked >= MAX_INTERVALS:
+            lower = min(lower, bound)
+            continue
+        half_depth, other = enclosing_depth(1.0 + 1.0 / half, 1.0 + half, P, Q, c, V)
+        if half_depth < h - 0.5 * PROOF_GAP * size:
+            n, h, slope = _better(FA, FB, P, Q, c, other, size, V, n, h, slope)
+        stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = one, one_depth, half, half_depth
+        top += 1
+        stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = half, half_depth, two, two_depth
+        top += 1
+    return n, h, min(lower, h), slope
+
+
+@inline
+def _rounding(one, two, P, Q, h):
+    """What rounding in the entries of p P + q Q can do to a depth around h, for r between `one` and `two`."""
+    most = (1.0 + 1.0 / min(one, two)) * (P[0] + P[3] + P[5]) + (1.0 + max(one, two)) * (Q[0] + Q[3] + Q[5])
+    return 4.0 * UNIT_ROUNDOFF * most / h
+
+
+@njit()
+def _better(FA, FB, P, Q, c, other, size, V, n, h, slope):
+    """The lower of the minimum known and the one reached from another vector."""
+    other, value, left = descend(FA, FB, c, other, size)
+    other, value, left = _refined(FA, FB, P, Q, c, other, value, left, size, V)
+    if value < h:
+        return other, value, left
+    return n, h, slope
+
+
+@njit()
+def least_height(wide_a, FA, wide_b, FB, c, n, size):
+    """`global_minimum` for ellipsoids, and for the cores of balls: those are points, not `wide`, with zero factors."""
+    if wide_a and wide_b:
+        return global_minimum(FA, FB, c, n, size)
+    if wide_a or wide_b:
+        # What is left has one minimum, or two that mirror each other.
+        P = shape_matrix(FA if wide_a else FB)
+        _, n = enclosing_depth(1.0, 0.0, P, P, c, np.eye(3))
+        n, h, slope = descend(FA, FB, c, n, size)
+        return n, h, h, slope
+    away = np.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    if away > 0.0:
+        n = (c[0] / away, c[1] / away, c[2] / away)
+    return n, -away, -away, 0.0
+
+
+@inline
+def is_round(layout, piece):
+    """Whether the piece is an ellipsoid or a ball."""
+    return layout[piece, KIND] == ELLIPSOID or layout[piece, KIND] == POINT
+
+
+@inline
+def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result):
+    """Signed distance of two pieces that are ellipsoids or balls.
+
+    Parameters
+    ----------
+    nx, ny, nz : float
+        Where to look first: a normal from A to B, of any length.
+    size : float
+        Upper bound on the lengths involved.
+    result : ndarray, shape (9,)
+        Receives the unit normal from A to B, and the witnesses relative to a's translation.
+
+    Returns
+    -------
+    distance, gap : float
+        `gap` is what the proof of the global minimum leaves open, or how far the witnesses are off each other
+        across the normal if that is more.
+    """
+    FA, ax, ay, az = _image(ta, la, i, Ta, ka)
+    FB, bx, by, bz = _image(tb, lb, j, Tb, kb)
+    bx += Tb[kb, 0, 3] - Ta[ka, 0, 3]
+    by += Tb[kb, 1, 3] - Ta[ka, 1, 3]
+    bz += Tb[kb, 2, 3] - Ta[ka, 2, 3]
+    c = (bx - ax, by - ay, bz - az)
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    n = (nx / length, ny / length, nz / length) if 0.0 < length < np.inf else (0.0, 0.0, 1.0)
+    n, h, lower, slope = least_height(la[i, KIND] == ELLIPSOID, FA, lb[j, KIND] == ELLIPSOID, FB, c, n, size)
+    _, px, py, pz = _support(FA, n[0], n[1], n[2])
+    _, qx, qy, qz = _support(FB, n[0], n[1], n[2])
+    ra, rb = ta[i, ROUNDING], tb[j, ROUNDING]
+    result[0], result[1], result[2] = n
+    result[3], result[4], result[5] = ax + px + ra * n[0], ay + py + ra * n[1], az + pz + ra * n[2]
+    result[6], result[7], result[8] = bx - qx - rb * n[0], by - qy - rb * n[1], bz - qz - rb * n[2]
+    return -h - ra - rb, max(h - lower, slope)

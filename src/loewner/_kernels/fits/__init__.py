@@ -1,0 +1,1 @@
+"""Hulls and the ellipsoids of pieces."""

@@ -1,0 +1,193 @@
+"""What comes before and after Qhull: coordinates of unit size in, merged faces and oriented simplices out."""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+from loewner._kernels.fits.mvce import ROUNDING, spread_points, to_frame
+
+# A vertex may be this far inside the face it belongs to, relative to the width of the piece along the normal ...
+FACE_WIDTH = 1e-11
+# ... or within the rounding of the dot product itself, in units of its error bound.
+FACE_ROUNDING = 64.0
+
+OPEN = 11  # the simplices do not close up
+WIDE = 12  # a face does not pass through its own vertices
+INSIDE_OUT = 13  # the simplices cannot be oriented
+
+
+@njit()
+def to_unit_size(points, flatness):
+    """Coordinates in which the points are of unit size whatever their aspect, scale and offset.
+
+    Returns (code, axis, width, size, origin, frame, coordinates), as `spread_points`.
+    """
+    m, n = points.shape
+    chosen = np.empty(2 * n, np.int64)
+    origin = np.empty(n)
+    frame = np.empty((n, n))
+    coordinates = np.empty((m, n))
+    code, axis, width, size = spread_points(points, flatness, chosen, origin, frame)
+    if code == 0:
+        for i in range(m):
+            to_frame(points[i], origin, frame, coordinates[i], n)
+    return code, axis, width, size, origin, frame, coordinates
+
+
+@njit()
+def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
+    """Turn Qhull's facets, found in unit-size coordinates, into the faces of a polytope.
+
+    Qhull gives every simplex of one flat face the same equation, so neighbours with equal equations merge. The
+    simplices are turned to face outward together (n = 3): the largest is turned by its own normal, the others
+    follow across shared edges, so that slivers cannot point the wrong way.
+
+    Returns (code, worst, used, face_of, normals, offsets): used (m,) marks the points that are vertices, `simplices`
+    is turned in place.
+    """
+    m, n = points.shape
+    count = len(simplices)
+    used = np.zeros(m, np.bool_)
+    face_of = np.full(count, -1, np.int64)
+    stack = np.empty(count, np.int64)
+    normals = np.empty((count, n))
+    faces = 0
+    for first in range(count):
+        for k in range(n):
+            used[simplices[first, k]] = True
+        if face_of[first] >= 0:
+            continue
+        face_of[first] = faces
+        stack[0] = first
+        top = 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for k in range(n):
+                there = neighbors[here, k]
+                if face_of[there] < 0:
+                    same = True
+                    for j in range(n + 1):
+                        same = same and equations[there, j] == equations[here, j]
+                    if same:
+                        face_of[there] = faces
+                        stack[top] = there
+                        top += 1
+        # Back to the caller's coordinates: frame⁻ᵀ n, of unit length.
+        norm2 = 0.0
+        for j in range(n - 1, -1, -1):
+            value = equations[first, j]
+            for k in range(j + 1, n):
+                value -= frame[k, j] * normals[faces, k]
+            value /= frame[j, j]
+            normals[faces, j] = value
+            norm2 += value * value
+        norm = np.sqrt(norm2)
+        for j in range(n):
+            normals[faces, j] /= norm
+        faces += 1
+
+    code = turn_outward(simplices, neighbors, equations, coordinates, stack) if n == 3 else 0
+    offsets = np.empty(faces)
+    bottoms = np.empty(faces)
+    reference = points[simplices[0, 0]]
+    for f in range(faces):
+        top_value = -np.inf
+        bottom_value = np.inf
+        offset = -np.inf
+        noise = 0.0
+        for i in range(m):
+            if used[i]:
+                value = 0.0
+                size = 0.0
+                absolute = 0.0
+                for k in range(n):
+                    t = normals[f, k] * (points[i, k] - reference[k])
+                    value += t
+                    size += abs(t)
+                    absolute += normals[f, k] * points[i, k]
+                top_value = max(top_value, value)
+                bottom_value = min(bottom_value, value)
+                noise = max(noise, size)
+                offset = max(offset, absolute)
+        offsets[f] = offset
+        # Half and a quarter of what users of the faces allow: they measure from the center, which halves the noise.
+        bottoms[f] = top_value - (
+            0.5 * FACE_WIDTH * (top_value - bottom_value) + 0.25 * FACE_ROUNDING * noise * ROUNDING
+        )
+    worst = 0.0
+    for i in range(count):
+        f = face_of[i]
+        for k in range(n):
+            value = 0.0
+            for j in range(n):
+                value += normals[f, j] * (points[simplices[i, k], j] - reference[j])
+            worst = max(worst, bottoms[f] - value)
+            if value < bottoms[f] and code == 0:
+                code = WIDE
+    return code, worst, used, face_of, normals[:faces], offsets
+
+
+@njit()
+def turn_outward(simplices, neighbors, equations, coordinates, stack):
+    """Orient the triangles of a closed surface alike and outward; 0, or the code of what is wrong."""
+    count = len(simplices)
+    turned = np.zeros(count, np.bool_)
+    # Start at the triangle of the largest area: its orientation is beyond doubt.
+    start = 0
+    largest = 0.0
+    swap = False
+    for i in range(count):
+        a, b, c = simplices[i]
+        dot = 0.0
+        for k in range(3):
+            k1 = (k + 1) % 3
+            k2 = (k + 2) % 3
+            cross = (coordinates[b, k1] - coordinates[a, k1]) * (coordinates[c, k2] - coordinates[a, k2]) - (
+                coordinates[b, k2] - coordinates[a, k2]
+            ) * (coordinates[c, k1] - coordinates[a, k1])
+            dot += cross * equations[i, k]
+        if abs(dot) > largest:
+            largest = abs(dot)
+            start = i
+            swap = dot < 0.0
+    if swap:
+        flip(simplices, neighbors, start)
+    turned[start] = True
+    stack[0] = start
+    top = 1
+    seen = 1
+    while top > 0:
+        top -= 1
+        here = stack[top]
+        for k in range(3):
+            there = neighbors[here, k]
+            if there < 0:
+                return OPEN
+            tail = simplices[here, (k + 1) % 3]
+            head = simplices[here, (k + 2) % 3]
+            # The neighbour must run along the shared edge the other way.
+            forward = False
+            backward = False
+            for r in range(3):
+                p = simplices[there, r]
+                q = simplices[there, (r + 1) % 3]
+                forward = forward or (p == tail and q == head)
+                backward = backward or (p == head and q == tail)
+            if not (forward or backward):
+                return OPEN
+            if not turned[there]:
+                if forward:
+                    flip(simplices, neighbors, there)
+                turned[there] = True
+                stack[top] = there
+                top += 1
+                seen += 1
+            elif forward:
+                return INSIDE_OUT
+    return 0 if seen == count else OPEN
+
+
+@njit()
+def flip(simplices, neighbors, i):
+    simplices[i, 1], simplices[i, 2] = simplices[i, 2], simplices[i, 1]
+    neighbors[i, 1], neighbors[i, 2] = neighbors[i, 2], neighbors[i, 1]

@@ -1,0 +1,504 @@
+"""Smallest ellipsoid around points (MVCE): dual interior point, active set, containment after rounding.
+
+The dual of the problem (Titterington 1975) is to maximise log det Σ u_i q_i q_iᵀ over u >= 0, Σ u = 1, with
+q = (1, x). Writing w_i = q_iᵀ M⁻¹ q_i, its optimality conditions are w + s = N, u s = 0 with N = n + 1. The
+Newton matrix is diag(s/u) plus V Vᵀ, V_i = svec(W_i W_iᵀ), W_i = L⁻¹ q_i, M = L Lᵀ: of rank N(N+1)/2 whatever
+the number of points, so a step costs O(m). Each step is Mehrotra's (1992): a predictor that asks for no
+complementarity at all, then a corrector with the centring that the predictor earned, one factorisation for both.
+
+For any u: {(x-c)ᵀ S⁻¹ (x-c) <= κ} with c, S the weighted mean and covariance and κ the largest value over the
+points holds every point and log(volume / smallest volume) <= n/2 log(κ/n): Todd, Minimum-Volume Ellipsoids
+(2016), chapter 2.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.fits.dense import (
+    cholesky,
+    householder_triangle,
+    invert_lower,
+    multiply_lower,
+    normal_cholesky,
+    normal_solve,
+    solve_lower,
+)
+
+ROUNDING = 2.0**-53  # unit roundoff of float64
+
+# Largest share of the way to the boundary in one step: closer makes s/u overflow the useful range.
+STEP_CAP = 0.9999
+# The centring parameter stays above this: below it the products u s are rounding noise.
+CENTRING_FLOOR = 1e-15
+MAX_ITERATIONS = 100
+MAX_ROUNDS = 200
+# Up to this many points the solver takes them all; above, an active set is quicker (measured: break-even near 60).
+DIRECT_LIMIT = 64
+# A point leaves the active set when it is lighter than LIGHT and its squared radius is below NEAR.
+LIGHT = 1e-6
+NEAR = 0.8
+SQRT2 = np.sqrt(2.0)
+
+# Codes returned to the caller (0 is success).
+FLAT = 1
+STALLED = 2
+
+
+@njit()
+def solve_dual(X, m, n, tol, u, center, low):
+    """Solve for the m points X (m, n), near unit size; fill weights, center, factor.
+
+    Returns (gap, iterations); a gap above `tol` means it stopped there.
+    """
+    N = n + 1
+    p = N * (N + 1) // 2
+    L = np.empty((N, N))
+    V = np.empty((m, p))
+    K = np.empty((p, p))
+    w = np.empty(m)
+    s = np.empty(m)
+    du = np.empty(m)
+    ds = np.empty(m)
+    rhs = np.empty(m)
+    W = np.empty(N)
+    z = np.empty(p)
+    for i in range(m):
+        u[i] = 1.0 / m
+
+    gap = np.inf
+    best = np.inf
+    since_best = 0
+    for iteration in range(MAX_ITERATIONS):
+        # M = Σ u q qᵀ = L Lᵀ; with q = (1, x) the first column holds the mean, the rest the covariance.
+        for j in range(N):
+            for k in range(j + 1):
+                L[j, k] = 0.0
+        total = 0.0
+        for i in range(m):
+            ui = u[i]
+            total += ui
+            for j in range(n):
+                t = ui * X[i, j]
+                L[j + 1, 0] += t
+                for k in range(j + 1):
+                    L[j + 1, k + 1] += t * X[i, k]
+        L[0, 0] = total
+        if not cholesky(L, N):
+            return np.inf, iteration
+        largest = 0.0
+        for i in range(m):
+            W[0] = 1.0
+            for j in range(n):
+                W[j + 1] = X[i, j]
+            solve_lower(L, W, N)
+            norm2 = 0.0
+            a = 0
+            for j in range(N):
+                norm2 += W[j] * W[j]
+                for k in range(j):
+                    V[i, a] = SQRT2 * W[j] * W[k]
+                    a += 1
+                V[i, a] = W[j] * W[j]
+                a += 1
+            w[i] = norm2
+            largest = max(largest, norm2)
+        kappa = total * largest - 1.0
+        gap = 0.5 * n * np.log(kappa / n)
+        if gap < best:
+            best = gap
+            since_best = 0
+        else:
+            since_best += 1
+        if gap <= tol or since_best > 8 or not gap < np.inf:
+            root = np.sqrt(kappa / total)
+            for j in range(n):
+                center[j] = L[j + 1, 0] / L[0, 0]
+                for k in range(j + 1):
+                    low[j, k] = L[j + 1, k + 1] * root
+                for k in range(j + 1, n):
+                    low[j, k] = 0.0
+            for i in range(m):
+                u[i] /= total
+            return gap, iteration
+
+        if iteration == 0:
+            for i in range(m):
+                s[i] = max(0.1 * N, N - w[i])
+        mean = 0.0
+        for i in range(m):
+            mean += u[i] * s[i]
+        mean /= m
+
+        # K = I + Vᵀ diag(u/s) V, factored once for predictor and corrector (Woodbury).
+        for j in range(p):
+            K[j, j] = 1.0
+            for k in range(j + 1, p):
+                K[j, k] = 0.0
+        for i in range(m):
+            weight = u[i] / s[i]
+            for j in range(p):
+                t = weight * V[i, j]
+                for k in range(j, p):
+                    K[j, k] += t * V[i, k]
+        if not normal_cholesky(K, p):
+            return gap, iteration
+        mu = 0.0
+        for stage in range(2):
+            # (V Vᵀ + diag(s/u)) du = w - N + (mu - du ds)/u;  ds = (mu - du ds)/u - s - (s/u) du
+            if stage == 1:
+                for i in range(m):
+                    ds[i] = (mu - du[i] * ds[i]) / u[i]
+            else:
+                for i in range(m):
+                    ds[i] = 0.0
+            for j in range(p):
+                z[j] = 0.0
+            for i in range(m):
+                rhs[i] = w[i] - N + ds[i]
+                t = u[i] / s[i] * rhs[i]
+                for j in range(p):
+                    z[j] += t * V[i, j]
+            normal_solve(K, z, p)
+            to_u = np.inf
+            to_s = np.inf
+            for i in range(m):
+                t = rhs[i]
+                for j in range(p):
+                    t -= V[i, j] * z[j]
+                du[i] = u[i] / s[i] * t
+                ds[i] += -s[i] - t
+                if du[i] < 0.0:
+                    to_u = min(to_u, -u[i] / du[i])
+                if ds[i] < 0.0:
+                    to_s = min(to_s, -s[i] / ds[i])
+            if stage == 0:
+                to_u = min(1.0, to_u)
+                to_s = min(1.0, to_s)
+                after = 0.0
+                for i in range(m):
+                    after += (u[i] + to_u * du[i]) * (s[i] + to_s * ds[i])
+                after /= m
+                mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
+        share = min(STEP_CAP, max(0.9, 1.0 - mean * m))
+        to_u = min(1.0, share * to_u)
+        to_s = min(1.0, share * to_s)
+        for i in range(m):
+            u[i] += to_u * du[i]
+            s[i] += to_s * ds[i]
+    return np.inf, MAX_ITERATIONS
+
+
+@njit()
+def spread_points(points, flatness, chosen, origin, frame):
+    """Choose 2n points far apart and a frame from them: Kumar and Yıldırım (2005), section 4.1.
+
+    For one direction after another, each orthogonal to the differences found so far, take the two extreme
+    points. `origin` becomes their mean, `frame` a lower triangular matrix whose parallelepiped is about as
+    large as the hull in every direction, whatever its aspect: in these coordinates the points are of unit size.
+
+    Returns (code, axis, width, size): code FLAT if the width along direction `axis` is at most
+    `flatness` times the first width or below the rounding of the coordinates.
+    """
+    m, n = points.shape
+    basis = np.zeros((n, n))
+    differences = np.empty((n, n))
+    direction = np.empty(n)
+    size = 0.0  # largest coordinate: its rounding is the noise every width sits on
+    widest = 0.0
+    for j in range(n):
+        # Coordinate axis least covered by the basis so far, made orthogonal to it (twice: once loses digits).
+        longest = -1.0
+        axis = 0
+        for k in range(n):
+            rest = 1.0
+            for r in range(j):
+                rest -= basis[r, k] * basis[r, k]
+            if rest > longest:
+                longest = rest
+                axis = k
+        for k in range(n):
+            direction[k] = 0.0
+        direction[axis] = 1.0
+        orthonormalise(direction, basis, j, n)
+        low_value = np.inf
+        high_value = -np.inf
+        low_at = 0
+        high_at = 0
+        for i in range(m):
+            value = 0.0
+            for k in range(n):
+                value += direction[k] * (points[i, k] - points[0, k])
+            if value < low_value:
+                low_value = value
+                low_at = i
+            if value > high_value:
+                high_value = value
+                high_at = i
+        if j == 0:
+            for i in range(m):
+                for k in range(n):
+                    size = max(size, abs(points[i, k]))
+        width = high_value - low_value
+        for k in range(n):
+            differences[j, k] = points[high_at, k] - points[low_at, k]
+            basis[j, k] = differences[j, k]
+        norm = 0.0
+        for k in range(n):
+            norm += basis[j, k] * basis[j, k]
+        widest = max(widest, np.sqrt(norm))
+        # Two coordinates in the same place differ by up to 2 n roundings of the largest coordinate.
+        if not width > max(flatness * widest, 4.0 * n * ROUNDING * size):
+            return FLAT, j, width, widest
+        orthonormalise(basis[j], basis, j, n)
+        chosen[2 * j] = low_at
+        chosen[2 * j + 1] = high_at
+    for k in range(n):
+        total = 0.0
+        for j in range(2 * n):
+            total += points[chosen[j], k] - points[chosen[0], k]
+        origin[k] = points[chosen[0], k] + total / (2 * n)
+    if not householder_triangle(differences, n, n):
+        return FLAT, n - 1, 0.0, widest
+    for j in range(n):
+        for k in range(n):
+            frame[j, k] = differences[k, j] if k <= j else 0.0
+    return 0, 0, 0.0, widest
+
+
+@inline
+def orthonormalise(v, basis, j, n):
+    """Make `v` orthogonal to the first j rows of `basis`, of unit length."""
+    for _ in range(2):
+        for r in range(j):
+            dot = 0.0
+            for k in range(n):
+                dot += v[k] * basis[r, k]
+            for k in range(n):
+                v[k] -= dot * basis[r, k]
+    norm = 0.0
+    for k in range(n):
+        norm += v[k] * v[k]
+    norm = np.sqrt(norm)
+    for k in range(n):
+        v[k] /= norm
+
+
+@inline
+def to_frame(point, origin, frame, out, n):
+    """Coordinates of a point: frame⁻¹ (point - origin)."""
+    for k in range(n):
+        out[k] = point[k] - origin[k]
+    solve_lower(frame, out, n)
+
+
+@njit()
+def farthest_by_sector(points, center, factor, threshold, best, best_at):
+    """One pass over all points: the largest |factor⁻¹ (x - center)|² and, per sector, its farthest point.
+
+    A sector is the signed coordinate axis nearest to the point, so the 2n candidates point different ways.
+    Only points above `threshold` are candidates.
+    """
+    m, n = points.shape
+    y = np.empty(n)
+    inverse = np.empty(n)
+    for k in range(n):
+        inverse[k] = 1.0 / factor[k, k]
+    for j in range(2 * n):
+        best[j] = threshold
+        best_at[j] = -1
+    largest = 0.0
+    for i in range(m):
+        norm2 = 0.0
+        for k in range(n):
+            value = points[i, k] - center[k]
+            for r in range(k):
+                value -= factor[k, r] * y[r]
+            value *= inverse[k]
+            y[k] = value
+            norm2 += value * value
+        if norm2 > largest:
+            largest = norm2
+        if norm2 > threshold:
+            sector = 0
+            longest = 0.0
+            for k in range(n):
+                if abs(y[k]) > longest:
+                    longest = abs(y[k])
+                    sector = 2 * k + (1 if y[k] < 0.0 else 0)
+            if norm2 > best[sector]:
+                best[sector] = norm2
+                best_at[sector] = i
+    return largest
+
+
+@inline
+def condition(factor, inverse, n):
+    """‖ |L⁻¹| |L| ‖ in the Frobenius norm: how much a triangular solve can magnify rounding."""
+    total = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(j, i + 1):
+                value += abs(inverse[i, k]) * abs(factor[k, j])
+            total += value * value
+    return np.sqrt(total)
+
+
+@njit()
+def enclose(points, center, factor):
+    """Scale `factor` until every point is inside for certain, `center` and the doubles as they stand.
+
+    A computed y = L⁻¹ (x - c) is the exact solution for L (1 + δ), |δ| <= n u, and x - c carries one rounding:
+    the true length is at most |y| (1 + (1.5 n + 3) u B), B = ‖ |L⁻¹| |L| ‖. The check uses (2n + 4) u B.
+
+    Returns that relative error bound, or -1 if three rounds did not do.
+    """
+    m, n = points.shape
+    inverse = np.empty((n, n))
+    none = np.empty(2 * n)
+    none_at = np.empty(2 * n, np.int64)
+    invert_lower(factor, inverse, n)
+    error = (2 * n + 4) * ROUNDING * condition(factor, inverse, n)
+    for attempt in range(4):
+        reach = np.sqrt(farthest_by_sector(points, center, factor, np.inf, none, none_at))
+        if attempt > 0 and reach * (1.0 + error) <= 1.0:
+            return error
+        # The scaled entries round once each, which is again at most u B.
+        scale = reach * (1.0 + error) * (1.0 + (attempt + 1) * 2.0 / (n + 2) * error)
+        for j in range(n):
+            for k in range(j + 1):
+                factor[j, k] *= scale
+    return -1.0
+
+
+@njit()
+def outer_gap(points, index, u, count, center, factor, error):
+    """Certified log(volume / smallest volume) of {c + L ball}, from dual weights on some of the points.
+
+    With y = L⁻¹ (x - c) and S their weighted covariance, the optimum has at least the volume of
+    √n S^½ ball: gap = -½ log det S - n/2 log n, plus what rounding (`error`, relative, on y) can hide.
+    """
+    n = points.shape[1]
+    mean = np.zeros(n)
+    S = np.zeros((n, n))
+    y = np.empty(n)
+    total = 0.0
+    for a in range(count):
+        to_frame(points[index[a]], center, factor, y, n)
+        total += u[a]
+        for j in range(n):
+            mean[j] += u[a] * y[j]
+            for k in range(j + 1):
+                S[j, k] += u[a] * y[j] * y[k]
+    for j in range(n):
+        mean[j] /= total
+    for j in range(n):
+        for k in range(j + 1):
+            S[j, k] = S[j, k] / total - mean[j] * mean[k]
+    if not cholesky(S, n):
+        return np.inf
+    log_det = 0.0
+    for j in range(n):
+        log_det += 2.0 * np.log(S[j, j])
+    return -0.5 * log_det - 0.5 * n * np.log(n) + 2.0 * n * error
+
+
+@njit()
+def fit_outer(points, tol, flatness, center, factor):
+    """Smallest ellipsoid around `points` (m, n), certified within `tol` in log-volume.
+
+    Fills `center` and the lower triangular `factor`. Returns (code, gap, iterations, axis, width, size).
+    """
+    m, n = points.shape
+    chosen = np.empty(2 * n, np.int64)
+    origin = np.empty(n)
+    frame = np.empty((n, n))
+    code, axis, width, size = spread_points(points, flatness, chosen, origin, frame)
+    if code != 0:
+        return code, np.inf, 0, axis, width, size
+
+    limit = DIRECT_LIMIT + 2 * n * n
+    direct = m <= limit
+    capacity = m if direct else 4 * limit
+    index = np.empty(capacity, np.int64)
+    X = np.empty((capacity, n))
+    u = np.empty(capacity)
+    count = m if direct else 0
+    if direct:
+        for i in range(m):
+            index[i] = i
+    else:
+        for j in range(2 * n):
+            known = False
+            for a in range(count):
+                known = known or index[a] == chosen[j]
+            if not known:
+                index[count] = chosen[j]
+                count += 1
+    for a in range(count):
+        to_frame(points[index[a]], origin, frame, X[a], n)
+
+    local_center = np.empty(n)
+    low = np.empty((n, n))
+    y = np.empty(n)
+    far = np.empty(2 * n)
+    far_at = np.empty(2 * n, np.int64)
+    iterations = 0
+    # The first rounds only look for points that matter: no need to solve them to the end.
+    inner_tol = 0.25 * tol if direct else max(0.25 * tol, 0.01)
+    gap = np.inf
+    for _ in range(MAX_ROUNDS):
+        gap, steps = solve_dual(X, count, n, inner_tol, u, local_center, low)
+        iterations += steps
+        if not gap < np.inf:
+            return STALLED, gap, iterations, 0, 0.0, size
+        multiply_lower(frame, low, factor, n)
+        for j in range(n):
+            value = 0.0
+            for k in range(j + 1):
+                value += frame[j, k] * local_center[k]
+            center[j] = origin[j] + value
+        if direct:
+            break
+        # Points this far out cost half the tolerance; farther ones join.
+        reach = farthest_by_sector(points, center, factor, np.exp(tol / n), far, far_at)
+        fresh = 0
+        for j in range(2 * n):
+            known = far_at[j] < 0
+            for a in range(count):
+                known = known or index[a] == far_at[j]
+            if known:
+                far_at[j] = -1
+            else:
+                fresh += 1
+        if fresh == 0:
+            if inner_tol <= 0.25 * tol:
+                break
+            inner_tol = max(0.25 * tol, 0.01 * inner_tol)
+            continue
+        inner_tol = max(0.25 * tol, min(inner_tol, 0.1 * n * np.log(reach)))
+        kept = 0
+        for a in range(count):
+            inside = 0.0
+            for k in range(n):
+                y[k] = X[a, k] - local_center[k]
+            solve_lower(low, y, n)
+            for k in range(n):
+                inside += y[k] * y[k]
+            if u[a] > LIGHT or inside > NEAR:
+                index[kept] = index[a]
+                for k in range(n):
+                    X[kept, k] = X[a, k]
+                kept += 1
+        count = kept
+        for j in range(2 * n):
+            if far_at[j] >= 0 and count < capacity:
+                index[count] = far_at[j]
+                to_frame(points[far_at[j]], origin, frame, X[count], n)
+                count += 1
+
+    error = enclose(points, center, factor)
+    if error < 0.0:
+        return STALLED, gap, iterations, 0, 0.0, size
+    gap = outer_gap(points, index, u, count, center, factor, error)
+    return (0 if gap <= tol else STALLED), gap, iterations, 0, 0.0, size

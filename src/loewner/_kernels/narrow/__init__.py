@@ -1,0 +1,1 @@
+"""One pair of pieces: certificate, GJK, expanding polytope, exact answer."""

@@ -1,0 +1,536 @@
+"""The certificate, many piece pairs at a time, in registers.
+
+First sixteen at a time in single precision, with error bounds to match: proof enough for almost every pair, at half the
+cost and half the memory. Pairs within that rounding of a decision are left to the same in double precision, eight at
+a time.
+
+Three stages, each only if some of them are still open:
+
+near
+    bounding spheres of the outer ellipsoids.
+outer
+    a separating direction for the outer ellipsoids. The maximizer of the contact function is
+    guessed from the widths along r, s = h_a / (h_a + h_b), which is exact for spheres; K(s)⁻¹ r is then
+    a direction good enough for 999 in 1,000 separable pairs of round pieces.
+inner
+    a common point of the inner ellipsoids at the same kind of guess.
+
+Each tells besides whether a better s could still change the answer; only then is it improved. With a margin
+the near points matter, and they need the best s: `certify_best` iterates always.
+
+The checks compare squares, not square roots (docs/certified.md): dividing and taking roots would be half the work.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
+from loewner._kernels.ellipsoids.contact import (
+    POSITION_ROUNDINGS,
+    SHAPE_ROUNDINGS,
+    maximize,
+    nearness,
+    normal_at,
+    separation,
+)
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, apply_symmetric, dot, minus, plus, rotated_shape, trace
+from loewner._kernels.pieces.poses import is_rigid, is_rigid_single
+from loewner._kernels.pieces.shapes import (
+    HOT,
+    INNER_CENTER,
+    INNER_SHAPE,
+    OUTER_CENTER,
+    OUTER_RADIUS,
+    OUTER_SHAPE,
+    REACH,
+)
+from loewner._kernels.simd.vectors import (
+    ALL,
+    LANES,
+    SINGLE_ALL,
+    SINGLE_LANES,
+    absolute,
+    broadcast,
+    gather_transpose,
+    gather_transpose_single,
+    masked_store,
+    maximum,
+    minimum,
+    movemask,
+    prefetch_rows,
+    prefetch_rows_single,
+    select,
+    share_of_roots,
+    store,
+)
+
+BLOCK = 128  # piece pairs that are settled together
+
+NEWTON_STEPS = 12
+
+# Errors in units of the roundoff: of the shape matrices times trace |n|², and of the positions times the lengths.
+SHAPE_ERROR, POSITION_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF, POSITION_ROUNDINGS / UNIT_ROUNDOFF
+SINGLE_ROUNDOFF = 2.0**-24
+
+# How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
+# rounding does to F (see `_doubt`), in either precision.
+SURE, SINGLE_SURE = 1e-6, 2e-3
+
+# What `certify` says where a better s may settle a pair.
+UNSURE = 7
+
+# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the pieces and poses that a later block
+# will need, to be asked for while this one is computed.
+PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B = 0, 1, 2, 3, 4
+LATER = 4  # from a row of the list to the one with what comes later
+LISTS = 9
+
+# Rows of the array in which open pairs leave what the exact tests start from.
+OUT_NORMAL = 0
+ROWS = 3
+
+
+class Pose(NamedTuple):
+    """Poses of several bodies: rotation (nine entries in row order), translation, and whether all are rigid motions."""
+
+    R: Any
+    t: Any
+    rigid: Any
+
+
+class Bounds(NamedTuple):
+    """Centers and sizes of several pieces in the frames of their bodies: the first columns of their rows."""
+
+    outer_center: Any
+    outer_radius: Any
+    inner_center: Any
+    reach: Any
+
+
+class Shape(NamedTuple):
+    """Ellipsoids in world axes, as eight columns of their rows: the shape matrix and two bounds on semi-axes.
+
+    `sigma` is a lower bound on the least semi-axis of an outer ellipsoid; `inverse_sigma` an upper bound on one over
+    that of an inner one. Neither is of use for the other kind.
+    """
+
+    Q: Any
+    inverse_sigma: Any
+    sigma: Any
+
+
+@inline
+def turns(R):
+    """Mask: rotations that are not exactly the identity."""
+    off = absolute(R[1]) + absolute(R[2]) + absolute(R[3]) + absolute(R[5]) + absolute(R[6]) + absolute(R[7])
+    on = absolute(R[0] - 1.0) + absolute(R[4] - 1.0) + absolute(R[8] - 1.0)
+    return off + on > 0.0
+
+
+@inline
+def _bounds(columns):
+    """The record of the columns OUTER_CENTER .. REACH."""
+    return Bounds(
+        (columns[OUTER_CENTER], columns[OUTER_CENTER + 1], columns[OUTER_CENTER + 2]),
+        columns[OUTER_RADIUS],
+        (columns[INNER_CENTER], columns[INNER_CENTER + 1], columns[INNER_CENTER + 2]),
+        columns[REACH],
+    )
+
+
+@inline
+def _shape(columns, R, rotated):
+    """The record of the columns from OUTER_SHAPE or INNER_SHAPE on."""
+    Q = columns[0], columns[1], columns[2], columns[3], columns[4], columns[5]
+    if rotated:
+        Q = rotated_shape(R, Q)
+    return Shape(Q, columns[6], columns[7])
+
+
+@inline
+def _selected(condition, a, b):
+    """Vectors a where the condition holds, else b."""
+    return select(condition, a[0], b[0]), select(condition, a[1], b[1]), select(condition, a[2], b[2])
+
+
+@inline
+def _selected_shape(condition, a, b):
+    """Shapes a where the condition holds, else b."""
+    Q = (
+        select(condition, a.Q[0], b.Q[0]),
+        select(condition, a.Q[1], b.Q[1]),
+        select(condition, a.Q[2], b.Q[2]),
+        select(condition, a.Q[3], b.Q[3]),
+        select(condition, a.Q[4], b.Q[4]),
+        select(condition, a.Q[5], b.Q[5]),
+    )
+    return Shape(Q, select(condition, a.inverse_sigma, b.inverse_sigma), select(condition, a.sigma, b.sigma))
+
+
+@inline
+def _offset(a, rotated_a, center_a, b, rotated_b, center_b):
+    """World vector from a's to b's point of their bodies; the translations are subtracted first."""
+    if rotated_a:
+        center_a = apply(a.R, center_a)
+    if rotated_b:
+        center_b = apply(b.R, center_b)
+    return plus(minus(b.t, a.t), minus(center_b, center_a))
+
+
+@inline
+def _one_norm(v):
+    return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
+
+
+@inline
+def _size(a, reach_a, b, reach_b):
+    """Sum of the lengths that go into the vector between two centers."""
+    return _one_norm(minus(b.t, a.t)) + reach_a + reach_b
+
+
+@inline
+def rounded_size(a, reach_a, b, reach_b):
+    """The size where the translations were rounded before they are subtracted."""
+    t = absolute(a.t[0]) + absolute(a.t[1]) + absolute(a.t[2]) + absolute(b.t[0]) + absolute(b.t[1]) + absolute(b.t[2])
+    return t + reach_a + reach_b
+
+
+@inline
+def _clear(r, radii, size, margin, unit):
+    """Mask: bounding spheres surely farther apart than the margin."""
+    far = radii + POSITION_ERROR * unit * size + margin
+    # The second where squares overflow.
+    widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
+    return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
+
+
+@inline
+def _guess(P, Q, r, tiny):
+    """s of two spheres as wide as the ellipsoids are along r."""
+    wide_p, wide_q = dot(apply_symmetric(P, r), r), dot(apply_symmetric(Q, r), r)
+    return share_of_roots(maximum(wide_p, tiny), maximum(wide_q, tiny))
+
+
+@njit()
+def _best(P, Q, r):
+    """s and n = K(s)⁻¹ r at the maximum of F."""
+    _, s, n = maximize(P, Q, r, NEWTON_STEPS)
+    return s, n
+
+
+@inline
+def _doubt(P, Q, least, miss, s, size, unit, sure):
+    """What rounding can do to F = s(1-s) rᵀK⁻¹r while that is about 1, times the least eigenvalue of K.
+
+    √F is a norm of r: an error ε of r, that of the positions and that by which K n misses r, changes it by at most
+    η = √(s(1-s)) ε / √λ, with λ the least eigenvalue of K. So F, computed from n·r, is on the side of 1 that it seems
+    to be on if it is off by 3η + 2η² <= c + 4η²/c, for any small c. An error of K changes F by its share in λ.
+
+    Parameters
+    ----------
+    least : vector
+        Lower bound on λ.
+    miss : vector
+        1-norm of r - K n.
+    sure : float
+        c; also the least distance of F from 1 that is taken for real.
+    """
+    u = 1.0 - s
+    off = POSITION_ERROR * unit * size + miss
+    trace_of_K = u * trace(P) + s * trace(Q)
+    return sure * least + 4.0 / sure * (s * u * off * off) + SHAPE_ERROR * unit * trace_of_K
+
+
+@inline
+def _miss(r, s, Pn, Qn):
+    """1-norm of r - K(s) n: how far the point (1-s) P n from a's center misses r - s Q n; zero in exact arithmetic."""
+    u = 1.0 - s
+    return (
+        absolute(r[0] - u * Pn[0] - s * Qn[0])
+        + absolute(r[1] - u * Pn[1] - s * Qn[1])
+        + absolute(r[2] - u * Pn[2] - s * Qn[2])
+    )
+
+
+@inline
+def _apart(a, b, r, n, s, size, unit, sure):
+    """Mask: surely separated by n. And mask: surely no s whatever separates, because F < 1 everywhere.
+
+    F is concave and its slope at s is (1-s)² nᵀPn - s² nᵀQn, which bounds it everywhere. Rounding changes the slope by
+    at most what it does to F over s(1-s).
+    """
+    Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
+    nPn, nQn = dot(Pn, n), dot(Qn, n)
+    squared = dot(n, n)
+    along = dot(n, r)
+    # n·r > √v + √w, with n·r rounded down and the squared widths v and w rounded up.
+    low = along - POSITION_ERROR * unit * size * _one_norm(n)
+    v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
+    w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
+    t = low * low * (1.0 - 8.0 * unit) - (v + w)
+    # Apart means F > 1 and n·r > 4 at the best s; asking for a half, and t clear of zero, keeps squares from
+    # underflowing.
+    separated = (low > 0.5) & (t > unit * (low * low)) & (t * t * (1.0 - 16.0 * unit) > 4.0 * (v * w))
+    u = 1.0 - s
+    most = s * u * along + absolute(u * u * nPn - s * s * nQn) * maximum(s, u)
+    least = u * (a.sigma * a.sigma)
+    least = least + s * (b.sigma * b.sigma)
+    doubt = _doubt(a.Q, b.Q, least, _miss(r, s, Pn, Qn), s, size, unit, sure)
+    end = minimum(s, u)
+    return separated, (1.0 - most) * least * end > doubt * (1.0 + end)
+
+
+@inline
+def _common(a, b, r, n, s, size, unit, sure):
+    """Mask: surely a common point at (1-s) P n from a's center. And mask: surely F > 1, so that there is none."""
+    Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
+    nPn, nQn = dot(Pn, n), dot(Qn, n)
+    squared = dot(n, n)
+    length = _one_norm(n)
+    u = 1.0 - s
+    miss = _miss(r, s, Pn, Qn)
+    slack = miss + POSITION_ERROR * unit * size
+    # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
+    error_a = SHAPE_ERROR * unit * trace(a.Q)
+    error_b = SHAPE_ERROR * unit * trace(b.Q)
+    free_a = 1.0 - 32.0 * unit - u * error_a * length * a.inverse_sigma
+    free_b = 1.0 - 32.0 * unit - (s * error_b * length + slack) * b.inverse_sigma
+    inside_a = (free_a > 0.0) & (u * u * (nPn + error_a * squared) <= free_a * free_a)
+    inside_b = (free_b > 0.0) & (s * s * (nQn + error_b * squared) <= free_b * free_b)
+    F = s * u * dot(n, r)
+    least = u / (a.inverse_sigma * a.inverse_sigma) + s / (b.inverse_sigma * b.inverse_sigma)
+    doubt = _doubt(a.Q, b.Q, least, miss, s, size, unit, sure)
+    return inside_a & inside_b, ((F - 1.0) * least > 1.25 * doubt) & (doubt < least)
+
+
+@inline
+def _put_normal(V, at, n):
+    store(V, OUT_NORMAL * BLOCK + at, n[0])
+    store(V, (OUT_NORMAL + 1) * BLOCK + at, n[1])
+    store(V, (OUT_NORMAL + 2) * BLOCK + at, n[2])
+
+
+def _poses(fetch, everything, rigid_poses, one):
+    """Make the reader of poses for vectors like those that `fetch` returns."""
+
+    @inline
+    def pose(T, rows, at, moved):
+        """Poses of the listed rows; a pose array that is the identity alone is not even read."""
+        if moved:
+            p = fetch(T, 16, rows, at, 0)
+            q = fetch(T, 16, rows, at, 8)
+            rigid = movemask(rigid_poses(p, q)) == everything
+            return Pose((p[0], p[1], p[2], p[4], p[5], p[6], q[0], q[1], q[2]), (p[3], p[7], q[3]), rigid)
+        on = broadcast(one)
+        off = on - on
+        return Pose((on, off, off, off, on, off, off, off, on), (off, off, off), True)
+
+    return pose
+
+
+def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
+    """The two compiled functions below, in one of the two precisions.
+
+    Parameters
+    ----------
+    fetch : callable
+        Reads eight columns of as many rows as a vector has lanes.
+    prefetch : callable
+        Asks for such rows ahead of their use.
+    lanes : int
+    pose, size_of : callable
+    unit, tiny : float
+        Unit roundoff, and a number that no product of four lengths falls below.
+    sure : float
+        How far F must be from 1, at least, to say that no s whatever settles a pair.
+    """
+    everything = 2**lanes - 1
+
+    @njit()
+    def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+        """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
+
+        Returns False where `certify` does.
+        """
+        for at in range(0, count, lanes):
+            if asking:
+                prefetch(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
+                prefetch(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
+            if asking and moved_a:
+                prefetch(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
+            if asking and moved_b:
+                prefetch(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
+            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+            if not (a.rigid and b.rigid):
+                return False
+            near_a = _bounds(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
+            near_b = _bounds(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+            r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
+            size = size_of(a, near_a.reach, b, near_b.reach)
+            far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, unit)
+            masked_store(tier, at, far, BY_SPHERE)
+            masked_store(tier, at, ~far, OPEN)
+        return True
+
+    @njit()
+    def better(P, Q, r, n):
+        """Another s and its normal: that of spheres as wide as the ellipsoids are along n."""
+        s = _guess(P, Q, n, tiny)
+        _, m = normal_at(P, Q, r, s)
+        return s, m
+
+    @njit()
+    def certify(count, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+        """Certify the listed piece pairs, margin 0.
+
+        Parameters
+        ----------
+        count : int
+            Piece pairs; the lists are filled with repeats up to whole vectors.
+        asking : bool
+            Ask for what comes later; in portions between the computations, which a burst of it would hold up.
+        hot_a, hot_b : ndarray, shape (P, HOT)
+        Ta, Tb : ndarray, shape (N, 4, 4)
+        moved_a, moved_b : bool
+            False if the operand's only pose is the identity.
+        L : ndarray of int64, shape (LISTS * BLOCK,)
+            Pieces and poses of each pair.
+        tier : ndarray of int8
+            Receives BY_SPHERE, BY_OUTER, BY_INNER, OPEN (no s settles the pair) or UNSURE.
+        V : ndarray, shape (ROWS * BLOCK,)
+            Receives the contact normals of the outer ellipsoids.
+
+        Returns
+        -------
+        bool
+            False if a pose is no rigid motion (in single precision: may be none); the rest is then not done.
+        """
+        for at in range(0, count, lanes):
+            if asking:
+                prefetch(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
+            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
+            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+            if not (a.rigid and b.rigid):
+                return False
+            rotated_a = moved_a and movemask(turns(a.R)) != 0
+            rotated_b = moved_b and movemask(turns(b.R)) != 0
+            near_a = _bounds(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
+            near_b = _bounds(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+            size = size_of(a, near_a.reach, b, near_b.reach)
+
+            r = _offset(a, rotated_a, near_a.outer_center, b, rotated_b, near_b.outer_center)
+            far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, 0.0, unit)
+            free = far
+            inseparable = ~(far | ~far)
+            if asking:
+                prefetch(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
+            if movemask(free) != everything:
+                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a.R, rotated_a)
+                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b.R, rotated_b)
+                s = _guess(p.Q, q.Q, r, tiny)
+                _, n = normal_at(p.Q, q.Q, r, s)
+                separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
+                free = free | separated
+                if movemask(free | inseparable) != everything:
+                    s, m = better(p.Q, q.Q, r, n)
+                    separated, none = _apart(p, q, r, m, s, size, unit, sure)
+                    n = _selected(inseparable, n, m)
+                    free = free | separated
+                    inseparable = inseparable | none
+                _put_normal(V, at, n)
+
+            if asking and moved_b:
+                prefetch(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
+            overlap = free
+            distinct = free
+            if movemask(free) != everything:
+                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a.R, rotated_a)
+                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b.R, rotated_b)
+                r = _offset(a, rotated_a, near_a.inner_center, b, rotated_b, near_b.inner_center)
+                s = _guess(p.Q, q.Q, r, tiny)
+                _, n = normal_at(p.Q, q.Q, r, s)
+                overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
+                settled = overlap | distinct
+                if movemask(free | settled) != everything:
+                    s, m = better(p.Q, q.Q, r, n)
+                    found, none = _common(p, q, r, m, s, size, unit, sure)
+                    overlap = overlap | found
+                    distinct = distinct | none
+            if asking and moved_a:
+                prefetch(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
+            masked_store(tier, at, far | ~far, UNSURE)
+            masked_store(tier, at, inseparable & distinct, OPEN)
+            masked_store(tier, at, overlap, BY_INNER)
+            masked_store(tier, at, free, BY_OUTER)
+            masked_store(tier, at, far, BY_SPHERE)
+        return True
+
+    return spheres, certify
+
+
+pose_of = _poses(gather_transpose, ALL, is_rigid, 1.0)
+single_pose_of = _poses(gather_transpose_single, SINGLE_ALL, is_rigid_single, np.float32(1.0))
+
+spheres, certify = _stages(gather_transpose, prefetch_rows, LANES, pose_of, _size, UNIT_ROUNDOFF, 1e-300, SURE)
+single_spheres, single_certify = _stages(
+    gather_transpose_single,
+    prefetch_rows_single,
+    SINGLE_LANES,
+    single_pose_of,
+    rounded_size,
+    SINGLE_ROUNDOFF,
+    1e-30,
+    SINGLE_SURE,
+)  # fmt: skip
+
+
+@inline
+def _ordered(swap, p, q, r):
+    """The two ellipsoids and the vector from one center to the other's; the other way round where `swap` says so."""
+    return _selected_shape(swap, q, p), _selected_shape(swap, p, q), _selected(swap, _reversed(r), r)
+
+
+@inline
+def _reversed(v):
+    return 0.0 - v[0], 0.0 - v[1], 0.0 - v[2]
+
+
+@njit()
+def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    """Certify the listed piece pairs at the best s, in double precision, with any margin.
+
+    Parameters and result as for `certify`, but that every pair left is OPEN.
+    """
+    for at in range(0, count, LANES):
+        a = pose_of(Ta, L, POSE_A * BLOCK + at, moved_a)
+        b = pose_of(Tb, L, POSE_B * BLOCK + at, moved_b)
+        if not (a.rigid and b.rigid):
+            return False
+        near_a = _bounds(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
+        near_b = _bounds(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+        size = _size(a, near_a.reach, b, near_b.reach)
+        r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
+        far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
+        p = _shape(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a.R, moved_a)
+        q = _shape(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b.R, moved_b)
+        # The larger second: s is then small, and keeps its digits where the sizes are far apart.
+        swap = near_a.outer_radius > near_b.outer_radius
+        p, q, r = _ordered(swap, p, q, r)
+        s, n = _best(p.Q, q.Q, r)
+        _put_normal(V, at, _selected(swap, _reversed(n), n))
+        free = far | (separation(p.Q, q.Q, r, n, size) > margin)
+
+        p = _shape(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a.R, moved_a)
+        q = _shape(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b.R, moved_b)
+        r = _offset(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
+        p, q, r = _ordered(swap, p, q, r)
+        s, n = _best(p.Q, q.Q, r)
+        level, distance, _ = nearness(p.Q, q.Q, r, n, s, 1.0 / p.inverse_sigma, 1.0 / q.inverse_sigma, size)
+        masked_store(tier, at, far | ~far, OPEN)
+        masked_store(tier, at, (level <= 1.0) | ((distance <= margin) & (broadcast(margin) > 0.0)), BY_INNER)
+        masked_store(tier, at, free, BY_OUTER)
+        masked_store(tier, at, far, BY_SPHERE)
+    return True

@@ -1,0 +1,458 @@
+"""Penetration depth of two placed pieces by an expanding polytope inside A - B.
+
+The depth is the smallest support value h(n) of the Minkowski difference A - B over unit n. A
+polytope of support points grows inside A - B; its face with the smallest offset is pushed out to the
+support plane until the two agree. Offsets may be negative, so the polytope need not hold the
+origin when it starts.
+
+References
+----------
+van den Bergen (2001), "Proximity queries and penetration depth computation on 3D game objects".
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
+
+# A polytope pair ends when it meets a true face of A - B, after tens of faces. The cap is for
+# curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius at the very
+# worst (all directions equally deep) and far better elsewhere.
+MAX_POINTS = 1500
+MAX_FACES = 2 * MAX_POINTS
+FLAT = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
+
+# Faces this close to the nearest, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
+WITNESS_WINDOW = 2e4
+
+# Turn of the directions, in radians, whose support points refine a witness: what they miss of the depth is
+# its square.
+HAIR = 1e-5
+
+DEPTH_ACCURACY = 1e-11  # what a distance query asks for
+CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
+
+
+@njit()
+def _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+    """`minkowski_support`, called instead of inlined: there are many calls here and each is rare."""
+    minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
+
+
+@njit()
+def _face(S, corners, normals, offsets, f):
+    """Form the outward unit normal and offset of face f; False if it has no area to speak of."""
+    a = corners[f, 0]
+    b = corners[f, 1]
+    c = corners[f, 2]
+    ux = S[b, 0] - S[a, 0]
+    uy = S[b, 1] - S[a, 1]
+    uz = S[b, 2] - S[a, 2]
+    wx = S[c, 0] - S[a, 0]
+    wy = S[c, 1] - S[a, 1]
+    wz = S[c, 2] - S[a, 2]
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    longest = np.sqrt((ux * ux + uy * uy + uz * uz) * (wx * wx + wy * wy + wz * wz))
+    if not area > 1e-14 * longest:
+        normals[f, 0] = 0.0
+        normals[f, 1] = 0.0
+        normals[f, 2] = 0.0
+        offsets[f] = np.inf
+        return False
+    normals[f, 0] = nx / area
+    normals[f, 1] = ny / area
+    normals[f, 2] = nz / area
+    offsets[f] = (
+        normals[f, 0] * (S[a, 0] + S[b, 0] + S[c, 0])
+        + normals[f, 1] * (S[a, 1] + S[b, 1] + S[c, 1])
+        + normals[f, 2] * (S[a, 2] + S[b, 2] + S[c, 2])
+    ) / 3.0
+    return True
+
+
+@njit()
+def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S):
+    """Four support points that span a volume, written to rows 0..3 of S."""
+    rows = np.arange(5)  # as data: the functions below would be compiled once per constant
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, 1.0, 0.0, 0.0, S, rows[0])
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -1.0, 0.0, 0.0, S, rows[1])
+    # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
+    ex = S[1, 0] - S[0, 0]
+    ey = S[1, 1] - S[0, 1]
+    ez = S[1, 2] - S[0, 2]
+    if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
+        px, py, pz = 0.0, -ez, ey
+    elif abs(ey) <= abs(ez):
+        px, py, pz = ez, 0.0, -ex
+    else:
+        px, py, pz = -ey, ex, 0.0
+    _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, px, py, pz, S, rows[2])
+    ux = S[2, 0] - S[0, 0]
+    uy = S[2, 1] - S[0, 1]
+    uz = S[2, 2] - S[0, 2]
+    _farther(
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
+        ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, rows[3],
+    )  # fmt: skip
+
+
+@njit()
+def _volume(S):
+    """Six times the signed volume of rows 0..3."""
+    ux = S[1, 0] - S[0, 0]
+    uy = S[1, 1] - S[0, 1]
+    uz = S[1, 2] - S[0, 2]
+    vx = S[2, 0] - S[0, 0]
+    vy = S[2, 1] - S[0, 1]
+    vz = S[2, 2] - S[0, 2]
+    return (
+        (S[3, 0] - S[0, 0]) * (uy * vz - uz * vy)
+        + (S[3, 1] - S[0, 1]) * (uz * vx - ux * vz)
+        + (S[3, 2] - S[0, 2]) * (ux * vy - uy * vx)
+    )
+
+
+@njit()
+def _flat_normal(S, error, result):
+    """Tell whether rows 0..3 span no volume; if so, write a unit normal of their flat to `result`."""
+    ex, ey, ez = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
+    ux, uy, uz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
+    nx, ny, nz = ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux
+    long = np.sqrt(ex * ex + ey * ey + ez * ez)
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if long <= 4.0 * error:
+        nx, ny, nz = 1.0, 0.0, 0.0
+    elif area <= 4.0 * error * long:
+        # A line: any direction square to it.
+        if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
+            nx, ny, nz = 0.0, -ez, ey
+        elif abs(ey) <= abs(ez):
+            nx, ny, nz = ez, 0.0, -ex
+        else:
+            nx, ny, nz = -ey, ex, 0.0
+    elif abs(_volume(S)) > 4.0 * error * area:
+        return False
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    result[0] = nx / length
+    result[1] = ny / length
+    result[2] = nz / length
+    return True
+
+
+@njit()
+def _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if not length > 0.0:
+        nx, ny, nz, length = 1.0, 0.0, 0.0, 1.0
+    nx /= length
+    ny /= length
+    nz /= length
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
+    one = nx * (S[k, 0] - S[0, 0]) + ny * (S[k, 1] - S[0, 1]) + nz * (S[k, 2] - S[0, 2])
+    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, k + 1)
+    two = nx * (S[k + 1, 0] - S[0, 0]) + ny * (S[k + 1, 1] - S[0, 1]) + nz * (S[k + 1, 2] - S[0, 2])
+    if abs(two) > abs(one):
+        for c in range(9):
+            S[k, c] = S[k + 1, c]
+
+
+@njit()
+def _visible(S, normals, offsets, f, w, error):
+    """Tell whether the new point w lies in front of face f (a face without area always gives way)."""
+    if offsets[f] == np.inf:
+        return True
+    return normals[f, 0] * S[w, 0] + normals[f, 1] * S[w, 1] + normals[f, 2] * S[w, 2] > offsets[f] + error
+
+
+@njit()
+def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first, w, error, horizon, stack):
+    """Replace all faces seen from point w by a fan around it. False if the rim does not close."""
+    rim = 0
+    alive[first] = False
+    free[counts[1]] = first
+    counts[1] += 1
+    # Depth-first over edges, leaving the edges of each face in order, yields the rim in order.
+    top = 0
+    for e in range(2, -1, -1):
+        stack[top, 0] = first
+        stack[top, 1] = e
+        top += 1
+    while top > 0:
+        top -= 1
+        f = stack[top, 0]
+        e = stack[top, 1]
+        g = neighbors[f, e]
+        if not alive[g]:
+            continue
+        back = 0
+        for c in range(3):
+            if neighbors[g, c] == f and corners[g, c] == corners[f, (e + 1) % 3]:
+                back = c
+        if _visible(S, normals, offsets, g, w, error):
+            alive[g] = False
+            free[counts[1]] = g
+            counts[1] += 1
+            if top + 2 > stack.shape[0]:
+                return False
+            stack[top, 0] = g
+            stack[top, 1] = (back + 2) % 3
+            stack[top + 1, 0] = g
+            stack[top + 1, 1] = (back + 1) % 3
+            top += 2
+        else:
+            if rim >= horizon.shape[0]:
+                return False
+            horizon[rim, 0] = g
+            horizon[rim, 1] = back
+            rim += 1
+    if rim < 3:
+        return False
+    for r in range(rim):
+        g = horizon[r, 0]
+        e = horizon[r, 1]
+        h = horizon[(r + 1) % rim, 0]
+        e2 = horizon[(r + 1) % rim, 1]
+        # In the seen face the rim edge runs from corner e+1 to corner e of g.
+        if corners[g, e] != corners[h, (e2 + 1) % 3]:
+            return False
+    if counts[1] + (MAX_FACES - counts[0]) < rim:
+        return False
+    made_first = -1
+    previous = -1
+    for r in range(rim):
+        g = horizon[r, 0]
+        e = horizon[r, 1]
+        if counts[1] > 0:
+            counts[1] -= 1
+            f = free[counts[1]]
+        else:
+            f = counts[0]
+            counts[0] += 1
+        corners[f, 0] = corners[g, (e + 1) % 3]
+        corners[f, 1] = corners[g, e]
+        corners[f, 2] = w
+        neighbors[f, 0] = g
+        neighbors[g, e] = f
+        alive[f] = True
+        _face(S, corners, normals, offsets, f)
+        if previous >= 0:
+            neighbors[f, 2] = previous
+            neighbors[previous, 1] = f
+        else:
+            made_first = f
+        previous = f
+    neighbors[made_first, 2] = previous
+    neighbors[previous, 1] = made_first
+    return True
+
+
+@njit()
+def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy, S, corners, neighbors, normals,
+                offsets, alive, free, horizon, stack, result):  # fmt: skip
+    """Depth of the cores' penetration.
+
+    Parameters
+    ----------
+    accuracy : float
+        Gap of the bounds to stop at, relative to the lengths involved.
+    S ... stack : ndarray
+        Work space, see `workspace`.
+    result : ndarray, shape (9,)
+        Receives the normal (from A to B) and the two deepest points.
+
+    Returns
+    -------
+    lower, upper : float
+        Both `FLAT` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
+        to within `rounding_error`; `upper` belongs to the normal and the points.
+    """
+    error = rounding_error(ta, i, tb, j, dx, dy, dz)
+    tolerance = error * (accuracy / POSITION_ROUNDINGS)
+    _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S)
+    for f in range(4):
+        alive[f] = True
+    if _flat_normal(S, error, result):
+        # Cores without a volume between them (points, parallel segments) penetrate by nothing: across
+        # the flat they already touch. The deepest points are the caller's own, from GJK.
+        return FLAT, FLAT
+    # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
+    if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
+        for c in range(9):
+            S[0, c], S[1, c] = S[1, c], S[0, c]
+    table = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
+    for f in range(4):
+        for c in range(3):
+            corners[f, c] = table[f][c]
+    for f in range(4):
+        for e in range(3):
+            a = corners[f, e]
+            b = corners[f, (e + 1) % 3]
+            for g in range(4):
+                for c in range(3):
+                    if corners[g, c] == b and corners[g, (c + 1) % 3] == a:
+                        neighbors[f, e] = g
+        _face(S, corners, normals, offsets, f)
+    counts = np.array([4, 0])
+    used = 4
+    upper = np.inf
+    lower = -np.inf
+    last = np.int64(-1)
+    while used < MAX_POINTS:
+        nearest = -1
+        least = np.inf
+        for f in range(counts[0]):
+            if alive[f] and offsets[f] < least:
+                least = offsets[f]
+                nearest = f
+        if nearest < 0:
+            break
+        lower = least
+        nx = normals[nearest, 0]
+        ny = normals[nearest, 1]
+        nz = normals[nearest, 2]
+        # The least along -n is the farthest along n.
+        _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, used)
+        height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
+        if height < upper:
+            upper = height
+            result[0], result[1], result[2] = nx, ny, nz
+        last = nearest
+        if upper - least <= tolerance or height - least <= 4.0 * error:
+            break
+        if not _expand(
+            S, corners, neighbors, normals, offsets, alive, free, counts, nearest, used, error, horizon, stack
+        ):
+            break
+        used += 1
+    if last < 0:
+        return -np.inf, np.inf
+    # If many directions tie, the faces are still coarse. Support points around the best normal, a hair's
+    # breadth apart, carry a much finer face.
+    if upper - lower > WITNESS_WINDOW * error and _fine_foot(
+        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result
+    ):
+        return lower, upper
+    # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
+    # it. The foot of the origin is inside one of them: that one knows the witnesses.
+    window = lower + max(upper - lower, WITNESS_WINDOW * error)
+    best = -np.inf
+    for f in range(counts[0]):
+        if (alive[f] or f == last) and offsets[f] <= window:
+            wa, wb, wc = _foot(S, corners, normals, f)
+            inside = min(0.0, min(wa, min(wb, wc)))
+            if inside > best or (inside == best and offsets[f] < offsets[last]):
+                best = inside
+                last = f
+    _witness(S, corners, normals, last, result)
+    return lower, upper
+
+
+@njit()
+def _fine_foot(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result):
+    """Witnesses for the normal in `result` from the support points of five directions around it.
+
+    The origin's foot must lie in a triangle of three of the points, seen along the normal; False if it lies in none.
+    """
+    nx, ny, nz = result[0], result[1], result[2]
+    if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
+        ux, uy, uz = 0.0, -nz, ny
+    elif abs(ny) <= abs(nz):
+        ux, uy, uz = nz, 0.0, -nx
+    else:
+        ux, uy, uz = -ny, nx, 0.0
+    length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / length, uy / length, uz / length
+    wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+    for r in range(5):
+        a = HAIR * ((r == 1) - (r == 2))
+        b = HAIR * ((r == 3) - (r == 4))
+        _support(
+            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
+            -(nx + a * ux + b * wx), -(ny + a * uy + b * wy), -(nz + a * uz + b * wz), S, used + r,
+        )  # fmt: skip
+    for p in range(used, used + 5):
+        for q in range(p + 1, used + 5):
+            for r in range(q + 1, used + 5):
+                ap = S[p, 0] * ux + S[p, 1] * uy + S[p, 2] * uz
+                aq = S[q, 0] * ux + S[q, 1] * uy + S[q, 2] * uz
+                ar = S[r, 0] * ux + S[r, 1] * uy + S[r, 2] * uz
+                bp = S[p, 0] * wx + S[p, 1] * wy + S[p, 2] * wz
+                bq = S[q, 0] * wx + S[q, 1] * wy + S[q, 2] * wz
+                br = S[r, 0] * wx + S[r, 1] * wy + S[r, 2] * wz
+                wp = aq * br - ar * bq
+                wq = ar * bp - ap * br
+                wr = ap * bq - aq * bp
+                total = wp + wq + wr
+                if total == 0.0:
+                    continue
+                if wp / total >= -1e-9 and wq / total >= -1e-9 and wr / total >= -1e-9:
+                    for c in range(3, 9):
+                        result[c] = (wp * S[p, c] + wq * S[q, c] + wr * S[r, c]) / total
+                    return True
+    return False
+
+
+@njit()
+def _foot(S, corners, normals, f):
+    """Barycentric coordinates of the foot of the origin on face f; negative ones lie outside."""
+    a = corners[f, 0]
+    b = corners[f, 1]
+    c = corners[f, 2]
+    wa = _area(S, normals, f, b, c)
+    wb = _area(S, normals, f, c, a)
+    wc = _area(S, normals, f, a, b)
+    total = wa + wb + wc
+    if not total > 0.0:
+        return -np.inf, -np.inf, -np.inf
+    return wa / total, wb / total, wc / total
+
+
+@njit()
+def _area(S, normals, f, b, c):
+    """Twice the area of the triangle (origin, b, c) seen along the normal of face f."""
+    ex = S[c, 0] - S[b, 0]
+    ey = S[c, 1] - S[b, 1]
+    ez = S[c, 2] - S[b, 2]
+    return (
+        normals[f, 0] * (S[b, 1] * ez - S[b, 2] * ey)
+        + normals[f, 1] * (S[b, 2] * ex - S[b, 0] * ez)
+        + normals[f, 2] * (S[b, 0] * ey - S[b, 1] * ex)
+    )
+
+
+@njit()
+def _witness(S, corners, normals, f, result):
+    """Normal of face f and the points of A and B that belong to the foot of the origin on it."""
+    wa, wb, wc = _foot(S, corners, normals, f)
+    wa = max(wa, 0.0)
+    wb = max(wb, 0.0)
+    wc = max(wc, 0.0)
+    total = wa + wb + wc
+    if not total > 0.0:
+        wa, wb, wc, total = 1.0, 1.0, 1.0, 3.0
+    for m in range(3):
+        result[m] = normals[f, m]
+    for m in range(3, 9):
+        result[m] = (wa * S[corners[f, 0], m] + wb * S[corners[f, 1], m] + wc * S[corners[f, 2], m]) / total
+
+
+@njit()
+def workspace(wanted):
+    """Arrays that `penetration` writes to; one set serves any number of calls in turn."""
+    points = MAX_POINTS + 8 if wanted else 1
+    faces = MAX_FACES if wanted else 1
+    return (
+        np.empty((points, 9)),
+        np.empty((faces, 3), np.int64),
+        np.empty((faces, 3), np.int64),
+        np.empty((faces, 3)),
+        np.empty(faces),
+        np.zeros(faces, np.bool_),
+        np.empty(faces, np.int64),
+        np.empty((faces, 2), np.int64),
+        np.empty((faces, 2), np.int64),
+    )

@@ -1,0 +1,337 @@
+"""GJK on many open pairs of small polytopes: sixteen pairs side by side in registers, whatever each of them meets.
+
+First the plane across the contact normal of the outer ellipsoids: it separates four in ten open pairs. For the others a
+walk by the signs of a few products, with no closest point: every round searches the vertices of both pieces once and
+takes all cases of the simplex together, each pair choosing its own. Two or three rounds more settle most.
+
+The walk is in single precision. What it finds is proven nonetheless, by a support plane clear of the origin or by a
+tetrahedron of points of A - B that holds it, both clear of what that precision rounds (docs/certified.md). Pairs
+nearer to contact, two in a thousand, have no proof here and are left to `pair_search`; so nothing a pair is told
+depends on how it was reached or on the pairs beside it.
+
+References
+----------
+Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083; Ericson, Real-Time Collision Detection (2005), section 5.1.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
+from loewner._kernels.narrow.certificate import (
+    PAIR,
+    PIECE_A,
+    PIECE_B,
+    POSE_A,
+    POSE_B,
+    SINGLE_ROUNDOFF,
+    rounded_size,
+    single_pose_of,
+    turns,
+)
+from loewner._kernels.narrow.gjk_fast import KEPT
+from loewner._kernels.pieces.shapes import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels.simd import support as blocks
+from loewner._kernels.simd.support import extent
+from loewner._kernels.simd.vectors import (
+    SINGLE_ALL,
+    SINGLE_LANES,
+    broadcast,
+    gather_single,
+    gather_transpose_single,
+    load_rounded,
+    load_single,
+    masked_store,
+    maximum,
+    movemask,
+    select,
+    sqrt,
+    store_strided,
+)
+
+# What `settle` says of a pair.
+OPEN, APART, TOUCHING = 0, 1, 2
+
+ROUNDS = 10  # five settle nine in ten pairs, eight all but one in a hundred
+
+FEW = 4  # pairs that are sooner searched one by one
+
+MOST = 64  # vertices of a piece: more and sixteen pairs leave the first-level cache
+
+# Errors in units of the roundoff, each twice what docs/certified.md derives: of a product with a support point, all in
+# single precision or only in what `plane` rounds, times the lengths; of a product of three points, times the third
+# power of the largest, and of a sum of four such products; of three points together, times the lengths and the square.
+PRODUCT_ERROR, WIDTH_ERROR, VOLUME_ERROR, SUM_ERROR, POINT_ERROR = 72.0, 16.0, 98.0, 632.0, 64.0
+
+SHORT = 1e-30  # directions whose square is less are not trusted: it may be short of digits
+
+VERTEX = 3 * SINGLE_LANES  # entries that one vertex of each of sixteen pieces takes
+
+# After the rows of the list, PAIR .. POSE_B: first and last block of vertices of each piece, and the one to read.
+FIRST_A, LAST_A, FIRST_B, LAST_B, HERE = 5, 6, 7, 8, 9
+
+
+@njit()
+def workspace():
+    """Make the arrays that serve any number of walks in turn.
+
+    Returns
+    -------
+    L : ndarray of int64
+        Sixteen pairs, rows PAIR .. POSE_B, and more to write to.
+    N : ndarray
+        Their directions, rows x, y and z.
+    W : ndarray of float32
+        To write to.
+    found : ndarray of int8, shape (16,)
+        What `settle` says of them.
+    """
+    return (
+        np.empty((HERE + 1) * SINGLE_LANES, np.int64),
+        np.empty(3 * SINGLE_LANES),
+        np.empty(2 * MOST * VERTEX, np.float32),
+        np.empty(SINGLE_LANES, np.int8),
+    )
+
+
+@inline
+def put(work, at, k, i, j, ka, kb, nx, ny, nz):
+    """List a pair: its number, its pieces and their poses, a direction from a to b."""
+    L, N = work[0], work[1]
+    at = np.uint64(at)
+    for row, value in ((PAIR, k), (PIECE_A, i), (PIECE_B, j), (POSE_A, ka), (POSE_B, kb)):
+        L[np.uint64(row * SINGLE_LANES) + at] = value
+    for row, part in ((0, nx), (1, ny), (2, nz)):
+        N[np.uint64(row * SINGLE_LANES) + at] = part
+
+
+@inline
+def takes(layout, piece):
+    """Tell whether a piece is one that the functions below take."""
+    piece = np.uint64(piece)  # not from the end
+    return (layout[piece, KIND] == POLYTOPE) & (layout[piece, POINTS_TO] - layout[piece, POINTS_FROM] <= MOST)
+
+
+@inline
+def _blocks(layout, L, pieces, first):
+    """Write the first and the last block of vertices of each piece to L; how many blocks the largest one has."""
+    most = np.int64(0)
+    for lane in range(SINGLE_LANES):
+        piece = L[pieces * SINGLE_LANES + lane]
+        begin, end = layout[piece, POINTS_FROM] // blocks.BLOCK, layout[piece, POINTS_TO] // blocks.BLOCK - 1
+        L[first * SINGLE_LANES + lane] = begin
+        L[(first + 1) * SINGLE_LANES + lane] = end
+        most = max(most, end - begin + 1)
+    return most
+
+
+@inline
+def _block(points, L, first, b):
+    """The b-th block of vertices of each piece: eight x, eight y and eight z. The last one stands for those beyond."""
+    for lane in range(SINGLE_LANES):
+        here = min(L[first * SINGLE_LANES + lane] + b, L[(first + 1) * SINGLE_LANES + lane])
+        L[HERE * SINGLE_LANES + lane] = here
+    width, at = 3 * blocks.BLOCK, HERE * SINGLE_LANES
+    return (
+        gather_transpose_single(points, width, L, at, 0),
+        gather_transpose_single(points, width, L, at, blocks.BLOCK),
+        gather_transpose_single(points, width, L, at, 2 * blocks.BLOCK),
+    )
+
+
+@inline
+def _lay(points, L, first, most, W, at):
+    """Write the vertices of sixteen pieces side by side from W[at] on; returns where they end."""
+    for b in range(most):
+        px, py, pz = _block(points, L, first, b)
+        store_strided(W, at, VERTEX, px)
+        store_strided(W, at + SINGLE_LANES, VERTEX, py)
+        store_strided(W, at + 2 * SINGLE_LANES, VERTEX, pz)
+        at += blocks.BLOCK * VERTEX
+    return at
+
+
+@inline
+def _farthest(W, start, stop, x, y, z):
+    """Of each piece's vertices in W the one with the largest product with its direction."""
+    # Two searches that take turns: each step of one waits for its step before.
+    ax, ay, az = load_single(W, start), load_single(W, start + SINGLE_LANES), load_single(W, start + 2 * SINGLE_LANES)
+    bx, by, bz = (
+        load_single(W, start + VERTEX),
+        load_single(W, start + VERTEX + SINGLE_LANES),
+        load_single(W, start + VERTEX + 2 * SINGLE_LANES),
+    )
+    a = ax * x + ay * y + az * z
+    b = bx * x + by * y + bz * z
+    for at in range(start + 2 * VERTEX, stop, 2 * VERTEX):
+        px, py, pz = load_single(W, at), load_single(W, at + SINGLE_LANES), load_single(W, at + 2 * SINGLE_LANES)
+        product = px * x + py * y + pz * z
+        more = product > a
+        a, ax, ay, az = select(more, product, a), select(more, px, ax), select(more, py, ay), select(more, pz, az)
+        px, py, pz = (
+            load_single(W, at + VERTEX),
+            load_single(W, at + VERTEX + SINGLE_LANES),
+            load_single(W, at + VERTEX + 2 * SINGLE_LANES),
+        )
+        product = px * x + py * y + pz * z
+        more = product > b
+        b, bx, by, bz = select(more, product, b), select(more, px, bx), select(more, py, by), select(more, pz, bz)
+    more = b > a
+    return select(more, bx, ax), select(more, by, ay), select(more, bz, az)
+
+
+@inline
+def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
+    """Tell whether the plane across a direction from a to b surely separates two pieces, margin 0.
+
+    Parameters
+    ----------
+    sa, la, xa, i, Ta, r : ndarray, ndarray, ndarray, int, ndarray, int
+        Of a: hot columns and vertices in single precision and layout (see `shapes`), piece; poses, and which. Of b the
+        same. The pieces are such that `walks`.
+    """
+    i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
+    tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
+    width_a = extent(
+        xa, la[i, POINTS_FROM], la[i, POINTS_TO],
+        np.float32(Ta[r, 0, 0] * x + Ta[r, 1, 0] * y + Ta[r, 2, 0] * z),
+        np.float32(Ta[r, 0, 1] * x + Ta[r, 1, 1] * y + Ta[r, 2, 1] * z),
+        np.float32(Ta[r, 0, 2] * x + Ta[r, 1, 2] * y + Ta[r, 2, 2] * z),
+    )  # fmt: skip
+    width_b = extent(
+        xb, lb[j, POINTS_FROM], lb[j, POINTS_TO],
+        np.float32(-(Tb[q, 0, 0] * x + Tb[q, 1, 0] * y + Tb[q, 2, 0] * z)),
+        np.float32(-(Tb[q, 0, 1] * x + Tb[q, 1, 1] * y + Tb[q, 2, 1] * z)),
+        np.float32(-(Tb[q, 0, 2] * x + Tb[q, 1, 2] * y + Tb[q, 2, 2] * z)),
+    )  # fmt: skip
+    gap = x * tx + y * ty + z * tz - (np.float64(width_a) + np.float64(width_b))
+    error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
+    error += POSITION_ROUNDINGS * (abs(tx) + abs(ty) + abs(tz))
+    squared = x * x + y * y + z * z
+    # What is longer may overflow single precision.
+    return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)
+
+
+@inline
+def _directions(N):
+    """The directions to start from; any, where there is none."""
+    n = load_rounded(N, 0), load_rounded(N, SINGLE_LANES), load_rounded(N, 2 * SINGLE_LANES)
+    return selected(dot(n, n) > SHORT, n, (1.0, 0.0, 0.0))
+
+
+@njit()
+def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
+    """Walk the simplex of each of the listed pairs, margin 0.
+
+    Parameters
+    ----------
+    count : int
+        Pairs in the list, at least 1.
+    sa, la, xa, Ta : ndarray
+        Of a: hot columns and vertices in single precision and layout (see `shapes`), and poses; of b the same.
+    moved_a, moved_b : bool
+        False if the operand's only pose is the identity.
+    work : tuple of ndarray
+        See `workspace`. The pieces are such that `walks`; `found` receives APART, TOUCHING or OPEN.
+    """
+    L, N, W, found = work
+    L, N, W, found = borrowed(L), borrowed(N), borrowed(W), borrowed(found)
+    for lane in range(count, SINGLE_LANES):
+        for row in range(PIECE_A, POSE_B + 1):
+            L[row * SINGLE_LANES + lane] = L[row * SINGLE_LANES + count - 1]
+        for row in range(3):
+            N[row * SINGLE_LANES + lane] = N[row * SINGLE_LANES + count - 1]
+    a = single_pose_of(Ta, L, POSE_A * SINGLE_LANES, moved_a)
+    b = single_pose_of(Tb, L, POSE_B * SINGLE_LANES, moved_b)
+    rotated_a = moved_a and movemask(turns(a.R)) != 0
+    rotated_b = moved_b and movemask(turns(b.R)) != 0
+    reach_a = gather_single(sa, HOT, L, PIECE_A * SINGLE_LANES, REACH)
+    reach_b = gather_single(sb, HOT, L, PIECE_B * SINGLE_LANES, REACH)
+    size = rounded_size(a, reach_a, b, reach_b)
+    error = PRODUCT_ERROR * SINGLE_ROUNDOFF * size
+    shift = minus(b.t, a.t)
+    ends_a = _lay(xa, L, FIRST_A, _blocks(la, L, PIECE_A, FIRST_A), W, np.int64(0))
+    ends_b = _lay(xb, L, FIRST_B, _blocks(lb, L, PIECE_B, FIRST_B), W, ends_a)
+
+    # The simplex, the newest point first: one, two or three points B, C, E of the Minkowski difference. The direction
+    # n leads from the origin to the part of it that is kept.
+    n = negated(_directions(N))
+    B, C, E = n, n, n
+    none = ~((n[0] > 0.0) | ~(n[0] > 0.0))
+    two, three = none, none
+    apart, touching = none, none
+    largest = broadcast(np.float32(0.0))
+    for r in range(ROUNDS):
+        along_a, along_b = negated(n), n
+        if rotated_a:
+            along_a = apply_transposed(a.R, along_a)
+        if rotated_b:
+            along_b = apply_transposed(b.R, along_b)
+        u = _farthest(W, np.int64(0), ends_a, along_a[0], along_a[1], along_a[2])
+        v = _farthest(W, ends_a, ends_b, along_b[0], along_b[1], along_b[2])
+        if rotated_a:
+            u = apply(a.R, u)
+        if rotated_b:
+            v = apply(b.R, v)
+        A = minus(u, plus(v, shift))
+        squared = dot(n, n)
+        length = sqrt(squared)
+        apart = apart | ((dot(n, A) > error * length) & (squared > SHORT))
+        if movemask(apart | touching) == SINGLE_ALL:
+            break
+        largest = maximum(largest, dot(A, A))
+        if r == 0:
+            # Between the first direction and that of the first point lies what saves a round.
+            kept = np.float32(KEPT) / length
+            rest = np.float32(1.0 - KEPT) / sqrt(dot(A, A))
+            n = kept * n[0] + rest * A[0], kept * n[1] + rest * A[1], kept * n[2] + rest * A[2]
+            B = A
+            continue
+
+        # Of a tetrahedron the origin is inside, or beyond some face at the new point; B, C, E run
+        # counter-clockwise seen from there.
+        AB, AC, AE = minus(B, A), minus(C, A), minus(E, A)
+        face_bc = cross(AB, AC)
+        f = -dot(face_bc, A)
+        g = -dot(cross(AC, AE), A)
+        h = -dot(cross(AE, AB), A)
+        # The origin is inside if the three and the base, volume - f - g - h, are all negative, clear of rounding.
+        reach = sqrt(largest)
+        slack = SINGLE_ROUNDOFF * largest * (VOLUME_ERROR * reach + POINT_ERROR * size)
+        base = dot(face_bc, AE) - (f + g + h)
+        inside = (f < -slack) & (g < -slack) & (h < -slack)
+        inside = inside & (base < -SINGLE_ROUNDOFF * largest * (SUM_ERROR * reach + POINT_ERROR * size))
+        touching = touching | (three & inside)
+        if movemask(apart | touching) == SINGLE_ALL:
+            break
+        # The face to go on with, as the triangle A, B, C.
+        second = three & (g > f) & (g >= h)
+        third = three & (h > f) & (h > g)
+        B, C = selected(second, C, selected(third, E, B)), selected(second, E, selected(third, B, C))
+        plane = two | three
+
+        # Of a triangle the origin is over the inside, or beyond the edge A B or A C.
+        AB, AC = minus(B, A), minus(C, A)
+        normal = cross(AB, AC)
+        beyond_c = plane & (dot(cross(normal, AC), A) < 0.0)
+        beyond_b = dot(cross(AB, normal), A) < 0.0
+        line = beyond_b | beyond_c | ~plane
+        swap = beyond_c & (dot(AC, A) < 0.0)
+        B = selected(swap, C, B)
+
+        # Of a line the origin is beside the inside, or beyond A.
+        AB = minus(B, A)
+        beside = dot(AB, A) < 0.0
+        across = cross(cross(AB, A), AB)
+        two = line & beside
+        three = ~line
+        # Turned so that A, B, C runs counter-clockwise seen from the origin.
+        other = dot(normal, A) <= 0.0
+        n = selected(three, selected(other, negated(normal), normal), selected(beside, across, A))
+        E = selected(other, C, B)
+        C = selected(line | other, B, C)
+        B = A
+    masked_store(found, 0, apart | ~apart, OPEN)
+    masked_store(found, 0, touching, TOUCHING)
+    masked_store(found, 0, apart, APART)

@@ -1,0 +1,270 @@
+"""Closest point of a simplex to the origin: the inner step of GJK.
+
+A simplex is the first k rows of ``S`` (4, 9): a point of the Minkowski difference A - B, then the
+points of A and of B it came from. Each solver keeps the rows that carry the closest point,
+writes their barycentric weights to ``weights`` and the closest point to ``v``, and returns how
+many rows are left. Four left means that the origin is inside.
+
+The regions are found by signs of dot products (Ericson, Real-Time Collision Detection, 2005,
+section 5.1). Every answer is a point of the simplex, whatever rounding did to the signs, so |v| is
+always an upper bound on the distance; GJK proves the lower bound by itself.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import njit
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF
+
+
+@njit()
+def _keep(S, target, source):
+    if target != source:
+        for j in range(9):
+            S[target, j] = S[source, j]
+
+
+@njit()
+def _combine(S, k, weights, v):
+    for j in range(3):
+        v[j] = 0.0
+    for i in range(k):
+        for j in range(3):
+            v[j] += weights[i] * S[i, j]
+
+
+@njit()
+def segment_weight(ax, ay, az, bx, by, bz):
+    """Weight of b in the point of the segment ab closest to the origin."""
+    dx = bx - ax
+    dy = by - ay
+    dz = bz - az
+    squared = dx * dx + dy * dy + dz * dz
+    if squared <= 0.0:
+        return 0.0
+    # Measure from the nearer end: the product loses nothing there.
+    if ax * ax + ay * ay + az * az <= bx * bx + by * by + bz * bz:
+        t = -(ax * dx + ay * dy + az * dz) / squared
+    else:
+        t = 1.0 - (bx * dx + by * dy + bz * dz) / squared
+    return min(1.0, max(0.0, t))
+
+
+@njit()
+def triangle_weights(ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Barycentric weights of the point of a triangle closest to the origin."""
+    abx = bx - ax
+    aby = by - ay
+    abz = bz - az
+    acx = cx - ax
+    acy = cy - ay
+    acz = cz - az
+    d1 = -(abx * ax + aby * ay + abz * az)
+    d2 = -(acx * ax + acy * ay + acz * az)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return 1.0, 0.0, 0.0
+    d3 = -(abx * bx + aby * by + abz * bz)
+    d4 = -(acx * bx + acy * by + acz * bz)
+    if d3 >= 0.0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    d5 = -(abx * cx + aby * cy + abz * cz)
+    d6 = -(acx * cx + acy * cy + acz * cz)
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    # Edge and face regions from the normal and one edge each. On curved pieces triangles get tiny while
+    # their distance from the origin does not; every product here then has a small factor.
+    bcx = cx - bx
+    bcy = cy - by
+    bcz = cz - bz
+    nx = aby * acz - abz * acy
+    ny = abz * acx - abx * acz
+    nz = abx * acy - aby * acx
+    wc = nx * (ay * abz - az * aby) + ny * (az * abx - ax * abz) + nz * (ax * aby - ay * abx)
+    if wc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = segment_weight(ax, ay, az, bx, by, bz)
+        return 1.0 - t, t, 0.0
+    wb = nx * (acy * cz - acz * cy) + ny * (acz * cx - acx * cz) + nz * (acx * cy - acy * cx)
+    if wb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = segment_weight(ax, ay, az, cx, cy, cz)
+        return 1.0 - t, 0.0, t
+    wa = nx * (by * bcz - bz * bcy) + ny * (bz * bcx - bx * bcz) + nz * (bx * bcy - by * bcx)
+    if wa <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = segment_weight(bx, by, bz, cx, cy, cz)
+        return 0.0, 1.0 - t, t
+    total = wa + wb + wc
+    if not (total > 0.0 and wa >= 0.0 and wb >= 0.0 and wc >= 0.0):
+        # A triangle too thin for its own normal: the best of its edges is as good.
+        return _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz)
+    return wa / total, wb / total, wc / total
+
+
+@njit()
+def _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz):
+    t = segment_weight(ax, ay, az, bx, by, bz)
+    u = segment_weight(bx, by, bz, cx, cy, cz)
+    w = segment_weight(cx, cy, cz, ax, ay, az)
+    px = ax + t * (bx - ax)
+    py = ay + t * (by - ay)
+    pz = az + t * (bz - az)
+    qx = bx + u * (cx - bx)
+    qy = by + u * (cy - by)
+    qz = bz + u * (cz - bz)
+    rx = cx + w * (ax - cx)
+    ry = cy + w * (ay - cy)
+    rz = cz + w * (az - cz)
+    p = px * px + py * py + pz * pz
+    q = qx * qx + qy * qy + qz * qz
+    r = rx * rx + ry * ry + rz * rz
+    if p <= q and p <= r:
+        return 1.0 - t, t, 0.0
+    if q <= r:
+        return 0.0, 1.0 - u, u
+    return w, 0.0, 1.0 - w
+
+
+@njit()
+def _compact(S, k, weights, v):
+    """Drop the rows of weight zero and form the closest point."""
+    m = 0
+    for i in range(k):
+        if weights[i] > 0.0:
+            _keep(S, m, i)
+            weights[m] = weights[i]
+            m += 1
+    _combine(S, m, weights, v)
+    return m
+
+
+@njit()
+def _beyond(S, i, j, k, opposite, doubt):
+    """Tell whether the origin is not surely on the inner side of face ijk.
+
+    `doubt` bounds the rounding error of the two volumes compared. A face too many costs a little
+    time, one too few the right answer: in a flat tetrahedron all four have to be tried.
+    """
+    ux = S[j, 0] - S[i, 0]
+    uy = S[j, 1] - S[i, 1]
+    uz = S[j, 2] - S[i, 2]
+    wx = S[k, 0] - S[i, 0]
+    wy = S[k, 1] - S[i, 1]
+    wz = S[k, 2] - S[i, 2]
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    inner = nx * (S[opposite, 0] - S[i, 0]) + ny * (S[opposite, 1] - S[i, 1]) + nz * (S[opposite, 2] - S[i, 2])
+    origin = -(nx * S[i, 0] + ny * S[i, 1] + nz * S[i, 2])
+    return not ((inner > doubt and origin > doubt) or (inner < -doubt and origin < -doubt))
+
+
+@njit()
+def closest(S, k, weights, v):
+    """Reduce the simplex to the part that carries its point closest to the origin."""
+    if k == 1:
+        weights[0] = 1.0
+        _combine(S, 1, weights, v)
+        return 1
+    if k == 2:
+        t = segment_weight(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2])
+        weights[0] = 1.0 - t
+        weights[1] = t
+        return _compact(S, 2, weights, v)
+    if k == 3:
+        wa, wb, wc = triangle_weights(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2], S[2, 0], S[2, 1], S[2, 2])
+        weights[0] = wa
+        weights[1] = wb
+        weights[2] = wc
+        return _compact(S, 3, weights, v)
+    largest = 0.0
+    for i in range(4):
+        largest = max(largest, abs(S[i, 0]) + abs(S[i, 1]) + abs(S[i, 2]))
+    doubt = 64.0 * UNIT_ROUNDOFF * largest * largest * largest
+    best = np.inf
+    b0 = 0.0
+    b1 = 0.0
+    b2 = 0.0
+    b3 = 0.0
+    for face in range(4):
+        i = 0 if face != 0 else 1
+        j = 1 if face > 1 else 2
+        m = 2 if face == 3 else 3
+        if _beyond(S, i, j, m, face, doubt):
+            wa, wb, wc = triangle_weights(
+                S[i, 0], S[i, 1], S[i, 2], S[j, 0], S[j, 1], S[j, 2], S[m, 0], S[m, 1], S[m, 2]
+            )
+            x = wa * S[i, 0] + wb * S[j, 0] + wc * S[m, 0]
+            y = wa * S[i, 1] + wb * S[j, 1] + wc * S[m, 1]
+            z = wa * S[i, 2] + wb * S[j, 2] + wc * S[m, 2]
+            squared = x * x + y * y + z * z
+            if squared < best:
+                best = squared
+                b0 = wa if i == 0 else 0.0
+                b1 = wa if i == 1 else (wb if j == 1 else 0.0)
+                b2 = wb if j == 2 else (wc if m == 2 else 0.0)
+                b3 = wc if m == 3 else 0.0
+    if best == np.inf:
+        v[0] = 0.0
+        v[1] = 0.0
+        v[2] = 0.0
+        return 4
+    weights[0] = b0
+    weights[1] = b1
+    weights[2] = b2
+    weights[3] = b3
+    return _compact(S, 4, weights, v)
+
+
+@njit()
+def _without(d, ex, ey, ez):
+    """Take out of d its part along e, twice: the second pass removes what the first one rounded."""
+    squared = ex * ex + ey * ey + ez * ez
+    if squared > 0.0:
+        for _ in range(2):
+            t = (d[0] * ex + d[1] * ey + d[2] * ez) / squared
+            d[0] -= t * ex
+            d[1] -= t * ey
+            d[2] -= t * ez
+
+
+@njit()
+def direction(S, k, v, d):
+    """Unit normal d of the simplex's feature, on the side away from the origin.
+
+    v is a weighted sum of points and rounds by their size, so close to contact its direction is noise.
+    The feature itself still has a normal to full precision: square to the edge, or the triangle's.
+    Returns the offset d·x of the feature, which is the distance of the origin; 0 if there is none.
+    """
+    for j in range(3):
+        d[j] = v[j] if k != 1 else S[0, j]
+    if k == 3:
+        ux, uy, uz = S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2]
+        wx, wy, wz = S[2, 0] - S[0, 0], S[2, 1] - S[0, 1], S[2, 2] - S[0, 2]
+        nx = uy * wz - uz * wy
+        ny = uz * wx - ux * wz
+        nz = ux * wy - uy * wx
+        side = nx * S[0, 0] + ny * S[0, 1] + nz * S[0, 2]
+        sign = 1.0 if side >= 0.0 else -1.0
+        d[0], d[1], d[2] = sign * nx, sign * ny, sign * nz
+        _unit(d)
+        # A thin triangle's product is square to its edges only roughly. The longer edge goes last.
+        if ux * ux + uy * uy + uz * uz > wx * wx + wy * wy + wz * wz:
+            _without(d, wx, wy, wz)
+            _without(d, ux, uy, uz)
+        else:
+            _without(d, ux, uy, uz)
+            _without(d, wx, wy, wz)
+    elif k == 2:
+        _unit(d)
+        _without(d, S[1, 0] - S[0, 0], S[1, 1] - S[0, 1], S[1, 2] - S[0, 2])
+    if not _unit(d):
+        return 0.0
+    return d[0] * S[0, 0] + d[1] * S[0, 1] + d[2] * S[0, 2]
+
+
+@njit()
+def _unit(d):
+    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    if not length > 0.0:
+        return False
+    d[0] /= length
+    d[1] /= length
+    d[2] /= length
+    return True

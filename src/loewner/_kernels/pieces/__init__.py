@@ -1,0 +1,1 @@
+"""Convex pieces as kernels see them: packed arrays, shapes, poses."""

@@ -1,0 +1,188 @@
+"""For large hulls: which vertices can be the farthest, by direction.
+
+Directions live on the surface of a cube. Each of its six faces is a square of cells that are halved both ways until
+few vertices are left that any direction of the cell could single out; such a leaf keeps copies of its vertices as
+blocks (see `blocks`). A search then goes down a few levels and through a few blocks, however many vertices the hull
+has.
+
+A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
+w beats v in the whole cell. `CLEARANCE` keeps that true in floating point, for the corner products as for a direction
+that rounding puts into the cell next door. So the farthest vertex found is the one a search through all would find.
+
+The map of a hull is a flat array: the leaves' blocks, then the *nodes*, two numbers each. A leaf's are its first and
+last+1 column; an inner node's are the number of its first child and -1. Nodes 0 .. 5 are the cube's faces
++x, -x, +y, -y, +z, -z; the four children of a node follow one another, the first coordinate changing fastest.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF
+from loewner._kernels.simd.support import BLOCK
+
+LEAF = 32  # vertices that need no further division: four blocks
+DEEPEST = 14  # divisions at most; vertices of one flat face share the cells around its normal, however small
+GRID = 1 << DEEPEST
+
+# Leaves hold so many copies of a vertex on average before division stops; two or three are usual.
+MOST_COPIES = 8
+
+# What a vertex must be beaten by, relative to the largest coordinate. Each of two products with a direction whose
+# entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts next door changes them by 16u:
+# 34u in all.
+CLEARANCE = 64.0 * UNIT_ROUNDOFF
+
+
+@inline
+def _direction(face, s, t):
+    """Direction at the place (s, t) of a cube face, both in -1 .. 1."""
+    sign = 1.0 if face % 2 == 0 else -1.0
+    if face < 2:
+        return sign, s, t
+    if face < 4:
+        return s, sign, t
+    return s, t, sign
+
+
+@inline
+def _place(x, y, z):
+    """Face of the cube that a direction goes through, and the grid cell there; any cell for a zero or NaN."""
+    ax, ay, az = abs(x), abs(y), abs(z)
+    if ax >= ay and ax >= az:
+        face, major, s, t = 0, x, y, z
+    elif ay >= az:
+        face, major, s, t = 2, y, x, z
+    else:
+        face, major, s, t = 4, z, x, y
+    if major < 0.0:
+        face += 1
+    scale = 0.5 * GRID / abs(major)
+    s = s * scale + 0.5 * GRID
+    t = t * scale + 0.5 * GRID
+    # Written so that NaN goes to 0.
+    s = s if s > 0.0 else 0.0
+    t = t if t > 0.0 else 0.0
+    return face, np.int64(min(s, GRID - 1.0)), np.int64(min(t, GRID - 1.0))
+
+
+@inline
+def candidates(points, first, nodes, x, y, z):
+    """First and last+1 column of the vertices that can be the farthest along a direction.
+
+    `first` is the first column of the hull's blocks, `nodes` the entry where its nodes start.
+    """
+    node, s, t = _place(x, y, z)
+    bit = DEEPEST
+    while True:
+        at = nodes + 2 * node
+        if points[at + 1] >= 0.0:
+            return first + np.int64(points[at]), first + np.int64(points[at + 1])
+        bit -= 1
+        node = np.int64(points[at]) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
+
+
+@njit()
+def _corner(face, level, s, t, d, row):
+    """Write the direction at a grid corner to a row of d."""
+    cells = 1 << level
+    d[row, 0], d[row, 1], d[row, 2] = _direction(face, 2.0 * s / cells - 1.0, 2.0 * t / cells - 1.0)
+
+
+@njit()
+def _filter(vertices, pool, start, stop, face, level, s, t, slack, d, heights, rivals):
+    """Append to the pool those of its entries start .. stop that may win in a cell; returns where they end."""
+    for c in range(4):
+        _corner(face, level, s + c % 2, t + c // 2, d, c)
+    for c in range(3):
+        d[4, c] = 0.25 * (d[0, c] + d[1, c] + d[2, c] + d[3, c])
+    rivals[:] = 0
+    for m in range(stop - start):
+        v = pool[start + m]
+        for c in range(5):
+            height = d[c, 0] * vertices[v, 0] + d[c, 1] * vertices[v, 1] + d[c, 2] * vertices[v, 2]
+            heights[m, c] = height
+            if height > heights[rivals[c], c]:
+                rivals[c] = m
+    end = stop
+    for m in range(stop - start):
+        beaten = False
+        for r in range(5):
+            w = rivals[r]
+            beaten = beaten or (
+                heights[w, 0] - heights[m, 0] > slack
+                and heights[w, 1] - heights[m, 1] > slack
+                and heights[w, 2] - heights[m, 2] > slack
+                and heights[w, 3] - heights[m, 3] > slack
+            )
+        if not beaten:
+            pool[end] = pool[start + m]
+            end += 1
+    return end
+
+
+@njit()
+def _grown(array, count):
+    if count <= len(array):
+        return array
+    longer = np.empty(2 * count, array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+@njit()
+def direction_map(vertices):
+    """Build the map of a hull's vertices, shape (v, 3).
+
+    Returns
+    -------
+    columns : ndarray of int64, shape (c,)
+        Vertices of the leaves in order, each leaf filled up to whole blocks with its last.
+    nodes : ndarray, shape (n, 2)
+    """
+    count = len(vertices)
+    slack = CLEARANCE * np.abs(vertices).max()
+    # Lists of vertices, those of the current path from the root one after the other.
+    pool = np.empty((DEEPEST + 2) * count, np.int64)
+    pool[:count] = np.arange(count)
+    heights = np.empty((count, 5))
+    d = np.empty((5, 3))
+    rivals = np.empty(5, np.int64)
+    columns = np.empty(4 * count, np.int64)
+    used = 0
+    nodes = np.empty(4 * count)
+    made = 6
+    # One row per level of the current path: node of the first child, children done, face, level, s, t of the first
+    # child, first and last+1 entry of the parent's list.
+    path = np.zeros((DEEPEST + 2, 8), np.int64)
+    path[0, 7] = count
+    depth = 0
+    while depth >= 0:
+        first, done, face, level, s, t, start, stop = path[depth]
+        if done == (6 if depth == 0 else 4):
+            depth -= 1
+            continue
+        path[depth, 1] += 1
+        node = first + done
+        if depth == 0:
+            face = done
+        else:
+            s += done % 2
+            t += done // 2
+        end = _filter(vertices, pool, start, stop, face, level, s, t, slack, d, heights, rivals)
+        if end - stop <= LEAF or level == DEEPEST or used > MOST_COPIES * count:
+            blocks = (end - stop + BLOCK - 1) // BLOCK
+            columns = _grown(columns, used + blocks * BLOCK)
+            for m in range(blocks * BLOCK):
+                columns[used + m] = pool[min(stop + m, end - 1)]
+            nodes[2 * node] = used
+            used += blocks * BLOCK
+            nodes[2 * node + 1] = used
+            continue
+        nodes = _grown(nodes, 2 * (made + 4))
+        nodes[2 * node] = made
+        nodes[2 * node + 1] = -1.0
+        depth += 1
+        path[depth, 0], path[depth, 1], path[depth, 2], path[depth, 3] = made, 0, face, level + 1
+        path[depth, 4], path[depth, 5], path[depth, 6], path[depth, 7] = 2 * s, 2 * t, stop, end
+        made += 4
+    return columns[:used].copy(), nodes[: 2 * made].copy().reshape(-1, 2)

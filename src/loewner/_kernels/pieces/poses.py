@@ -1,0 +1,95 @@
+"""Is a 4x4 matrix a rigid motion? One pass over a batch, without temporaries."""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
+
+# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
+# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
+ROTATION_TOLERANCE = 1e-6
+
+# What eight poses are checked with at once: a hair more, so that whatever fails has a fault one by one too.
+QUICK_TOLERANCE = ROTATION_TOLERANCE * (1 + 1e-9)
+
+RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
+
+
+@njit()
+def fault(T):
+    """What is wrong with one pose, and by how much."""
+    worst = 0.0
+    total = 0.0
+    for a in range(3):
+        total += abs(T[a, 3])
+        for b in range(a, 3):
+            entry = T[0, a] * T[0, b] + T[1, a] * T[1, b] + T[2, a] * T[2, b]
+            if a == b:
+                entry -= 1.0
+            worst = max(worst, abs(entry))
+            total += abs(entry)
+    total += abs(T[3, 0]) + abs(T[3, 1]) + abs(T[3, 2]) + abs(T[3, 3])
+    # Infinity minus itself is NaN, and so is NaN minus itself.
+    if total - total != 0.0:
+        return NOT_FINITE, total
+    if T[3, 0] != 0.0 or T[3, 1] != 0.0 or T[3, 2] != 0.0 or T[3, 3] != 1.0:
+        return LAST_ROW, 0.0
+    if worst > ROTATION_TOLERANCE:
+        return NOT_ORTHONORMAL, worst
+    determinant = (
+        T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1])
+        - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
+        + T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
+    )
+    if determinant < 0.0:
+        return REFLECTION, determinant
+    return RIGID, worst
+
+
+def _rigid(tolerance, largest):
+    @inline
+    def is_rigid(p, q):
+        """Whether poses, their entries in row order in p and q, are free of faults: a mask."""
+        a = absolute(p[0] * p[0] + p[4] * p[4] + q[0] * q[0] - 1.0)
+        b = absolute(p[1] * p[1] + p[5] * p[5] + q[1] * q[1] - 1.0)
+        c = absolute(p[2] * p[2] + p[6] * p[6] + q[2] * q[2] - 1.0)
+        d = absolute(p[0] * p[1] + p[4] * p[5] + q[0] * q[1])
+        e = absolute(p[0] * p[2] + p[4] * p[6] + q[0] * q[2])
+        f = absolute(p[1] * p[2] + p[5] * p[6] + q[1] * q[2])
+        worst = (a <= tolerance) & (b <= tolerance) & (c <= tolerance)
+        worst = worst & (d <= tolerance) & (e <= tolerance) & (f <= tolerance)
+        # The determinant is +1 or -1 where R is orthonormal.
+        x, y, z = p[5] * q[2] - p[6] * q[1], p[6] * q[0] - p[4] * q[2], p[4] * q[1] - p[5] * q[0]
+        last_row = absolute(q[4]) + absolute(q[5]) + absolute(q[6]) + absolute(q[7] - 1.0)
+        finite = absolute(p[3]) + absolute(p[7]) + absolute(q[3]) <= largest
+        return worst & (p[0] * x + p[1] * y + p[2] * z > 0.0) & (last_row <= 0.0) & finite
+
+    return is_rigid
+
+
+is_rigid = _rigid(QUICK_TOLERANCE, np.finfo(np.float64).max)
+
+# Rounding the entries to single precision and multiplying them costs 3e-7 at most: what passes here is rigid, but for a
+# last row that rounds to (0, 0, 0, 1), which no certificate reads.
+is_rigid_single = _rigid(0.6 * ROTATION_TOLERANCE, 1e30)
+
+
+@njit()
+def first_fault(Ts):
+    """Index, kind and size of the first fault in a batch (N, 4, 4); index N if all are rigid."""
+    total = Ts.shape[0]
+    rows = np.arange(LANES)
+    for start in range(0, total, LANES):
+        stop = min(start + LANES, total)
+        if (
+            stop == start + LANES
+            and movemask(is_rigid(gather_transpose(Ts, 16, rows, 0, 0), gather_transpose(Ts, 16, rows, 0, 8))) == ALL
+        ):
+            rows += LANES
+            continue
+        for k in range(start, stop):
+            kind, size = fault(Ts[k])
+            if kind != RIGID:
+                return k, kind, size
+        rows += LANES
+    return total, RIGID, 0.0

@@ -1,0 +1,172 @@
+"""Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
+
+A packed set of pieces is a tuple of ten arrays:
+
+``table`` (P, COLUMNS) float64
+    One row per piece; the columns are named below. Lengths in metres, body frame.
+``layout`` (P, 3) int64
+    Kind, first and last+1 column of its points.
+``points`` (3 V,) float64
+    Vertices in blocks, see `blocks`; each piece's are filled up to whole blocks with repeats of the last, so a
+    piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
+``piece_start`` (n+1,) int64
+    Body i owns pieces piece_start[i] .. piece_start[i+1].
+``hot`` (P, HOT) float64
+    The first columns of ``table`` once more, packed for streaming through millions of pieces.
+``single`` (P, HOT) float32
+    The same in single precision, bounds rounded to their side; or no rows, if a piece is too large or too small for
+    sixth powers of lengths in single precision.
+``groups`` (48 G,) float64, ``children`` (8 G,) int64, ``roots`` (n,) int64
+    Trees over the pieces of bodies that have many, see `trees`.
+``vertices`` (3 V,) float32
+    ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
+
+Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
+C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
+whose cores are a segment and a point).
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline
+from loewner._kernels.pieces.directions import candidates
+from loewner._kernels.simd.support import BLOCK, LINE, ask_line, entry_of, farthest, prefetch
+
+# The polytopes come first: a kind above POLYTOPE is curved.
+MAPPED, POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = -1, 0, 1, 2, 3, 4, 5
+
+# The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
+OUTER_CENTER = 0
+OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
+INNER_CENTER = 4
+REACH = 7  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+OUTER_SHAPE = 8
+INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
+OUTER_SIGMA = 15  # the same of the outer ellipsoid
+INNER_SHAPE = 16
+INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
+HOT = 24  # the columns up to here are all that the vectorised stages read
+ROUNDING = 24  # radius of the ball added to the core
+FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
+COLUMNS = 37
+
+KIND, POINTS_FROM, POINTS_TO, LAYOUT = 0, 1, 2, 3
+PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
+
+# A polytope of more vertices is MAPPED. Up to here a search through all of them is as fast.
+LARGE = 128
+
+
+@inline
+def farthest_vertex(layout, points, piece, x, y, z):
+    """Entry of `points` where the farthest vertex of a polytope along a direction is."""
+    start, stop = layout[piece, POINTS_FROM], layout[piece, POINTS_TO]
+    if layout[piece, KIND] == MAPPED:
+        start, stop = candidates(points, start, 3 * stop, x, y, z)
+    return entry_of(farthest(points, start, stop, x, y, z))
+
+
+@inline
+def radius(table, layout, piece):
+    """Rounding radius of a piece; the kind tells whether the table need be looked at."""
+    return table[piece, ROUNDING] if layout[piece, KIND] >= SEGMENT else 0.0
+
+
+@inline
+def prefetch_points(layout, points, piece):
+    """Ask for the vertices of a small polytope ahead of their use."""
+    if layout[piece, KIND] == POLYTOPE:
+        for at in range(3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO], LINE):
+            prefetch(points, at)
+
+
+SINGLES = 2 * LINE  # numbers of single precision in a cache line
+FEW_LINES = 5
+
+
+def _asking(prefetch):
+    """The function below, for one of the two caches."""
+
+    @inline
+    def ask(layout, vertices, piece):
+        """Ask for the vertices of a small polytope in single precision ahead of their use."""
+        piece = np.uint64(piece)  # not from the end
+        if layout[piece, KIND] == POLYTOPE:
+            first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
+            # Those of three blocks without a branch, as in `blocks.extent`.
+            for line in range(FEW_LINES):
+                prefetch(vertices, min(first + line * SINGLES, last))
+            for at in range(first + FEW_LINES * SINGLES, last, SINGLES):
+                prefetch(vertices, at)
+            prefetch(vertices, last)
+
+    return ask
+
+
+# Shortly before their use, or long ahead of it: into the second-level cache, which can wait for more.
+prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(ask_line)
+
+
+@inline
+def unit_support(kind, x, y, z):
+    """Farthest point of a unit shape: ball, cylinder, cone (apex at +1, base at -1) or segment."""
+    if kind == ELLIPSOID:
+        length = np.sqrt(x * x + y * y + z * z)
+        if length == 0.0:
+            return 0.0, 0.0, 1.0
+        return x / length, y / length, z / length
+    if kind == SEGMENT:
+        return 0.0, 0.0, np.copysign(1.0, z)
+    length = np.sqrt(x * x + y * y)
+    if kind == CYLINDER:
+        if length == 0.0:
+            return 0.0, 0.0, np.copysign(1.0, z)
+        return x / length, y / length, np.copysign(1.0, z)
+    # The cone's base circle and its apex compete: |xy| - z against z.
+    if length == 0.0:
+        return 0.0, 0.0, np.copysign(1.0, z)
+    if z > length - z:
+        return 0.0, 0.0, 1.0
+    return x / length, y / length, -1.0
+
+
+@inline
+def core_support(table, layout, points, piece, x, y, z):
+    """Farthest point of a piece's core along a direction, both in the body frame."""
+    kind = layout[piece, KIND]
+    if kind <= POLYTOPE:
+        i = farthest_vertex(layout, points, piece, x, y, z)
+        return points[i], points[i + BLOCK], points[i + 2 * BLOCK]
+    p, c, f = piece, FRAME_CENTER, FRAME_FACTOR
+    if kind == POINT:
+        return table[p, c], table[p, c + 1], table[p, c + 2]
+    ux, uy, uz = unit_support(
+        kind,
+        table[p, f] * x + table[p, f + 3] * y + table[p, f + 6] * z,
+        table[p, f + 1] * x + table[p, f + 4] * y + table[p, f + 7] * z,
+        table[p, f + 2] * x + table[p, f + 5] * y + table[p, f + 8] * z,
+    )
+    return (
+        table[p, c] + table[p, f] * ux + table[p, f + 1] * uy + table[p, f + 2] * uz,
+        table[p, c + 1] + table[p, f + 3] * ux + table[p, f + 4] * uy + table[p, f + 5] * uz,
+        table[p, c + 2] + table[p, f + 6] * ux + table[p, f + 7] * uy + table[p, f + 8] * uz,
+    )
+
+
+@inline
+def placed_support(table, layout, points, piece, T, t, x, y, z):
+    """Farthest point of a rotated (not translated) core along a direction in the world's axes."""
+    a, b, c = core_support(
+        table,
+        layout,
+        points,
+        piece,
+        T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z,
+        T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z,
+        T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z,
+    )
+    return (
+        T[t, 0, 0] * a + T[t, 0, 1] * b + T[t, 0, 2] * c,
+        T[t, 1, 0] * a + T[t, 1, 1] * b + T[t, 1, 2] * c,
+        T[t, 2, 0] * a + T[t, 2, 1] * b + T[t, 2, 2] * c,
+    )

@@ -1,0 +1,1 @@
+"""Many pairs of bodies: lists, verdicts, distances."""

@@ -1,0 +1,1 @@
+"""Robots: kinematics, and configurations in collision."""

@@ -1,0 +1,219 @@
+"""Where the links of a robot are: forward kinematics of eight configurations side by side.
+
+A robot is a tree of links, each hung on its parent by one joint. Kernels get it as one flat tuple of arrays, a `tree`,
+with an entry or a row a link, parents first:
+
+parent : ndarray of int64, shape (L,)
+    The link that this one's pose is computed from, -1 for the world. Rigidly joined links are one moving thing, so this
+    is the first link of the thing that the joint hangs on.
+kind : ndarray of int64, shape (L,)
+    FIXED, REVOLUTE, PRISMATIC, PLANAR or FLOATING.
+column : ndarray of int64, shape (L,)
+    First column of the joint's values in a configuration; 0 for fixed ones, which read none.
+multiplier, offset : ndarray, shape (L,)
+    A joint of one value moves by multiplier * value + offset (one that mimics another; otherwise 1 and 0).
+constants : ndarray, shape (L, CONSTANTS)
+    ROTATION, 9 entries by rows, and TRANSLATION [m], 3: pose in `parent` of what the joint moves. A turning joint's
+    rotation is ROTATION + sin q SINE + cos q COSINE, 9 entries each. ACROSS and ALONG, 3 each: unit vectors along
+    which a planar joint slides by its first two values; a prismatic one slides along ACROSS.
+
+Eight poses are twelve vectors a link in a flat array W of float64:
+W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the translation.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.simd.trig import sine_cosine
+from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
+
+FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
+
+WIDTH = (0, 1, 1, 3, 7)  # columns of a configuration, by kind
+
+ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
+
+POSE = 12  # vectors a link in W
+
+
+@inline
+def workspace_size(links, dof):
+    """Entries that `place_links` needs in W: the poses of all links, then eight configurations by columns."""
+    return (POSE * links + dof) * LANES
+
+
+@inline
+def _three(constants, link, k):
+    return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
+
+
+@inline
+def _nine(constants, link, k):
+    return _three(constants, link, k) + _three(constants, link, k + 3) + _three(constants, link, k + 6)
+
+
+@inline
+def _turned(constants, link, angle):
+    """Rotation of eight turning joints."""
+    s, c = sine_cosine(angle)
+    rest = _nine(constants, link, ROTATION)
+    with_sine, with_cosine = _nine(constants, link, SINE), _nine(constants, link, COSINE)
+    return (
+        rest[0] + s * with_sine[0] + c * with_cosine[0],
+        rest[1] + s * with_sine[1] + c * with_cosine[1],
+        rest[2] + s * with_sine[2] + c * with_cosine[2],
+        rest[3] + s * with_sine[3] + c * with_cosine[3],
+        rest[4] + s * with_sine[4] + c * with_cosine[4],
+        rest[5] + s * with_sine[5] + c * with_cosine[5],
+        rest[6] + s * with_sine[6] + c * with_cosine[6],
+        rest[7] + s * with_sine[7] + c * with_cosine[7],
+        rest[8] + s * with_sine[8] + c * with_cosine[8],
+    )
+
+
+@inline
+def _by_quaternion(w, x, y, z):
+    """Rotation of eight quaternions, of any length but 0."""
+    scale = 2.0 / (w * w + x * x + y * y + z * z)
+    sx, sy, sz = scale * x, scale * y, scale * z
+    wx, wy, wz, xx, xy, xz, yy, yz, zz = w * sx, w * sy, w * sz, x * sx, x * sy, x * sz, y * sy, y * sz, z * sz
+    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
+
+
+@inline
+def _product(a, b):
+    """Product of two rotations by rows."""
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
+        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
+        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
+        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
+        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
+        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
+        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )
+
+
+@inline
+def _image(a, b, x):
+    """Image of a point under the rotation a and the translation b."""
+    return (
+        b[0] + a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
+        b[1] + a[3] * x[0] + a[4] * x[1] + a[5] * x[2],
+        b[2] + a[6] * x[0] + a[7] * x[1] + a[8] * x[2],
+    )
+
+
+@inline
+def _slid(t, direction, by):
+    return t[0] + by * direction[0], t[1] + by * direction[1], t[2] + by * direction[2]
+
+
+@inline
+def _store_pose(W, link, R, t):
+    at = link * (POSE * LANES)
+    store(W, at, R[0])
+    store(W, at + LANES, R[1])
+    store(W, at + 2 * LANES, R[2])
+    store(W, at + 3 * LANES, R[3])
+    store(W, at + 4 * LANES, R[4])
+    store(W, at + 5 * LANES, R[5])
+    store(W, at + 6 * LANES, R[6])
+    store(W, at + 7 * LANES, R[7])
+    store(W, at + 8 * LANES, R[8])
+    store(W, at + 9 * LANES, t[0])
+    store(W, at + 10 * LANES, t[1])
+    store(W, at + 11 * LANES, t[2])
+
+
+@inline
+def _rotation_of(W, link):
+    at = link * (POSE * LANES)
+    return (
+        load(W, at),
+        load(W, at + LANES),
+        load(W, at + 2 * LANES),
+        load(W, at + 3 * LANES),
+        load(W, at + 4 * LANES),
+        load(W, at + 5 * LANES),
+        load(W, at + 6 * LANES),
+        load(W, at + 7 * LANES),
+        load(W, at + 8 * LANES),
+    )
+
+
+@inline
+def _translation_of(W, link):
+    at = link * (POSE * LANES) + 9 * LANES
+    return load(W, at), load(W, at + LANES), load(W, at + 2 * LANES)
+
+
+@inline
+def place_links(tree, Q, rows, at, W):
+    """Write the world poses of all links of eight configurations to W, in the layout of this module.
+
+    Parameters
+    ----------
+    tree : tuple
+    Q : ndarray, shape (N, dof)
+        In C order; checked at the border (quaternions of norm 1). NaN gives poses of NaN.
+    rows : ndarray of int64
+        Row numbers of Q; entries at .. at + 8 are used, which may repeat.
+    at : int64
+    W : ndarray, shape (room(links, dof),) or longer
+        What lies behind the poses is scratch.
+    """
+    parent, kind, column = borrowed(tree[0]), borrowed(tree[1]), borrowed(tree[2])
+    multiplier, offset, constants = borrowed(tree[3]), borrowed(tree[4]), borrowed(tree[5])
+    links, dof = parent.size, Q.shape[1]
+    behind = links * (POSE * LANES)
+    for lane in range(LANES):
+        row = rows[at + lane]
+        for k in range(dof):
+            W[behind + k * LANES + lane] = Q[row, k]
+    for link in range(links):
+        what = kind[link]
+        q = behind + column[link] * LANES
+        R = _nine(constants, link, ROTATION)
+        t = _three(constants, link, TRANSLATION)
+        if what == REVOLUTE:
+            R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
+        elif what == PRISMATIC:
+            t = _slid(t, _three(constants, link, ACROSS), load(W, q) * multiplier[link] + offset[link])
+        elif what == PLANAR:
+            R = _turned(constants, link, load(W, q + 2 * LANES))
+            t = _slid(t, _three(constants, link, ACROSS), load(W, q))
+            t = _slid(t, _three(constants, link, ALONG), load(W, q + LANES))
+        elif what == FLOATING:
+            t = _image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
+            w, x = load(W, q + 3 * LANES), load(W, q + 4 * LANES)
+            y, z = load(W, q + 5 * LANES), load(W, q + 6 * LANES)
+            R = _product(R, _by_quaternion(w, x, y, z))
+        above = parent[link]
+        if above >= 0:
+            A = _rotation_of(W, above)
+            t = _image(A, _translation_of(W, above), t)
+            R = _product(A, R)
+        _store_pose(W, link, R, t)
+
+
+@njit()
+def forward(tree, Q, start, stop, out):
+    """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4)."""
+    links = tree[0].size
+    W = np.empty(workspace_size(links, Q.shape[1]))
+    rows = np.empty(LANES, dtype=np.int64)
+    last = np.int64(stop - 1)
+    zero, one = broadcast(0.0), broadcast(1.0)
+    for first in range(start, stop, LANES):
+        for lane in range(LANES):
+            rows[lane] = min(first + lane, last)  # the last block is filled up with repeats, written as often
+        place_links(tree, Q, rows, np.int64(0), W)
+        for link in range(links):
+            R, t = _rotation_of(W, link), _translation_of(W, link)
+            upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
+            lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
+            scatter_transpose(out, links * 16, rows, np.int64(0), link * 16, upper)
+            scatter_transpose(out, links * 16, rows, np.int64(0), link * 16 + 8, lower)

@@ -1,0 +1,1 @@
+"""Vectors in registers: types, arithmetic, memory, support search."""

@@ -1,0 +1,59 @@
+"""Sine and cosine of eight angles side by side, within two units in the last place."""
+
+from loewner._kernels._jit import inline
+from loewner._kernels.simd.vectors import ALL, absolute, cosines, floor, movemask, round_to_even, select, sines
+
+# π/2 as a sum of three doubles (Cody and Waite). The first two have 33 significant bits, so that their products with
+# a whole number below 2^20 are exact; what the sum misses is below 2^-119.
+QUARTER_TURN = (
+    float.fromhex("0x1.921fb544p+0"),
+    float.fromhex("0x1.0b4611a6p-34"),
+    float.fromhex("0x1.3198a2e037073p-69"),
+)
+TURNS_PER_RADIAN = 0.6366197723675814  # 2/π, in quarter turns; a rounding here moves the seam between quadrants only
+
+# Beyond this angle [rad] the whole number of quarter turns has more than the 20 bits of the above.
+LARGEST = 1e6
+
+
+@inline
+def sine_cosine(x):
+    """Sine and cosine of eight angles.
+
+    The rest after whole quarter turns, within ±π/4, goes into the Taylor series, cut where the next term is below
+    2^-56 of the result. NaN and infinity give NaN.
+
+    Parameters
+    ----------
+    x : vector
+        Angles [rad]; beyond ±1e6 the mathematics library computes them, more slowly.
+
+    Returns
+    -------
+    sine, cosine : vector
+    """
+    if movemask(absolute(x) <= LARGEST) != ALL:
+        return sines(x), cosines(x)
+    k = round_to_even(x * TURNS_PER_RADIAN)
+    r = ((x - k * QUARTER_TURN[0]) - k * QUARTER_TURN[1]) - k * QUARTER_TURN[2]
+    z = r * r
+    p = 1.0 / 355687428096000.0 * z - 1.0 / 1307674368000.0  # 1/17!, 1/15!, ...
+    p = p * z + 1.0 / 6227020800.0
+    p = p * z - 1.0 / 39916800.0
+    p = p * z + 1.0 / 362880.0
+    p = p * z - 1.0 / 5040.0
+    p = p * z + 1.0 / 120.0
+    p = p * z - 1.0 / 6.0
+    s = r + r * z * p
+    p = 1.0 / 20922789888000.0 * z - 1.0 / 87178291200.0  # 1/16!, 1/14!, ...
+    p = p * z + 1.0 / 479001600.0
+    p = p * z - 1.0 / 3628800.0
+    p = p * z + 1.0 / 40320.0
+    p = p * z - 1.0 / 720.0
+    p = p * z + 1.0 / 24.0
+    c = (1.0 - 0.5 * z) + z * z * p
+    quadrant = k - 4.0 * floor(0.25 * k)
+    crossed = absolute(absolute(quadrant - 2.0) - 1.0) < 0.5  # 1 or 3
+    sine, cosine = select(crossed, c, s), select(crossed, s, c)
+    sine = select(quadrant > 1.5, -sine, sine)
+    return sine, select(absolute(quadrant - 1.5) < 1.0, -cosine, cosine)

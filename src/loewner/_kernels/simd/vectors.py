@@ -1,0 +1,558 @@
+"""Eight doubles or sixteen floats side by side: Numba types whose arithmetic is vector instructions by construction.
+
+A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions
+below take floats and vectors alike, a float standing for as many copies as needed. LLVM maps ``<8 x double>`` and
+``<16 x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON; nothing hangs on whether it finds a loop
+worth vectorising. Comparisons give masks; there are no branches on vectors.
+
+As everywhere in this package the only freedom given to the compiler is contraction.
+"""
+
+import operator
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+from loewner._kernels.simd.support import CACHE_LINE
+
+LANES, SINGLE_LANES = 8, 16
+ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that holds everywhere
+
+_CONTRACT = ("contract",)
+
+
+class _Lanes(types.Type):
+    """Numba type of several values in a register."""
+
+    def __init__(self, name, entry, count):
+        super().__init__(name)
+        self.llvm = ir.VectorType(entry, count)
+
+
+vector = _Lanes("Vector8", ir.DoubleType(), LANES)
+single = _Lanes("Single16", ir.FloatType(), SINGLE_LANES)
+mask = _Lanes("Mask8", ir.IntType(1), LANES)
+single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
+
+_VECTORS = (vector, single)
+_MASK_OF = {vector: mask, single: single_mask}
+
+
+@register_model(_Lanes)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager, fe_type):
+        super().__init__(manager, fe_type, fe_type.llvm)
+
+
+def _repeat(builder, value, count):
+    """Copies of a scalar side by side."""
+    kind = ir.VectorType(value.type, count)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), _indices([0] * count))
+
+
+def _indices(numbers):
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+
+
+def _spread(builder, value, kind, wanted):
+    """A float as copies; a vector as it is."""
+    if kind == wanted:
+        return value
+    if wanted == single and value.type == ir.DoubleType():
+        value = builder.fptrunc(value, ir.FloatType())
+    return _repeat(builder, value, wanted.llvm.count)
+
+
+def _joint(args):
+    """The one vector type among these, if the others are floats or the same; None otherwise."""
+    kinds = {a for a in args if not isinstance(a, types.Float)}
+    return kinds.pop() if len(kinds) == 1 and kinds <= set(_VECTORS) else None
+
+
+def _operation(symbol, emit, compares=False):
+    """Teach Numba one binary operator on vectors."""
+
+    @infer_global(symbol)
+    class _Typed(AbstractTemplate):
+        def generic(self, args, kws):
+            kind = _joint(args) if len(args) == 2 else None
+            return kind and signature(_MASK_OF[kind] if compares else kind, *args)
+
+    for kind in _VECTORS:
+        for a, b in ((kind, kind), (kind, types.Float), (types.Float, kind)):
+
+            @lower_builtin(symbol, a, b)
+            def _lowered(context, builder, sig, args, kind=kind):
+                x, y = (_spread(builder, v, t, kind) for v, t in zip(args, sig.args, strict=True))
+                return emit(builder, x, y)
+
+
+_operation(operator.add, lambda b, x, y: b.fadd(x, y, flags=_CONTRACT))
+_operation(operator.sub, lambda b, x, y: b.fsub(x, y, flags=_CONTRACT))
+_operation(operator.mul, lambda b, x, y: b.fmul(x, y, flags=_CONTRACT))
+_operation(operator.truediv, lambda b, x, y: b.fdiv(x, y))
+for _symbol, _text in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
+    _operation(_symbol, lambda b, x, y, text=_text: b.fcmp_ordered(text, x, y), True)
+
+
+@infer_global(operator.and_)
+@infer_global(operator.or_)
+class _MaskPair(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(args[0], *args) if tuple(args) in ((mask, mask), (single_mask, single_mask)) else None
+
+
+@infer_global(operator.invert)
+class _MaskNot(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(args[0], *args) if tuple(args) in ((mask,), (single_mask,)) else None
+
+
+@infer_global(operator.neg)
+class _Negated(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(args[0], *args) if tuple(args) in ((vector,), (single,)) else None
+
+
+for _kind in (mask, single_mask):
+    lower_builtin(operator.and_, _kind, _kind)(lambda context, builder, sig, args: builder.and_(*args))
+    lower_builtin(operator.or_, _kind, _kind)(lambda context, builder, sig, args: builder.or_(*args))
+    lower_builtin(operator.invert, _kind)(lambda context, builder, sig, args: builder.not_(args[0]))
+for _kind in _VECTORS:
+    lower_builtin(operator.neg, _kind)(lambda context, builder, sig, args: builder.fneg(args[0]))
+
+
+def _call(builder, name, *args):
+    """Call an LLVM intrinsic that is overloaded on the type of its arguments."""
+    kind = args[0].type
+    entry = kind.element if isinstance(kind, ir.VectorType) else kind
+    suffix = (
+        ("f64" if entry == ir.DoubleType() else "f32")
+        if entry is kind
+        else (f"v{kind.count}" + ("f64" if entry == ir.DoubleType() else "f32"))
+    )
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(kind, [kind] * len(args)), f"llvm.{name}.{suffix}"
+    )
+    return builder.call(function, args)
+
+
+def _result(args):
+    return _joint(args) or types.float64
+
+
+@intrinsic
+def sqrt(typingctx, x):
+    """Square root."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "sqrt", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def absolute(typingctx, x):
+    """Absolute value."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "fabs", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def round_to_even(typingctx, x):
+    """Nearest whole number, halves to the even one."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "rint", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def floor(typingctx, x):
+    """Largest whole number that is not above x."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "floor", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def sines(typingctx, x):
+    """Sine [rad], lane by lane from the mathematics library."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "sin", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def cosines(typingctx, x):
+    """Cosine [rad], lane by lane from the mathematics library."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "cos", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+def _choice(builder, comparison, x, y):
+    return builder.select(builder.fcmp_ordered(comparison, x, y), x, y)
+
+
+def _both(builder, sig, args):
+    if sig.return_type in _VECTORS:
+        return [_spread(builder, v, t, sig.return_type) for v, t in zip(args, sig.args, strict=True)]
+    return args
+
+
+@intrinsic
+def maximum(typingctx, x, y):
+    """x if x > y, else y: a NaN in x gives y, one in y stays."""
+
+    def generate(context, builder, sig, args):
+        return _choice(builder, ">", *_both(builder, sig, args))
+
+    return signature(_result((x, y)), x, y), generate
+
+
+@intrinsic
+def minimum(typingctx, x, y):
+    """x if x < y, else y: a NaN in x gives y, one in y stays."""
+
+    def generate(context, builder, sig, args):
+        return _choice(builder, "<", *_both(builder, sig, args))
+
+    return signature(_result((x, y)), x, y), generate
+
+
+@intrinsic
+def select(typingctx, condition, x, y):
+    """x where the condition holds, else y."""
+
+    def generate(context, builder, sig, args):
+        a, b = _both(builder, signature(sig.return_type, *sig.args[1:]), args[1:])
+        return builder.select(args[0], a, b)
+
+    return signature(_result((x, y)), condition, x, y), generate
+
+
+@intrinsic
+def broadcast(typingctx, x):
+    """Eight copies of a float64, or sixteen of a float32."""
+    kind = single if x == types.float32 else vector
+
+    def generate(context, builder, sig, args):
+        return _spread(builder, args[0], x, kind)
+
+    return signature(kind, x), generate
+
+
+@intrinsic
+def share_of_roots(typingctx, x, y):
+    """√x / (√x + √y) of two vectors > 0, as 1 / (1 + √(y/x)): a guess, its root in single precision.
+
+    Single precision has eight square roots in the time that double precision has two. Past its range the guess is 0 or
+    1.
+    """
+
+    def generate(context, builder, sig, args):
+        ratio = builder.fdiv(args[1], args[0])
+        if x == single:
+            apart = _call(builder, "sqrt", ratio)
+        else:
+            small = builder.fptrunc(ratio, ir.VectorType(ir.FloatType(), x.llvm.count))
+            apart = builder.fpext(_call(builder, "sqrt", small), x.llvm)
+        one = ir.Constant(x.llvm, [1.0] * x.llvm.count)
+        return builder.fdiv(one, builder.fadd(one, apart))
+
+    return signature(x, x, y), generate
+
+
+@intrinsic
+def movemask(typingctx, m):
+    """Lanes of a mask as the low bits of an integer."""
+
+    def generate(context, builder, sig, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(m.llvm.count)), ir.IntType(64))
+
+    return signature(types.int64, m), generate
+
+
+@intrinsic
+def masked_store(typingctx, array, at, m, code):
+    """Write a code to those of consecutive bytes that the mask names."""
+
+    def generate(context, builder, sig, args):
+        array, at, where, code = args
+        count = m.llvm.count
+        several = ir.VectorType(ir.IntType(8), count)
+        place = builder.bitcast(_address(context, builder, sig.args[0], array, at), several.as_pointer())
+        codes = _repeat(builder, builder.trunc(code, ir.IntType(8)), count)
+        builder.store(builder.select(where, codes, builder.load(place, align=1)), place, align=1)
+        return context.get_dummy_value()
+
+    return signature(types.void, array, types.int64, m, types.int64), generate
+
+
+def _address(context, builder, array_type, array, offset):
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(data, [offset])
+
+
+@intrinsic
+def store(typingctx, array, offset, x):
+    """Write a vector to a flat array of float64 from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        value = args[2]
+        if x == single:
+            value = builder.fpext(value, ir.VectorType(ir.DoubleType(), SINGLE_LANES))
+        builder.store(value, builder.bitcast(address, value.type.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    return signature(types.void, array, types.int64, x), generate
+
+
+@intrinsic
+def load(typingctx, array, offset):
+    """Read eight doubles from a flat array from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(address, vector.llvm.as_pointer()), align=8)
+
+    return signature(vector, array, types.int64), generate
+
+
+def _columns_of(builder, rows):
+    """Transpose rows of eight, or of two times eight side by side, by three rounds of pairwise exchanges."""
+    width = rows[0].type.count
+    for step in (1, 2, 4):
+        low = [i // step % 2 * width + i - i // step % 2 * step for i in range(width)]
+        high = [x + step for x in low]
+        after = list(rows)
+        for r in range(8):
+            if r & step == 0:
+                pair = rows[r], rows[r + step]
+                after[r] = builder.shuffle_vector(*pair, _indices(low))
+                after[r + step] = builder.shuffle_vector(*pair, _indices(high))
+        rows = after
+    return rows
+
+
+def _load_rows(context, builder, sig, args, count):
+    """Eight entries of each of `count` rows."""
+    array, wide, numbers, at, column = args
+    entry = ir.FloatType() if sig.args[0].dtype == types.float32 else ir.DoubleType()
+    eight = ir.VectorType(entry, 8)
+    loaded = []
+    for lane in range(count):
+        place = builder.add(at, ir.Constant(at.type, lane))
+        row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+        first = builder.add(builder.mul(row, wide), column)
+        address = builder.bitcast(_address(context, builder, sig.args[0], array, first), eight.as_pointer())
+        loaded.append(builder.load(address, align=4 if entry == ir.FloatType() else 8))
+    return loaded
+
+
+@intrinsic
+def gather_transpose(typingctx, table, width, rows, at, column):
+    """Eight consecutive columns of eight rows of a row-major table of float64, as eight vectors.
+
+    Parameters
+    ----------
+    table : ndarray
+    width : int
+        Entries a row.
+    rows : ndarray of int64
+        Row numbers; entries at .. at + 8 are used.
+    at, column : int
+    """
+
+    def generate(context, builder, sig, args):
+        rows = _load_rows(context, builder, sig, args, LANES)
+        return context.make_tuple(builder, sig.return_type, _columns_of(builder, rows))
+
+    integer = types.int64
+    return signature(types.UniTuple(vector, 8), table, integer, rows, integer, integer), generate
+
+
+@intrinsic
+def scatter_transpose(typingctx, table, width, rows, at, column, eight):
+    """Write eight vectors to eight consecutive columns of eight rows: the reverse of `columns`."""
+
+    def generate(context, builder, sig, args):
+        table, width, rows, at, column, eight = args
+        for lane, row in enumerate(_columns_of(builder, cgutils.unpack_tuple(builder, eight, LANES))):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            number = builder.load(_address(context, builder, sig.args[2], rows, place))
+            first = builder.add(builder.mul(number, width), column)
+            address = _address(context, builder, sig.args[0], table, first)
+            builder.store(row, builder.bitcast(address, vector.llvm.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, table, integer, rows, integer, integer, types.UniTuple(vector, LANES)), generate
+
+
+@intrinsic
+def gather_transpose_single(typingctx, table, width, rows, at, column):
+    """The same of sixteen rows, in single precision; the table may be of either."""
+
+    def generate(context, builder, sig, args):
+        rows = _load_rows(context, builder, sig, args, SINGLE_LANES)
+        if rows[0].type.element == ir.DoubleType():
+            rows = [builder.fptrunc(row, ir.VectorType(ir.FloatType(), 8)) for row in rows]
+        both = [builder.shuffle_vector(rows[r], rows[r + 8], _indices(list(range(16)))) for r in range(8)]
+        return context.make_tuple(builder, sig.return_type, _columns_of(builder, both))
+
+    integer = types.int64
+    return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
+
+
+def _asking(count):
+    """The function below, for as many rows as a vector has lanes."""
+
+    @intrinsic
+    def prefetch_rows(typingctx, table, width, rows, at):
+        """Ask for the first two cache lines of rows that are needed some thousand instructions later.
+
+        Into the second-level cache: the first can wait for two dozen lines at a time only, less than a pair's rows and
+        poses at the pace of the certificate. Never faults, never waits.
+        """
+
+        def generate(context, builder, sig, args):
+            array, wide, numbers, at = args
+            byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
+            function = builder.module.declare_intrinsic(
+                "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
+            )
+            read, second_level, data = (ir.Constant(half, code) for code in (0, 2, 1))
+            for lane in range(count):
+                place = builder.add(at, ir.Constant(at.type, lane))
+                row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+                address = _address(context, builder, sig.args[0], array, builder.mul(row, wide))
+                first = builder.bitcast(address, byte)
+                for offset in (0, CACHE_LINE):
+                    line = builder.gep(first, [ir.Constant(ir.IntType(64), offset)])
+                    builder.call(function, [line, read, second_level, data])
+            return context.get_dummy_value()
+
+        integer = types.int64
+        return signature(types.void, table, integer, rows, integer), generate
+
+    return prefetch_rows
+
+
+prefetch_rows, prefetch_rows_single = _asking(LANES), _asking(SINGLE_LANES)
+
+
+@intrinsic
+def load_single(typingctx, array, offset):
+    """Read sixteen floats from a flat array of float32 from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(builder.bitcast(address, single.llvm.as_pointer()), align=4)
+
+    return signature(single, array, types.int64), generate
+
+
+@intrinsic
+def store_strided(typingctx, array, offset, step, eight):
+    """Write eight vectors to a flat array of their precision, the first at `offset` and each other `step` further."""
+
+    def generate(context, builder, sig, args):
+        array, at, step, eight = args
+        for x in cgutils.unpack_tuple(builder, eight, 8):
+            address = _address(context, builder, sig.args[0], array, at)
+            builder.store(x, builder.bitcast(address, x.type.as_pointer()), align=4)
+            at = builder.add(at, step)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, array, integer, integer, eight), generate
+
+
+@intrinsic
+def load_rounded(typingctx, array, offset):
+    """Read sixteen doubles from a flat array from `offset` on, in single precision."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        wide = ir.VectorType(ir.DoubleType(), SINGLE_LANES)
+        return builder.fptrunc(builder.load(builder.bitcast(address, wide.as_pointer()), align=8), single.llvm)
+
+    return signature(single, array, types.int64), generate
+
+
+@intrinsic
+def gather_single(typingctx, table, width, rows, at, column):
+    """One column of sixteen rows of a table of float32; parameters as for `columns`."""
+
+    def generate(context, builder, sig, args):
+        array, wide, numbers, at, column = args
+        result = ir.Constant(single.llvm, ir.Undefined)
+        for lane in range(SINGLE_LANES):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            row = builder.load(_address(context, builder, sig.args[2], numbers, place))
+            first = builder.add(builder.mul(row, wide), column)
+            value = builder.load(_address(context, builder, sig.args[0], array, first))
+            result = builder.insert_element(result, value, ir.Constant(ir.IntType(32), lane))
+        return result
+
+    integer = types.int64
+    return signature(single, table, integer, rows, integer, integer), generate
+
+
+@intrinsic
+def store_rounded(typingctx, array, offset, x):
+    """Write eight doubles to a flat array of float32 from `offset` on."""
+
+    def generate(context, builder, sig, args):
+        address = _address(context, builder, sig.args[0], args[0], args[1])
+        value = builder.fptrunc(args[2], ir.VectorType(ir.FloatType(), LANES))
+        builder.store(value, builder.bitcast(address, value.type.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return signature(types.void, array, types.int64, x), generate
+
+
+@intrinsic
+def scatter_transpose_rounded(typingctx, table, width, rows, at, column, eight):
+    """Write eight vectors to eight consecutive columns of eight rows of a table of float32."""
+
+    def generate(context, builder, sig, args):
+        table, width, rows, at, column, eight = args
+        small = ir.VectorType(ir.FloatType(), LANES)
+        vectors = [builder.fptrunc(x, small) for x in cgutils.unpack_tuple(builder, eight, LANES)]
+        for lane, row in enumerate(_columns_of(builder, vectors)):
+            place = builder.add(at, ir.Constant(at.type, lane))
+            number = builder.load(_address(context, builder, sig.args[2], rows, place))
+            first = builder.add(builder.mul(number, width), column)
+            address = _address(context, builder, sig.args[0], table, first)
+            builder.store(row, builder.bitcast(address, small.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    integer = types.int64
+    return signature(types.void, table, integer, rows, integer, integer, types.UniTuple(vector, LANES)), generate
+
+
+@intrinsic
+def lowest_bit(typingctx, x):
+    """Number of the lowest bit set of an integer other than 0."""
+
+    def generate(context, builder, sig, args):
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return signature(types.int64, types.int64), generate

@@ -1,0 +1,1 @@
+"""Bounding-box trees over bodies and over the pieces of a body."""

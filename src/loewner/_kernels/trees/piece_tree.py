@@ -1,0 +1,321 @@
+"""Trees over the pieces of a body, and the walk through two of them for the piece pairs that could meet.
+
+A tree is one of `boxtree`, over the boxes of the outer ellipsoids in the body's own frame, with its links written down:
+child c of group g is ``children[8 g + c]``, a group if not negative, else ~piece. ``roots`` holds the top group of each
+body, or -1 for a body of few pieces, which has no tree: all its pieces are tried.
+
+The walk takes the pieces of a that come near the box of b, in a's frame, and looks for each of them in b's tree, in b's
+frame, by the box of its own ellipsoid there. All roundings are outward. A pose's rotation R need not be orthonormal to
+the last bit: in the frame of its own axes a body's point y lies at RᵀR y rather than y, and lengths there are those of
+the world times at most the norm of R. `BEND` allows for both.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_width
+from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
+from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, lowest, ordered, raised, within
+
+FEW = 8  # pieces; fewer than this are tried one by one
+
+# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves a point by at most 1.8e-6 of its distance
+# from the body's origin and stretches a length by 1.5e-6; the rest is far more than distances round.
+BEND = 4e-6
+
+# Numbers of a walk: the integers ...
+PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
+A_STACK = 7
+B_STACK = A_STACK + LEVELS * WIDE
+STEPS = B_STACK + LEVELS * WIDE
+# ... and the floats: boxes (lower, upper) of b in a's frame and of the piece in b's, what they are widened by, how
+# points of a map to b's frame (rotation, shift), and the lengths that all this rounds with.
+B_BOX, PIECE_BOX, A_SLACK, B_SLACK, TURN, SHIFT, SIZE = 0, 6, 12, 13, 14, 23, 26
+NUMBERS = 27
+
+
+@njit()
+def planted(piece_start, lower, upper):
+    """Trees of all bodies.
+
+    Parameters
+    ----------
+    piece_start : ndarray of int64, shape (n + 1,)
+    lower, upper : ndarray, shape (P, 3)
+        Boxes of the pieces, in their body's frame, in metres.
+
+    Returns
+    -------
+    groups : ndarray
+        As `boxtree.grown` lays them out, all bodies end to end.
+    children : ndarray of int64
+        Eight for each group.
+    roots : ndarray of int64, shape (n,)
+    """
+    n = piece_start.shape[0] - 1
+    roots = np.full(n, -1, np.int64)
+    total = 0
+    for body in range(n):
+        level = piece_start[body + 1] - piece_start[body]
+        if level < FEW:
+            continue
+        while level > 1:
+            level = (level + WIDE - 1) // WIDE
+            total += level
+        roots[body] = total - 1
+    groups = np.empty(total * ROWS)
+    children = np.full(total * WIDE, -1, np.int64)
+    first = 0
+    for body in range(n):
+        if roots[body] < 0:
+            continue
+        start, stop = piece_start[body], piece_start[body + 1]
+        order = ordered(lower[start:stop], upper[start:stop])
+        boxes, level_start = grown(lower[start:stop], upper[start:stop], order)
+        groups[first * ROWS : first * ROWS + boxes.shape[0]] = boxes
+        for place in range(stop - start):
+            children[first * WIDE + place] = ~(start + order[place])
+        for level in range(1, level_start.shape[0]):
+            below = level_start[level - 1]
+            for node in range(level_start[level] - below):
+                children[(first + level_start[level]) * WIDE + node] = first + below + node
+        first = roots[body] + 1
+    return groups, children, roots
+
+
+@njit()
+def begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers):
+    """Start the walk over the piece pairs of two placed bodies.
+
+    Parameters
+    ----------
+    a, b : tuple of ndarray
+        Packed pieces, see `shapes`.
+    ia, ib, ka, kb : int
+        Rows of the bodies and of their poses.
+    steps : ndarray of int64, shape (STEPS,)
+    numbers : ndarray, shape (NUMBERS,)
+        Receive the state of the walk.
+    """
+    steps[PIECE] = -1
+    steps[B_NEXT], steps[B_END], steps[B_HEIGHT] = 0, 0, 0
+    steps[A_NEXT], steps[A_END], steps[A_HEIGHT] = a[3][ia], a[3][ia + 1], 0
+    root = a[8][ia]
+    size = 0.0
+    for row in range(3):
+        size += abs(Tb[kb, row, 3] - Ta[ka, row, 3])
+        shift = 0.0
+        for c in range(3):
+            turn = 0.0
+            for m in range(3):
+                turn += Tb[kb, m, row] * Ta[ka, m, c]
+            numbers[TURN + 3 * row + c] = turn
+            shift += Tb[kb, c, row] * (Ta[ka, c, 3] - Tb[kb, c, 3])
+        numbers[SHIFT + row] = shift
+    reach_a = _reach(a, ia)
+    reach_b = _reach(b, ib)
+    numbers[SIZE] = size + reach_a + reach_b
+    numbers[A_SLACK] = BEND * reach_a
+    numbers[B_SLACK] = BEND * reach_b
+    if root >= 0:
+        _place_all(b, ib, Ta, ka, Tb, kb, numbers)
+        steps[A_NEXT] = steps[A_END]
+        steps[A_STACK] = root
+        steps[A_HEIGHT] = 1
+
+
+@njit()
+def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
+    """Go on with a walk: the next piece pairs that are not proven farther apart than `margin`.
+
+    The margin may shrink from call to call.
+
+    Parameters
+    ----------
+    a, b, ib, steps, numbers : as for `begin`
+    margin : float
+        In metres, >= 0.
+    pieces_a, pieces_b : ndarray of int64
+        Receive the pairs, as many as there is room for.
+
+    Returns
+    -------
+    int
+        Pairs written; 0 at the end of the walk.
+    """
+    hot_a, groups_a, children_a = a[4], a[6], a[7]
+    groups_b, children_b, root = b[6], b[7], b[8][ib]
+    reach = margin * (1.0 + BEND)
+    count = 0
+    while count < pieces_a.shape[0]:
+        if steps[B_NEXT] < steps[B_END]:
+            pieces_a[count] = steps[PIECE]
+            pieces_b[count] = steps[B_NEXT]
+            steps[B_NEXT] += 1
+            count += 1
+        elif steps[B_HEIGHT] > 0:
+            steps[B_HEIGHT] -= 1
+            found = steps[B_STACK + steps[B_HEIGHT]]
+            if found < 0:
+                pieces_a[count] = steps[PIECE]
+                pieces_b[count] = ~found
+                count += 1
+            else:
+                _open(groups_b, children_b, found, numbers, PIECE_BOX, B_SLACK, reach, steps, B_STACK, B_HEIGHT)
+        else:
+            if steps[A_NEXT] < steps[A_END]:
+                piece = steps[A_NEXT]
+                steps[A_NEXT] += 1
+            elif steps[A_HEIGHT] > 0:
+                steps[A_HEIGHT] -= 1
+                found = steps[A_STACK + steps[A_HEIGHT]]
+                if found >= 0:
+                    _open(groups_a, children_a, found, numbers, B_BOX, A_SLACK, reach, steps, A_STACK, A_HEIGHT)
+                    continue
+                piece = ~found
+            else:
+                return count
+            steps[PIECE] = piece
+            if root < 0:
+                steps[B_NEXT], steps[B_END] = b[3][ib], b[3][ib + 1]
+            else:
+                _place(hot_a, piece, numbers)
+                steps[B_STACK] = root
+                steps[B_HEIGHT] = 1
+    return count
+
+
+@njit()
+def nearest_centers(a, ia, b, ib, numbers, rounds):
+    """Two pieces whose centers are close: each the nearest to the other, as far as `rounds` of that lead.
+
+    A guess to start from; `numbers` as from `begin`.
+    """
+    hot_a, hot_b = a[4], b[4]
+    c = OUTER_CENTER
+    j = b[3][ib]
+    i = a[3][ia]
+    for _ in range(rounds):
+        best = np.inf
+        # The squared distance of a's center from b's, in b's frame.
+        for piece in range(a[3][ia], a[3][ia + 1]):
+            squared = 0.0
+            for row in range(3):
+                squared += (_placed_center(hot_a, piece, numbers, row) - hot_b[j, c + row]) ** 2
+            if squared < best:
+                best = squared
+                i = piece
+        best = np.inf
+        x = _placed_center(hot_a, i, numbers, 0)
+        y = _placed_center(hot_a, i, numbers, 1)
+        z = _placed_center(hot_a, i, numbers, 2)
+        for piece in range(b[3][ib], b[3][ib + 1]):
+            squared = (x - hot_b[piece, c]) ** 2 + (y - hot_b[piece, c + 1]) ** 2 + (z - hot_b[piece, c + 2]) ** 2
+            if squared < best:
+                best = squared
+                j = piece
+    return i, j
+
+
+@inline
+def _open(groups, children, group, numbers, box, slack, reach, steps, stack, height):
+    """Put those children of a group on a stack that come within `reach` of a box of the walk."""
+    by = numbers[slack]
+    mask = within(
+        groups, group,
+        lowered(numbers[box], by), lowered(numbers[box + 1], by), lowered(numbers[box + 2], by),
+        raised(numbers[box + 3], by), raised(numbers[box + 4], by), raised(numbers[box + 5], by),
+        reach * reach,
+    )  # fmt: skip
+    while mask != 0:
+        steps[stack + steps[height]] = children[group * WIDE + lowest(mask)]
+        steps[height] += 1
+        mask &= mask - 1
+
+
+@inline
+def _shape(hot, piece):
+    """Shape matrix of a piece's outer ellipsoid, in the frame of its body."""
+    q = OUTER_SHAPE
+    return (
+        hot[piece, q], hot[piece, q + 1], hot[piece, q + 2], hot[piece, q + 3], hot[piece, q + 4], hot[piece, q + 5],
+    )  # fmt: skip
+
+
+@inline
+def _placed_center(hot, piece, numbers, row):
+    """Coordinate of an outer center of a in b's frame."""
+    c = OUTER_CENTER
+    turn = TURN + 3 * row
+    return numbers[SHIFT + row] + (
+        numbers[turn] * hot[piece, c] + numbers[turn + 1] * hot[piece, c + 1] + numbers[turn + 2] * hot[piece, c + 2]
+    )
+
+
+@njit()
+def _place(hot, piece, numbers):
+    """Put the box of a piece of a, in b's frame, where the walk keeps it."""
+    for row in range(3):
+        x, y, z = numbers[TURN + 3 * row], numbers[TURN + 3 * row + 1], numbers[TURN + 3 * row + 2]
+        width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
+        width += POSITION_ROUNDINGS * numbers[SIZE]
+        middle = _placed_center(hot, piece, numbers, row)
+        numbers[PIECE_BOX + row] = middle - width
+        numbers[PIECE_BOX + 3 + row] = middle + width
+
+
+@njit()
+def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
+    """Put a box around all of b, in a's frame, where the walk keeps it."""
+    hot = b[4]
+    root = b[8][ib]
+    c = OUTER_CENTER
+    for row in range(3):
+        shift = 0.0
+        for m in range(3):
+            shift += Ta[ka, m, row] * (Tb[kb, m, 3] - Ta[ka, m, 3])
+        x, y, z = numbers[TURN + row], numbers[TURN + 3 + row], numbers[TURN + 6 + row]
+        low = np.inf
+        high = -np.inf
+        if root < 0:
+            for piece in range(b[3][ib], b[3][ib + 1]):
+                width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
+                middle = x * hot[piece, c] + y * hot[piece, c + 1] + z * hot[piece, c + 2]
+                low = min(low, middle - width)
+                high = max(high, middle + width)
+        else:
+            low = 0.0
+            high = 0.0
+            for axis, along in enumerate((x, y, z)):
+                near, far = _root_interval(b[6], root, axis)
+                low += min(along * near, along * far)
+                high += max(along * near, along * far)
+        error = POSITION_ROUNDINGS * numbers[SIZE]
+        numbers[B_BOX + row] = shift + low - error
+        numbers[B_BOX + 3 + row] = shift + high + error
+
+
+@inline
+def _root_interval(groups, root, axis):
+    """Extent of a whole tree along an axis."""
+    low = np.inf
+    high = -np.inf
+    for lane in range(WIDE):
+        low = min(low, groups[root * ROWS + axis * WIDE + lane])
+        high = max(high, groups[root * ROWS + (3 + axis) * WIDE + lane])
+    return low, high
+
+
+@njit()
+def _reach(a, ia):
+    """Bound on the distance of any point of a body from its origin."""
+    root = a[8][ia]
+    reach = 0.0
+    if root < 0:
+        for piece in range(a[3][ia], a[3][ia + 1]):
+            reach = max(reach, a[4][piece, REACH])
+        return reach
+    for axis in range(3):
+        low, high = _root_interval(a[6], root, axis)
+        reach += max(-low, high)
+    return reach
