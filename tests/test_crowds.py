@@ -99,7 +99,7 @@ def test_boxes_hold_their_bodies():
     T = random_poses(rng, n)
     T[::2, :3, 3] += 1e6
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
-    crowds.boxtree.bounds(0, n, 1, 1, bodies._packed.kernel, T, lower, upper)
+    crowds.boxtree.bounds(0, n, 1, 1, bodies._packed.handle, T, lower, upper)
     exact = T.astype(np.longdouble)
     for k in range(n):
         x = bodies[k].pieces[0].vertices.astype(np.longdouble) @ exact[k, :3, :3].T + exact[k, :3, 3]
@@ -220,7 +220,7 @@ def test_search_is_far_from_all_pairs():
     leaf, count = crowds.boxtree.candidates(0, -(-n // crowds.boxtree.WIDE), 0.0, *tree, rows[0], rows[1])
     assert leaf == n // crowds.boxtree.WIDE
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
-    crowds.boxtree.bounds(0, n, *steps, operands[0].kernel, operands[1], lower, upper)
+    crowds.boxtree.bounds(0, n, *steps, operands[0].handle, operands[1], lower, upper)
     meet = ((lower[:, None] <= upper[None]) & (upper[:, None] >= lower[None])).all(axis=2)
     truth = np.argwhere(np.triu(meet, 1))
     assert count == len(truth)

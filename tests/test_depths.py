@@ -14,6 +14,7 @@ from loewner import Bodies, Body
 from loewner._kernels.ellipsoids import signed_distance as curved
 from loewner._kernels.narrow import epa_fast as polytope_depth
 from loewner._kernels.narrow import epa_robust as epa
+from loewner._kernels.pieces.pack import Placed
 from oracles import directional_distance, ellipsoid_support, fibonacci_sphere, hull, pack, posed_support
 
 seeds = st.integers(0, 2**32 - 1)
@@ -242,10 +243,10 @@ def both_depths(a: Bodies, Ta: np.ndarray, b: Bodies, Tb: np.ndarray) -> tuple[n
     found = np.empty((len(Ta), 3))
     result = np.empty(9)
     for k in range(len(Ta)):
-        d = Tb[k, :3, 3] - Ta[k, :3, 3]
-        pair = (A[0], A[1], A[2], k, Ta, k, B[0], B[1], B[2], k, Tb, k)
-        status, _, fast = polytope_depth.overlap_depth(*pair, *d, W, K, result)
-        _, careful = epa.penetration(*pair, *d, 1e-11, *work, result)
+        d = tuple(Tb[k, :3, 3] - Ta[k, :3, 3])
+        one, other = Placed(*A[:3], k, Ta, k), Placed(*B[:3], k, Tb, k)
+        status, _, fast = polytope_depth.overlap_depth(one, other, d, W, K, result)
+        _, careful = epa.penetration(one, other, d, 1e-11, work, result)
         found[k] = status, fast, careful
     return found[:, 0], found[:, 1], found[:, 2]
 

@@ -11,18 +11,20 @@ from loewner import Bodies, Body
 from loewner._kernels._jit import njit
 from loewner._kernels.pieces import shapes
 from loewner._kernels.pieces.directions import direction_map
+from loewner._kernels.pieces.pack import pieces_of, placed
 
 
 @njit()
-def kernel_supports(table, layout, points, piece, directions, out):
+def kernel_supports(handle, piece, directions, out):
+    P = placed(pieces_of(handle), piece, np.empty((1, 4, 4)), 0)  # the pose does not matter
     for k in range(len(directions)):
-        x, y, z = directions[k, 0], directions[k, 1], directions[k, 2]
-        out[k, 0], out[k, 1], out[k, 2] = shapes.core_support(table, layout, points, piece, x, y, z)
+        n = directions[k, 0], directions[k, 1], directions[k, 2]
+        out[k, 0], out[k, 1], out[k, 2] = shapes.core_support(P, n)
 
 
 def supports(body: Body | Bodies, piece: int, directions: np.ndarray) -> np.ndarray:
     out = np.empty(directions.shape)
-    kernel_supports(*body._packed.kernel[:3], piece, np.ascontiguousarray(directions), out)
+    kernel_supports(body._packed.handle, piece, np.ascontiguousarray(directions), out)
     return out
 
 

@@ -97,7 +97,7 @@ class Packed:
         single = _single(hot)
         vertices = blocks.aligned(len(points) if len(single) else 0, np.float32)
         vertices[:] = points[: len(vertices)]
-        kernel = (table, layout, points, start, hot, single, *_trees(table, start), vertices)
+        kernel = handles.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices)
         # Not made read-only: to Numba that would be another type, and everything compiled twice.
         object.__setattr__(self, "kernel", kernel)
         object.__setattr__(self, "handle_table", handles.table_of(kernel))

@@ -109,7 +109,7 @@ def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tu
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
-        boxtree.bounds(first, last, *steps, operands[0].kernel, operands[1], lower, upper)
+        boxtree.bounds(first, last, *steps, operands[0].handle, operands[1], lower, upper)
 
     in_shares(box, n, CHUNK)
     order = boxtree.ordered(lower, upper)
@@ -144,7 +144,7 @@ def _settled(
         batch.settle_range(mode, margin, 0, count, plan, listed, packed.handle, T, packed.handle, T, out, tally)
         if mode == verdicts.EXACT:
             if tally[verdicts.OPEN]:
-                careful.settle_open(margin, plan, listed, packed.kernel, T, packed.kernel, T, out)
+                careful.settle_open(margin, plan, listed, packed.handle, T, packed.handle, T, out)
             _refuse_unsettled(out, a, b)
         kept = out != verdicts.FREE
         found.append(a[kept] * n + b[kept])

@@ -112,7 +112,7 @@ class _Pairs(NamedTuple):
     def operands(self) -> tuple[Any, ...]:
         """Plan, pack and poses of a, pack and poses of b, as the kernels of distances take them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
-        return self.plan, a.kernel, Ta, b.kernel, Tb
+        return self.plan, a.handle, Ta, b.handle, Tb
 
     @property
     def factors(self) -> tuple[Floats, ...]:
@@ -251,7 +251,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
 
     tally = reduce(np.add, in_shares(run, pairs.total, CHUNK))
     if mode == verdicts.EXACT and tally[verdicts.OPEN]:
-        careful.settle_open(margin, pairs.plan, pairs.rows, *pairs.operands[1:], out)
+        careful.settle_open(margin, *pairs.handles, out)
     return out, tally
 
 

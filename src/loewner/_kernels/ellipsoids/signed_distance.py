@@ -27,8 +27,9 @@ Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its har
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, shape_matrix
-from loewner._kernels.pieces.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, dot, minus, plus, shape_matrix
+from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING, rotation_of
 
 # Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
 MAX_STEPS = 80
@@ -52,29 +53,16 @@ MAX_RESTARTS = 20
 
 
 @inline
-def _image(table, layout, piece, T, t):
+def _image(P):
     """Factor of a placed ellipsoid, row by row (zero for a ball's core), and its center less the body's translation."""
-    row = table[piece]
-    f = FRAME_FACTOR
-    c = FRAME_CENTER
-    a, b, d = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
-    f0 = a * row[f] + b * row[f + 3] + d * row[f + 6]
-    f1 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
-    f2 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
-    x = a * row[c] + b * row[c + 1] + d * row[c + 2]
-    a, b, d = T[t, 1, 0], T[t, 1, 1], T[t, 1, 2]
-    f3 = a * row[f] + b * row[f + 3] + d * row[f + 6]
-    f4 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
-    f5 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
-    y = a * row[c] + b * row[c + 1] + d * row[c + 2]
-    a, b, d = T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
-    f6 = a * row[f] + b * row[f + 3] + d * row[f + 6]
-    f7 = a * row[f + 1] + b * row[f + 4] + d * row[f + 7]
-    f8 = a * row[f + 2] + b * row[f + 5] + d * row[f + 8]
-    z = a * row[c] + b * row[c + 1] + d * row[c + 2]
-    if layout[piece, KIND] == POINT:
-        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), x, y, z
-    return (f0, f1, f2, f3, f4, f5, f6, f7, f8), x, y, z
+    row, R, f, c = P.table[P.piece], rotation_of(P), FRAME_FACTOR, FRAME_CENTER
+    center = apply(R, (row[c], row[c + 1], row[c + 2]))
+    if P.layout[P.piece, KIND] == POINT:
+        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), center
+    one = apply(R, (row[f], row[f + 3], row[f + 6]))
+    two = apply(R, (row[f + 1], row[f + 4], row[f + 7]))
+    three = apply(R, (row[f + 2], row[f + 5], row[f + 8]))
+    return (one[0], two[0], three[0], one[1], two[1], three[1], one[2], two[2], three[2]), center
 
 
 @inline
@@ -469,18 +457,20 @@ def least_height(wide_a, FA, wide_b, FB, c, n, size):
 
 
 @inline
-def is_round(layout, piece):
+def is_round(P):
     """Whether the piece is an ellipsoid or a ball."""
-    return layout[piece, KIND] == ELLIPSOID or layout[piece, KIND] == POINT
+    kind = P.layout[P.piece, KIND]
+    return kind in (ELLIPSOID, POINT)
 
 
 @inline
-def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result):
+def round_distance(A, B, n, size, result):
     """Signed distance of two pieces that are ellipsoids or balls.
 
     Parameters
     ----------
-    nx, ny, nz : float
+    A, B : Placed
+    n : tuple of 3 float
         Where to look first: a normal from A to B, of any length.
     size : float
         Upper bound on the lengths involved.
@@ -493,19 +483,17 @@ def round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, resul
         `gap` is what the proof of the global minimum leaves open, or how far the witnesses are off each other
         across the normal if that is more.
     """
-    FA, ax, ay, az = _image(ta, la, i, Ta, ka)
-    FB, bx, by, bz = _image(tb, lb, j, Tb, kb)
-    bx += Tb[kb, 0, 3] - Ta[ka, 0, 3]
-    by += Tb[kb, 1, 3] - Ta[ka, 1, 3]
-    bz += Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    c = (bx - ax, by - ay, bz - az)
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    n = (nx / length, ny / length, nz / length) if 0.0 < length < np.inf else (0.0, 0.0, 1.0)
-    n, h, lower, slope = least_height(la[i, KIND] == ELLIPSOID, FA, lb[j, KIND] == ELLIPSOID, FB, c, n, size)
+    FA, a = _image(A)
+    FB, b = _image(B)
+    b = plus(b, shift_between(A, B))
+    length = np.sqrt(dot(n, n))
+    n = (n[0] / length, n[1] / length, n[2] / length) if 0.0 < length < np.inf else (0.0, 0.0, 1.0)
+    wide_a, wide_b = A.layout[A.piece, KIND] == ELLIPSOID, B.layout[B.piece, KIND] == ELLIPSOID
+    n, h, lower, slope = least_height(wide_a, FA, wide_b, FB, minus(b, a), n, size)
     _, px, py, pz = _support(FA, n[0], n[1], n[2])
     _, qx, qy, qz = _support(FB, n[0], n[1], n[2])
-    ra, rb = ta[i, ROUNDING], tb[j, ROUNDING]
+    ra, rb = A.table[A.piece, ROUNDING], B.table[B.piece, ROUNDING]
     result[0], result[1], result[2] = n
-    result[3], result[4], result[5] = ax + px + ra * n[0], ay + py + ra * n[1], az + pz + ra * n[2]
-    result[6], result[7], result[8] = bx - qx - rb * n[0], by - qy - rb * n[1], bz - qz - rb * n[2]
+    result[3], result[4], result[5] = a[0] + px + ra * n[0], a[1] + py + ra * n[1], a[2] + pz + ra * n[2]
+    result[6], result[7], result[8] = b[0] - qx - rb * n[0], b[1] - qy - rb * n[1], b[2] - qz - rb * n[2]
     return -h - ra - rb, max(h - lower, slope)

@@ -20,7 +20,9 @@ from numba.extending import intrinsic
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
-from loewner._kernels.pieces.shapes import POINTS_FROM, POINTS_TO, REACH
+from loewner._kernels.narrow.gjk_robust import rounding_error
+from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.shapes import POINTS_FROM, POINTS_TO, rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask, maximum, minimum, movemask, select, store
 
 SETTLED, UNSETTLED = 0, 1
@@ -115,19 +117,17 @@ def _lanes(typingctx, x):
 
 
 @inline
-def _place(layout, points, piece, T, t, x, y, z, W, at):
-    """Write a polytope's corners, rotated and shifted by (x, y, z), in whole vectors; returns how many vectors."""
-    first = layout[piece, POINTS_FROM]
-    vectors = (layout[piece, POINTS_TO] - first) // 8
-    r00, r01, r02 = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
-    r10, r11, r12 = T[t, 1, 0], T[t, 1, 1], T[t, 1, 2]
-    r20, r21, r22 = T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
+def _place(P, shift, W, at):
+    """Write a polytope's corners, rotated and shifted, in whole vectors; returns how many vectors."""
+    first = P.layout[P.piece, POINTS_FROM]
+    vectors = (P.layout[P.piece, POINTS_TO] - first) // 8
+    R = rotation_of(P)
     for c in range(vectors):
         i = 3 * (first + 8 * c)  # see `blocks`
-        px, py, pz = load(points, i), load(points, i + 8), load(points, i + 16)
-        store(W, at + 8 * c, px * r00 + py * r01 + pz * r02 + x)
-        store(W, at + MAX_CORNERS + 8 * c, px * r10 + py * r11 + pz * r12 + y)
-        store(W, at + 2 * MAX_CORNERS + 8 * c, px * r20 + py * r21 + pz * r22 + z)
+        px, py, pz = load(P.points, i), load(P.points, i + 8), load(P.points, i + 16)
+        store(W, at + 8 * c, px * R[0] + py * R[1] + pz * R[2] + shift[0])
+        store(W, at + MAX_CORNERS + 8 * c, px * R[3] + py * R[4] + pz * R[5] + shift[1])
+        store(W, at + 2 * MAX_CORNERS + 8 * c, px * R[6] + py * R[7] + pz * R[8] + shift[2])
     return vectors
 
 
@@ -389,12 +389,13 @@ def _area(nx, ny, nz, ux, uy, uz, vx, vy, vz):
 
 
 @inline
-def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K, result):
+def overlap_depth(A, B, n, W, K, result):
     """Depth of two polytopes that overlap.
 
     Parameters
     ----------
-    nx, ny, nz : float
+    A, B : Placed
+    n : tuple of 3 float
         Where to look first: a normal from A to B, of any length.
     W, K : ndarray
         Work space, see `workspace`.
@@ -409,15 +410,15 @@ def overlap_depth(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, W, K
         Bounds on the depth to within rounding; `upper` is that of the support plane of the normal.
     """
     # Inlined, so that only three arrays are handed on: passing all of them costs as much as this does.
-    dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
-    dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
-    dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    error = POSITION_ROUNDINGS * (ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz))
+    shift = shift_between(A, B)
+    error = rounding_error(A, B, shift)
+    corners_a = A.layout[A.piece, POINTS_TO] - A.layout[A.piece, POINTS_FROM]
+    corners_b = B.layout[B.piece, POINTS_TO] - B.layout[B.piece, POINTS_FROM]
     vectors_a = vectors_b = 0
-    if max(la[i, POINTS_TO] - la[i, POINTS_FROM], lb[j, POINTS_TO] - lb[j, POINTS_FROM]) <= MAX_CORNERS:
-        vectors_a = _place(la, xa, i, Ta, ka, 0.0, 0.0, 0.0, W, _A)
-        vectors_b = _place(lb, xb, j, Tb, kb, dx, dy, dz, W, _B)
-    return _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result)
+    if max(corners_a, corners_b) <= MAX_CORNERS:
+        vectors_a = _place(A, (0.0, 0.0, 0.0), W, _A)
+        vectors_b = _place(B, shift, W, _B)
+    return _placed_depth(vectors_a, vectors_b, error, n[0], n[1], n[2], W, K, result)
 
 
 @njit()

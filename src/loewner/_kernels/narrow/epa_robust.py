@@ -10,6 +10,8 @@ References
 van den Bergen (2001), "Proximity queries and penetration depth computation on 3D game objects".
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from loewner._kernels._jit import njit
@@ -34,10 +36,24 @@ DEPTH_ACCURACY = 1e-11  # what a distance query asks for
 CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
 
+class Workspace(NamedTuple):
+    """Arrays that `penetration` writes to: support points, faces, and the lists of the face search."""
+
+    S: Any
+    corners: Any
+    neighbors: Any
+    normals: Any
+    offsets: Any
+    alive: Any
+    free: Any
+    horizon: Any
+    stack: Any
+
+
 @njit()
-def _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+def _support(A, B, shift, n, S, k):
     """`minkowski_support`, called instead of inlined: there are many calls here and each is rare."""
-    minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
+    minkowski_support(A, B, shift, n, S, k)
 
 
 @njit()
@@ -75,11 +91,11 @@ def _face(S, corners, normals, offsets, f):
 
 
 @njit()
-def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S):
+def _first_tetrahedron(A, B, shift, S):
     """Four support points that span a volume, written to rows 0..3 of S."""
     rows = np.arange(5)  # as data: the functions below would be compiled once per constant
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, 1.0, 0.0, 0.0, S, rows[0])
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -1.0, 0.0, 0.0, S, rows[1])
+    _support(A, B, shift, (1.0, 0.0, 0.0), S, rows[0])
+    _support(A, B, shift, (-1.0, 0.0, 0.0), S, rows[1])
     # Third: across the line, both ways; fourth: across the plane, both ways; the farther wins.
     ex = S[1, 0] - S[0, 0]
     ey = S[1, 1] - S[0, 1]
@@ -90,14 +106,11 @@ def _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
         px, py, pz = ez, 0.0, -ex
     else:
         px, py, pz = -ey, ex, 0.0
-    _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, px, py, pz, S, rows[2])
+    _farther(A, B, shift, (px, py, pz), S, rows[2])
     ux = S[2, 0] - S[0, 0]
     uy = S[2, 1] - S[0, 1]
     uz = S[2, 2] - S[0, 2]
-    _farther(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
-        ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux, S, rows[3],
-    )  # fmt: skip
+    _farther(A, B, shift, (ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux), S, rows[3])
 
 
 @njit()
@@ -144,16 +157,17 @@ def _flat_normal(S, error, result):
 
 
 @njit()
-def _farther(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+def _farther(A, B, shift, n, S, k):
+    nx, ny, nz = n
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     if not length > 0.0:
         nx, ny, nz, length = 1.0, 0.0, 0.0, 1.0
     nx /= length
     ny /= length
     nz /= length
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k)
+    _support(A, B, shift, (nx, ny, nz), S, k)
     one = nx * (S[k, 0] - S[0, 0]) + ny * (S[k, 1] - S[0, 1]) + nz * (S[k, 2] - S[0, 2])
-    _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, k + 1)
+    _support(A, B, shift, (-nx, -ny, -nz), S, k + 1)
     two = nx * (S[k + 1, 0] - S[0, 0]) + ny * (S[k + 1, 1] - S[0, 1]) + nz * (S[k + 1, 2] - S[0, 2])
     if abs(two) > abs(one):
         for c in range(9):
@@ -251,16 +265,14 @@ def _expand(S, corners, neighbors, normals, offsets, alive, free, counts, first,
 
 
 @njit()
-def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accuracy, S, corners, neighbors, normals,
-                offsets, alive, free, horizon, stack, result):  # fmt: skip
+def penetration(A, B, shift, accuracy, work, result):
     """Depth of the cores' penetration.
 
     Parameters
     ----------
     accuracy : float
         Gap of the bounds to stop at, relative to the lengths involved.
-    S ... stack : ndarray
-        Work space, see `workspace`.
+    work : Workspace
     result : ndarray, shape (9,)
         Receives the normal (from A to B) and the two deepest points.
 
@@ -270,9 +282,10 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         Both `FLAT` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
-    error = rounding_error(ta, i, tb, j, dx, dy, dz)
+    S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
+    error = rounding_error(A, B, shift)
     tolerance = error * (accuracy / POSITION_ROUNDINGS)
-    _first_tetrahedron(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S)
+    _first_tetrahedron(A, B, shift, S)
     for f in range(4):
         alive[f] = True
     if _flat_normal(S, error, result):
@@ -315,7 +328,7 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         ny = normals[nearest, 1]
         nz = normals[nearest, 2]
         # The least along -n is the farthest along n.
-        _support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, -nx, -ny, -nz, S, used)
+        _support(A, B, shift, (-nx, -ny, -nz), S, used)
         height = nx * S[used, 0] + ny * S[used, 1] + nz * S[used, 2]
         if height < upper:
             upper = height
@@ -332,9 +345,7 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
         return -np.inf, np.inf
     # If many directions tie, the faces are still coarse. Support points around the best normal, a hair's
     # breadth apart, carry a much finer face.
-    if upper - lower > WITNESS_WINDOW * error and _fine_foot(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result
-    ):
+    if upper - lower > WITNESS_WINDOW * error and _fine_foot(A, B, shift, S, used, result):
         return lower, upper
     # Several faces may share the nearest plane, and on curved pieces thin ones lie within rounding of
     # it. The foot of the origin is inside one of them: that one knows the witnesses.
@@ -352,7 +363,7 @@ def penetration(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, accura
 
 
 @njit()
-def _fine_foot(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used, result):
+def _fine_foot(A, B, shift, S, used, result):
     """Witnesses for the normal in `result` from the support points of five directions around it.
 
     The origin's foot must lie in a triangle of three of the points, seen along the normal; False if it lies in none.
@@ -370,10 +381,7 @@ def _fine_foot(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, S, used
     for r in range(5):
         a = HAIR * ((r == 1) - (r == 2))
         b = HAIR * ((r == 3) - (r == 4))
-        _support(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz,
-            -(nx + a * ux + b * wx), -(ny + a * uy + b * wy), -(nz + a * uz + b * wz), S, used + r,
-        )  # fmt: skip
+        _support(A, B, shift, (-(nx + a * ux + b * wx), -(ny + a * uy + b * wy), -(nz + a * uz + b * wz)), S, used + r)
     for p in range(used, used + 5):
         for q in range(p + 1, used + 5):
             for r in range(q + 1, used + 5):
@@ -445,14 +453,14 @@ def workspace(wanted):
     """Arrays that `penetration` writes to; one set serves any number of calls in turn."""
     points = MAX_POINTS + 8 if wanted else 1
     faces = MAX_FACES if wanted else 1
-    return (
-        np.empty((points, 9)),
-        np.empty((faces, 3), np.int64),
-        np.empty((faces, 3), np.int64),
-        np.empty((faces, 3)),
-        np.empty(faces),
-        np.zeros(faces, np.bool_),
-        np.empty(faces, np.int64),
-        np.empty((faces, 2), np.int64),
-        np.empty((faces, 2), np.int64),
+    return Workspace(
+        S=np.empty((points, 9)),
+        corners=np.empty((faces, 3), np.int64),
+        neighbors=np.empty((faces, 3), np.int64),
+        normals=np.empty((faces, 3)),
+        offsets=np.empty(faces),
+        alive=np.zeros(faces, np.bool_),
+        free=np.empty(faces, np.int64),
+        horizon=np.empty((faces, 2), np.int64),
+        stack=np.empty((faces, 2), np.int64),
     )

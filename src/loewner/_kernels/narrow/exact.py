@@ -1,86 +1,69 @@
-"""The exact answer for one piece pair by the fast searches; what they leave open is for `careful`."""
+"""The exact answer for one piece pair by the fast searches; what they leave open is for `pipeline.fallback`."""
 
-from loewner._kernels._jit import inline, njit
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_PLANE, BY_SEARCH, COLLIDING, FREE, OPEN
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
-from loewner._kernels.narrow.gjk_fast import INSIDE, near, put_pair, quick
-from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, swollen_radii
+from loewner._kernels.linalg3 import dot
+from loewner._kernels.narrow.gjk_fast import INSIDE, begin, decide, measure
+from loewner._kernels.narrow.gjk_fast import workspace as points_workspace
+from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, rounding_error, swollen_radii
+from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
 
 
+class Workspace(NamedTuple):
+    """What the searches write to: `gjk_fast.workspace`, and nine numbers."""
+
+    points: Any
+    result: Any
+
+
+@njit()
+def workspace():
+    """Make a workspace; one serves any number of pairs in turn."""
+    return Workspace(points_workspace(), np.empty(9))
+
+
 @inline
-def exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, nx, ny, nz, W, result):
+def exact_piece_pair(A, B, margin, n, work):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
     Parameters
     ----------
-    size : float
-        Lengths that the positions are made of: both reaches and the difference of the translations (1-norm).
-    nx, ny, nz : float
-        Direction from a to b to start from: the contact normal of the outer ellipsoids.
-    W, result : ndarray
-        `pair_search.scratch`, and room for nine numbers.
+    A, B : Placed
+    margin : float
+        Distance that the pieces must keep, >= 0.
+    n : tuple of 3 float
+        Direction from A to B to start from: the contact normal of the outer ellipsoids.
+    work : Workspace
 
     Returns
     -------
     verdict, tier : int
         AMBIGUOUS with tier OPEN if the searches could not settle it.
     """
-    dx = Tb[kb, 0, 3] - Ta[ka, 0, 3]
-    dy = Tb[kb, 1, 3] - Ta[ka, 1, 3]
-    dz = Tb[kb, 2, 3] - Ta[ka, 2, 3]
-    if not nx * nx + ny * ny + nz * nz > 0.0:
-        nx, ny, nz = 1.0, 0.0, 0.0
-    error = POSITION_ROUNDINGS * size
-    radii = radius(ta, la, i) + radius(tb, lb, j)
+    if not dot(n, n) > 0.0:
+        n = (1.0, 0.0, 0.0)
+    shift = shift_between(A, B)
+    error = rounding_error(A, B, shift)
+    radii = radius(A) + radius(B)
     status, points = UNSETTLED, 1
-    ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
+    W = borrowed(work.points)
+    ends = begin(A, B, shift, W)
     if margin == 0.0 and radii == 0.0:
-        status, nx, ny, nz, points = quick(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error
-        )
+        status, n, points = decide(A, B, shift, W, ends, n, error)
     if status == UNSETTLED:
-        return _by_distance(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error, margin,
-            radii, result,
-        )  # fmt: skip
+        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, borrowed(work.result))
     return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH
 
 
 @njit()
-def _by_distance(
-    ta,
-    la,
-    xa,
-    i,
-    Ta,
-    ka,
-    tb,
-    lb,
-    xb,
-    j,
-    Tb,
-    kb,
-    dx,
-    dy,
-    dz,
-    W,
-    ends_a,
-    ends_b,
-    nx,
-    ny,
-    nz,
-    error,
-    margin,
-    radii,
-    result,
-):
-    """Settle a pair with radii or a margin, or one that `quick` left; apart from the rest, which is to be short."""
-    swollen = swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
-    status, _, _ = near(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error,
-        margin + radii, margin + swollen, result,
-    )  # fmt: skip
+def _by_distance(A, B, shift, W, ends, n, error, margin, radii, result):
+    """Settle a pair with radii or a margin, or one that `decide` left; apart from the rest, which is to be short."""
+    status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:
         return FREE, BY_SEARCH
     if status in (TOUCHING, INSIDE):

@@ -1,6 +1,6 @@
 """The careful GJK on two placed pieces: a proof of separation, a common point, or the distance.
 
-`pair_search` answers nearly all pairs faster; what it leaves comes here.
+`gjk_fast` answers nearly all pairs faster; what it leaves comes here.
 
 Works in the world's axes with the origin at the first body's translation, so that a pair far from
 the world's origin loses nothing: only the difference of the translations enters.
@@ -15,9 +15,9 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, dot, minus, negated, plus
 from loewner._kernels.narrow.simplex import closest, direction
-from loewner._kernels.pieces.shapes import REACH, ROUNDING, placed_support
+from loewner._kernels.pieces.shapes import ROUNDING, placed_support, reach
 
 APART, TOUCHING, UNSETTLED = 0, 1, 2
 
@@ -36,28 +36,25 @@ TOUCH_ROUNDINGS = 128.0
 
 
 @inline
-def minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, S, k):
+def minkowski_support(A, B, shift, n, S, k):
     """Write to row k of S the point of A - B that lies least far along n, and where it came from."""
-    ax, ay, az = placed_support(ta, la, xa, i, Ta, ka, -nx, -ny, -nz)
-    bx, by, bz = placed_support(tb, lb, xb, j, Tb, kb, nx, ny, nz)
-    bx += dx
-    by += dy
-    bz += dz
-    S[k, 0] = ax - bx
-    S[k, 1] = ay - by
-    S[k, 2] = az - bz
-    S[k, 3] = ax
-    S[k, 4] = ay
-    S[k, 5] = az
-    S[k, 6] = bx
-    S[k, 7] = by
-    S[k, 8] = bz
+    a = placed_support(A, negated(n))
+    b = plus(placed_support(B, n), shift)
+    S[k, 0], S[k, 1], S[k, 2] = minus(a, b)
+    S[k, 3], S[k, 4], S[k, 5] = a
+    S[k, 6], S[k, 7], S[k, 8] = b
 
 
 @inline
-def rounding_error(ta, i, tb, j, dx, dy, dz):
+def rounding_error(A, B, shift):
     """Bound on the error of any computed dot product of a unit vector with a point of A - B."""
-    return POSITION_ROUNDINGS * (ta[i, REACH] + tb[j, REACH] + abs(dx) + abs(dy) + abs(dz))
+    return POSITION_ROUNDINGS * lengths(A, B, shift)
+
+
+@inline
+def lengths(A, B, shift):
+    """Sum of the lengths that the points of A - B are made of."""
+    return reach(A) + reach(B) + abs(shift[0]) + abs(shift[1]) + abs(shift[2])
 
 
 @njit()
@@ -74,15 +71,15 @@ def stretch(T, t):
 
 
 @inline
-def swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb):
+def swollen_radii(A, B):
     """Sum of the rounding radii, as large as the two poses can make them."""
-    if ta[i, ROUNDING] == 0.0 and tb[j, ROUNDING] == 0.0:
+    if A.table[A.piece, ROUNDING] == 0.0 and B.table[B.piece, ROUNDING] == 0.0:
         return 0.0
-    return ta[i, ROUNDING] * stretch(Ta, ka) + tb[j, ROUNDING] * stretch(Tb, kb)
+    return A.table[A.piece, ROUNDING] * stretch(A.poses, A.row) + B.table[B.piece, ROUNDING] * stretch(B.poses, B.row)
 
 
 @njit()
-def run(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, limit, settle, S, weights, v, d):
+def run(A, B, shift, n, limit, settle, S, weights, v, d):
     """Run GJK from the separating direction n (from A to B; any non-zero vector will do).
 
     Parameters
@@ -103,20 +100,18 @@ def run(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, li
     k : int
         Rows of the simplex left, with `weights`, `v` (from B's near point to A's) and its direction `d`.
     """
-    radii = ta[i, ROUNDING] + tb[j, ROUNDING]
-    reach = limit + radii
-    far = limit + swollen_radii(ta, i, Ta, ka, tb, j, Tb, kb)
-    error = rounding_error(ta, i, tb, j, dx, dy, dz)
+    radii = A.table[A.piece, ROUNDING] + B.table[B.piece, ROUNDING]
+    near = limit + radii
+    far = limit + swollen_radii(A, B)
+    error = rounding_error(A, B, shift)
     lower = -np.inf
-    norm = np.sqrt(nx * nx + ny * ny + nz * nz)
-    d[0] = -nx / norm
-    d[1] = -ny / norm
-    d[2] = -nz / norm
+    norm = np.sqrt(dot(n, n))
+    d[0], d[1], d[2] = -n[0] / norm, -n[1] / norm, -n[2] / norm
     k = 0
     length = np.inf
     stalls = 0
     for _ in range(MAX_ROUNDS):
-        minkowski_support(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, d[0], d[1], d[2], S, k)
+        minkowski_support(A, B, shift, (d[0], d[1], d[2]), S, k)
         plane = d[0] * S[k, 0] + d[1] * S[k, 1] + d[2] * S[k, 2]
         if plane - error > lower:
             lower = plane - error
@@ -136,7 +131,7 @@ def run(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, li
         if k == 4:
             return TOUCHING, -np.inf, -np.inf, k
         length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if settle and length <= reach:
+        if settle and length <= near:
             return TOUCHING, lower - radii, length - radii, k
         if length <= error or not direction(S, k, v, d) > 0.0:
             break
@@ -149,7 +144,7 @@ def run(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, li
             stalls = 0
     if lower > far:
         status = APART
-    elif length <= reach + 2.0 * error or length - lower <= TOUCH_ROUNDINGS * error:
+    elif length <= near + 2.0 * error or length - lower <= TOUCH_ROUNDINGS * error:
         status = TOUCHING
     else:
         status = UNSETTLED

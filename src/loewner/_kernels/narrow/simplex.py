@@ -12,8 +12,14 @@ always an upper bound on the distance; GJK proves the lower bound by itself.
 
 import numpy as np
 
-from loewner._kernels._jit import njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, along, cross, dot, minus
+
+
+@inline
+def row(S, k):
+    """Point k of the simplex."""
+    return S[k, 0], S[k, 1], S[k, 2]
 
 
 @njit()
@@ -33,87 +39,57 @@ def _combine(S, k, weights, v):
 
 
 @njit()
-def segment_weight(ax, ay, az, bx, by, bz):
+def segment_weight(a, b):
     """Weight of b in the point of the segment ab closest to the origin."""
-    dx = bx - ax
-    dy = by - ay
-    dz = bz - az
-    squared = dx * dx + dy * dy + dz * dz
+    d = minus(b, a)
+    squared = dot(d, d)
     if squared <= 0.0:
         return 0.0
     # Measure from the nearer end: the product loses nothing there.
-    if ax * ax + ay * ay + az * az <= bx * bx + by * by + bz * bz:
-        t = -(ax * dx + ay * dy + az * dz) / squared
-    else:
-        t = 1.0 - (bx * dx + by * dy + bz * dz) / squared
+    t = -dot(a, d) / squared if dot(a, a) <= dot(b, b) else 1.0 - dot(b, d) / squared
     return min(1.0, max(0.0, t))
 
 
 @njit()
-def triangle_weights(ax, ay, az, bx, by, bz, cx, cy, cz):
+def triangle_weights(a, b, c):
     """Barycentric weights of the point of a triangle closest to the origin."""
-    abx = bx - ax
-    aby = by - ay
-    abz = bz - az
-    acx = cx - ax
-    acy = cy - ay
-    acz = cz - az
-    d1 = -(abx * ax + aby * ay + abz * az)
-    d2 = -(acx * ax + acy * ay + acz * az)
+    ab, ac = minus(b, a), minus(c, a)
+    d1, d2 = -dot(ab, a), -dot(ac, a)
     if d1 <= 0.0 and d2 <= 0.0:
         return 1.0, 0.0, 0.0
-    d3 = -(abx * bx + aby * by + abz * bz)
-    d4 = -(acx * bx + acy * by + acz * bz)
+    d3, d4 = -dot(ab, b), -dot(ac, b)
     if d3 >= 0.0 and d4 <= d3:
         return 0.0, 1.0, 0.0
-    d5 = -(abx * cx + aby * cy + abz * cz)
-    d6 = -(acx * cx + acy * cy + acz * cz)
+    d5, d6 = -dot(ab, c), -dot(ac, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     # Edge and face regions from the normal and one edge each. On curved pieces triangles get tiny while
     # their distance from the origin does not; every product here then has a small factor.
-    bcx = cx - bx
-    bcy = cy - by
-    bcz = cz - bz
-    nx = aby * acz - abz * acy
-    ny = abz * acx - abx * acz
-    nz = abx * acy - aby * acx
-    wc = nx * (ay * abz - az * aby) + ny * (az * abx - ax * abz) + nz * (ax * aby - ay * abx)
-    if wc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = segment_weight(ax, ay, az, bx, by, bz)
+    bc, n = minus(c, b), cross(ab, ac)
+    weight_c = dot(n, cross(a, ab))
+    if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = segment_weight(a, b)
         return 1.0 - t, t, 0.0
-    wb = nx * (acy * cz - acz * cy) + ny * (acz * cx - acx * cz) + nz * (acx * cy - acy * cx)
-    if wb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = segment_weight(ax, ay, az, cx, cy, cz)
+    weight_b = dot(n, cross(ac, c))
+    if weight_b <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = segment_weight(a, c)
         return 1.0 - t, 0.0, t
-    wa = nx * (by * bcz - bz * bcy) + ny * (bz * bcx - bx * bcz) + nz * (bx * bcy - by * bcx)
-    if wa <= 0.0 and d4 >= d3 and d5 >= d6:
-        t = segment_weight(bx, by, bz, cx, cy, cz)
+    weight_a = dot(n, cross(b, bc))
+    if weight_a <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = segment_weight(b, c)
         return 0.0, 1.0 - t, t
-    total = wa + wb + wc
-    if not (total > 0.0 and wa >= 0.0 and wb >= 0.0 and wc >= 0.0):
+    total = weight_a + weight_b + weight_c
+    if not (total > 0.0 and weight_a >= 0.0 and weight_b >= 0.0 and weight_c >= 0.0):
         # A triangle too thin for its own normal: the best of its edges is as good.
-        return _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz)
-    return wa / total, wb / total, wc / total
+        return _best_edge(a, b, c)
+    return weight_a / total, weight_b / total, weight_c / total
 
 
 @njit()
-def _best_edge(ax, ay, az, bx, by, bz, cx, cy, cz):
-    t = segment_weight(ax, ay, az, bx, by, bz)
-    u = segment_weight(bx, by, bz, cx, cy, cz)
-    w = segment_weight(cx, cy, cz, ax, ay, az)
-    px = ax + t * (bx - ax)
-    py = ay + t * (by - ay)
-    pz = az + t * (bz - az)
-    qx = bx + u * (cx - bx)
-    qy = by + u * (cy - by)
-    qz = bz + u * (cz - bz)
-    rx = cx + w * (ax - cx)
-    ry = cy + w * (ay - cy)
-    rz = cz + w * (az - cz)
-    p = px * px + py * py + pz * pz
-    q = qx * qx + qy * qy + qz * qz
-    r = rx * rx + ry * ry + rz * rz
+def _best_edge(a, b, c):
+    t, u, w = segment_weight(a, b), segment_weight(b, c), segment_weight(c, a)
+    on_ab, on_bc, on_ca = along(a, t, minus(b, a)), along(b, u, minus(c, b)), along(c, w, minus(a, c))
+    p, q, r = dot(on_ab, on_ab), dot(on_bc, on_bc), dot(on_ca, on_ca)
     if p <= q and p <= r:
         return 1.0 - t, t, 0.0
     if q <= r:
@@ -163,12 +139,12 @@ def closest(S, k, weights, v):
         _combine(S, 1, weights, v)
         return 1
     if k == 2:
-        t = segment_weight(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2])
+        t = segment_weight(row(S, 0), row(S, 1))
         weights[0] = 1.0 - t
         weights[1] = t
         return _compact(S, 2, weights, v)
     if k == 3:
-        wa, wb, wc = triangle_weights(S[0, 0], S[0, 1], S[0, 2], S[1, 0], S[1, 1], S[1, 2], S[2, 0], S[2, 1], S[2, 2])
+        wa, wb, wc = triangle_weights(row(S, 0), row(S, 1), row(S, 2))
         weights[0] = wa
         weights[1] = wb
         weights[2] = wc
@@ -187,9 +163,7 @@ def closest(S, k, weights, v):
         j = 1 if face > 1 else 2
         m = 2 if face == 3 else 3
         if _beyond(S, i, j, m, face, doubt):
-            wa, wb, wc = triangle_weights(
-                S[i, 0], S[i, 1], S[i, 2], S[j, 0], S[j, 1], S[j, 2], S[m, 0], S[m, 1], S[m, 2]
-            )
+            wa, wb, wc = triangle_weights(row(S, i), row(S, j), row(S, m))
             x = wa * S[i, 0] + wb * S[j, 0] + wc * S[m, 0]
             y = wa * S[i, 1] + wb * S[j, 1] + wc * S[m, 1]
             z = wa * S[i, 2] + wb * S[j, 2] + wc * S[m, 2]

@@ -29,6 +29,7 @@ whose cores are a segment and a point).
 import numpy as np
 
 from loewner._kernels._jit import inline
+from loewner._kernels.linalg3 import apply, apply_transposed
 from loewner._kernels.pieces.directions import candidates
 from loewner._kernels.simd.support import BLOCK, LINE, ask_line, entry_of, farthest, prefetch
 
@@ -67,9 +68,15 @@ def farthest_vertex(layout, points, piece, x, y, z):
 
 
 @inline
-def radius(table, layout, piece):
+def radius(P):
     """Rounding radius of a piece; the kind tells whether the table need be looked at."""
-    return table[piece, ROUNDING] if layout[piece, KIND] >= SEGMENT else 0.0
+    return P.table[P.piece, ROUNDING] if P.layout[P.piece, KIND] >= SEGMENT else 0.0
+
+
+@inline
+def reach(P):
+    """Upper bound on the distance of any point of the piece from its body's origin."""
+    return P.table[P.piece, REACH]
 
 
 @inline
@@ -131,20 +138,20 @@ def unit_support(kind, x, y, z):
 
 
 @inline
-def core_support(table, layout, points, piece, x, y, z):
-    """Farthest point of a piece's core along a direction, both in the body frame."""
-    kind = layout[piece, KIND]
+def core_support(P, n):
+    """Farthest point of a piece's core along a direction, both in the body frame; the pose does not matter."""
+    kind, p = P.layout[P.piece, KIND], P.piece
     if kind <= POLYTOPE:
-        i = farthest_vertex(layout, points, piece, x, y, z)
-        return points[i], points[i + BLOCK], points[i + 2 * BLOCK]
-    p, c, f = piece, FRAME_CENTER, FRAME_FACTOR
+        i = farthest_vertex(P.layout, P.points, p, n[0], n[1], n[2])
+        return P.points[i], P.points[i + BLOCK], P.points[i + 2 * BLOCK]
+    table, c, f = P.table, FRAME_CENTER, FRAME_FACTOR
     if kind == POINT:
         return table[p, c], table[p, c + 1], table[p, c + 2]
     ux, uy, uz = unit_support(
         kind,
-        table[p, f] * x + table[p, f + 3] * y + table[p, f + 6] * z,
-        table[p, f + 1] * x + table[p, f + 4] * y + table[p, f + 7] * z,
-        table[p, f + 2] * x + table[p, f + 5] * y + table[p, f + 8] * z,
+        table[p, f] * n[0] + table[p, f + 3] * n[1] + table[p, f + 6] * n[2],
+        table[p, f + 1] * n[0] + table[p, f + 4] * n[1] + table[p, f + 7] * n[2],
+        table[p, f + 2] * n[0] + table[p, f + 5] * n[1] + table[p, f + 8] * n[2],
     )
     return (
         table[p, c] + table[p, f] * ux + table[p, f + 1] * uy + table[p, f + 2] * uz,
@@ -154,19 +161,14 @@ def core_support(table, layout, points, piece, x, y, z):
 
 
 @inline
-def placed_support(table, layout, points, piece, T, t, x, y, z):
+def rotation_of(P):
+    """Rotation of a placed piece, nine entries in row order."""
+    T, t = P.poses, P.row
+    return T[t, 0, 0], T[t, 0, 1], T[t, 0, 2], T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
+
+
+@inline
+def placed_support(P, n):
     """Farthest point of a rotated (not translated) core along a direction in the world's axes."""
-    a, b, c = core_support(
-        table,
-        layout,
-        points,
-        piece,
-        T[t, 0, 0] * x + T[t, 1, 0] * y + T[t, 2, 0] * z,
-        T[t, 0, 1] * x + T[t, 1, 1] * y + T[t, 2, 1] * z,
-        T[t, 0, 2] * x + T[t, 1, 2] * y + T[t, 2, 2] * z,
-    )
-    return (
-        T[t, 0, 0] * a + T[t, 0, 1] * b + T[t, 0, 2] * c,
-        T[t, 1, 0] * a + T[t, 1, 1] * b + T[t, 1, 2] * c,
-        T[t, 2, 0] * a + T[t, 2, 1] * b + T[t, 2, 2] * c,
-    )
+    R = rotation_of(P)
+    return apply(R, core_support(P, apply_transposed(R, n)))

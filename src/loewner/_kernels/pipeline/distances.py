@@ -25,8 +25,10 @@ from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
-from loewner._kernels.narrow.gjk_fast import INSIDE, NEAREST, near, put_pair, scratch
+from loewner._kernels.narrow.gjk_fast import INSIDE, NEAREST, begin, measure
+from loewner._kernels.narrow.gjk_fast import workspace as points_workspace
 from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run
+from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import (
     INNER_CENTER,
     INNER_SHAPE,
@@ -352,9 +354,7 @@ def estimated_distance(F_outer, F_inner, width):
 
 
 @njit()
-def _distance_with_care(
-    ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, inside, work, result
-):
+def _distance_with_care(A, B, shift, n, error, inside, work, result):
     """Signed distance and gap where the fast search did not find them; the witnesses are those of the cores."""
     G = np.empty((4, 9))
     weights = np.empty(4)
@@ -363,26 +363,17 @@ def _distance_with_care(
     lower, upper = -np.inf, -np.inf
     status = TOUCHING
     if not inside:
-        status, lower, upper, k = run(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, 0.0, False, G, weights, np.empty(3), d
-        )
-    ra, rb = radius(ta, la, i), radius(tb, lb, j)
+        status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
+    ra, rb = radius(A), radius(B)
     if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
         _write(G, k, weights, d, result)
         return upper, upper - lower
-    S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
     # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
     # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
-    shallow, deep = penetration(
-        ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, DEPTH_ACCURACY,
-        S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
-    )  # fmt: skip
+    shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != FLAT and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
-        shallow, deep = penetration(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, CONTACT_ACCURACY,
-            S, corners, neighbors, normals, offsets, alive, free, horizon, stack, result,
-        )  # fmt: skip
+        shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
     if deep != FLAT:
         if graze:
             # An expanding polytope that does not hold the origin need not hold the origin's foot in
@@ -456,44 +447,43 @@ def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
     return found
 
 
+@inline
+def _is_curved(P):
+    return P.layout[P.piece, KIND] > POLYTOPE
+
+
 @njit()
 def _measure_near(count, queue, a, Ta, b, Tb, S, W, D, K, result, out):
     """Exact distances by the fast search; the lanes it leaves go to the front of the queue's last row."""
-    ta, la, xa, Ta = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(Ta)
-    tb, lb, xb, Tb = borrowed(b[0]), borrowed(b[1]), borrowed(b[2]), borrowed(Tb)
+    Ta, Tb = borrowed(Ta), borrowed(Tb)
     queue, S, W, result, distance = borrowed(queue), borrowed(S), borrowed(W), borrowed(result), borrowed(out[3])
     D, K = borrowed(D), borrowed(K)
     late = 0
     for lane in range(count):
         if lane + AHEAD < count:
-            prefetch_points(la, xa, queue[PIECE_A, lane + AHEAD])
-            prefetch_points(lb, xb, queue[PIECE_B, lane + AHEAD])
+            prefetch_points(a.layout, a.points, queue[PIECE_A, lane + AHEAD])
+            prefetch_points(b.layout, b.points, queue[PIECE_B, lane + AHEAD])
         if not S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
             continue
-        i, j, ka, kb = queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane], queue[POSE_B, lane]
-        dx, dy, dz = _three(S, SHIFT, lane)
-        nx, ny, nz = _three(S, NORMAL, lane)
+        A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
+        B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
+        shift, n = _three(S, SHIFT, lane), _three(S, NORMAL, lane)
         size = S[SIZE * LANES + lane]
-        if is_round(la, i) and is_round(lb, j):
-            value, gap = round_distance(ta, la, i, Ta, ka, tb, lb, j, Tb, kb, nx, ny, nz, size, result)
+        if is_round(A) and is_round(B):
+            value, gap = round_distance(A, B, n, size, result)
             _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, out)
             continue
-        plain = la[i, KIND] <= POLYTOPE and lb[j, KIND] <= POLYTOPE
+        plain = not (_is_curved(A) or _is_curved(B))
         if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
-            searched, shallow, deep = overlap_depth(
-                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, D, K, result
-            )
+            searched, shallow, deep = overlap_depth(A, B, n, D, K, result)
             if searched == DEPTH_SETTLED:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, out)
                 continue
         error = POSITION_ROUNDINGS * size
-        ends_a, ends_b = put_pair(la, xa, i, Ta, ka, lb, xb, j, Tb, kb, dx, dy, dz, W)
-        status, below, above = near(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, W, ends_a, ends_b, nx, ny, nz, error,
-            -np.inf, np.inf, result,
-        )  # fmt: skip
+        ends = begin(A, B, shift, W)
+        status, below, above = measure(A, B, shift, W, ends, n, error, -np.inf, np.inf, result)
         if status == NEAREST:
-            ra, rb = radius(ta, la, i), radius(tb, lb, j)
+            ra, rb = radius(A), radius(B)
             _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, out)
         else:
             queue[LATE, late] = 2 * lane + (status == INSIDE)
@@ -504,31 +494,25 @@ def _measure_near(count, queue, a, Ta, b, Tb, S, W, D, K, result, out):
 @njit()
 def _measure_late(late, queue, a, Ta, b, Tb, S, D, K, result, out):
     """Exact distances of the lanes that the fast search left; only they need the large work space."""
-    ta, la, xa = a[0], a[1], a[2]
-    tb, lb, xb = b[0], b[1], b[2]
     work = workspace(True)
     for m in range(late):
         lane = queue[LATE, m] // 2
         inside = queue[LATE, m] % 2 == 1
         if not S[BELOW * LANES + lane] < out[3][queue[PAIR, lane]]:
             continue
-        i, j, ka, kb = queue[PIECE_A, lane], queue[PIECE_B, lane], queue[POSE_A, lane], queue[POSE_B, lane]
-        dx, dy, dz = _three(S, SHIFT, lane)
-        nx, ny, nz = _three(S, NORMAL, lane)
+        A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
+        B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
+        shift, n = _three(S, SHIFT, lane), _three(S, NORMAL, lane)
         error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
-        if inside and la[i, KIND] <= POLYTOPE and lb[j, KIND] <= POLYTOPE:
-            searched, shallow, deep = overlap_depth(
-                ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, nx, ny, nz, D, K, result
-            )
+        curved = _is_curved(A) or _is_curved(B)
+        if inside and not curved:
+            searched, shallow, deep = overlap_depth(A, B, n, D, K, result)
             if searched == DEPTH_SETTLED:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, out)
                 continue
-        value, gap = _distance_with_care(
-            ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, dx, dy, dz, nx, ny, nz, error, inside, work, result
-        )
-        curved = la[i, KIND] > POLYTOPE or lb[j, KIND] > POLYTOPE
+        value, gap = _distance_with_care(A, B, shift, n, error, inside, work, result)
         tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
-        ra, rb = radius(ta, la, i), radius(tb, lb, j)
+        ra, rb = radius(A), radius(B)
         if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * S[SIZE * LANES + lane]:
             tolerance = -1.0  # a depth whose witnesses do not bear it out
         _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, out)
@@ -583,7 +567,7 @@ def _room(left, numbers, values):
 @njit()
 def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out):
     """Measure the queued piece pairs and merge them into the results of their pairs; how many are left by now."""
-    _bounds(count, queue, a[0], Ta, b[0], Tb, S)
+    _bounds(count, queue, a.table, Ta, b.table, Tb, S)
     lower, upper, estimate = out[0], out[1], out[2]
     for lane in range(count):
         k = queue[PAIR, lane]
@@ -595,8 +579,8 @@ def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, 
             guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
         else:
             guess = _rule_estimate(
-                rule, a[0], factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
-                b[0], factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
+                rule, a.table, factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
+                b.table, factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
             )  # fmt: skip
         estimate[k] = min(estimate[k], max(below, min(above, guess)))
     if exact:
@@ -629,8 +613,8 @@ def _measure_many(
 
 
 @njit()
-def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower, upper, estimate, distance, witness_a,
-                   witness_b, normal, status):  # fmt: skip
+def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, factors, lower, upper, estimate, distance,
+                   witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
     Operands as in `batch`; the last five arrays are written only if `exact`.
@@ -640,10 +624,11 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
     numbers, values : ndarray
         The piece pairs that the fast searches left, for `measure_left`: their pairs are not finished without it.
     """
+    a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
-    spaces = (scratch(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
+    spaces = (points_workspace(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
     out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
     numbers, values = np.empty((0, QUEUE), np.int64), np.empty((0, 2 * KEPT))
     count, left = np.int64(0), np.int64(0)
@@ -659,15 +644,15 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
         numbers, values = _room(left, numbers, values)
-        if a[8][ia] >= 0 or b[8][ib] >= 0:
+        if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             left = _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
             count = np.int64(0)
             left, numbers, values = _measure_many(
                 exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
             )
             continue
-        for i in range(a[3][ia], a[3][ia + 1]):
-            for j in range(b[3][ib], b[3][ib + 1]):
+        for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
+            for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
                 queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
                 queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
@@ -682,8 +667,9 @@ def distance_range(exact, rule, start, stop, plan, a, Ta, b, Tb, factors, lower,
 
 
 @njit()
-def measure_left(numbers, values, a, Ta, b, Tb, distance, witness_a, witness_b, normal, status):
+def measure_left(numbers, values, pack_a, Ta, pack_b, Tb, distance, witness_a, witness_b, normal, status):
     """Exact distances of the piece pairs that `distance_range` left; compiled only when there is one."""
+    a, b = pieces_of(pack_a), pieces_of(pack_b)
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
     D, K = depth_workspace(True)
@@ -715,8 +701,9 @@ def _world_ellipsoid(table, factors, piece, T, other, column, center, factor, se
 
 
 @njit()
-def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
+def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors, out):
     """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
+    a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
@@ -732,7 +719,7 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
         ib = row_of(k, shape, body_b)
         ka = row_of(k, shape, pose_a)
         kb = row_of(k, shape, pose_b)
-        if a[8][ia] >= 0 or b[8][ib] >= 0:
+        if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             if count > 0:
                 _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
                 count = np.int64(0)
@@ -743,8 +730,8 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
                     break
                 _decide(rule, margin, found, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
             continue
-        for i in range(a[3][ia], a[3][ia + 1]):
-            for j in range(b[3][ib], b[3][ib + 1]):
+        for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
+            for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
                 queue[PAIR, count], queue[PIECE_A, count], queue[PIECE_B, count] = k, i, j
                 queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
@@ -758,7 +745,7 @@ def rule_range(rule, margin, start, stop, plan, a, Ta, b, Tb, factors, out):
 @njit()
 def _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out):
     """Decide the queued piece pairs by a rule."""
-    ta, tb = a[0], b[0]
+    ta, tb = a.table, b.table
     _bounds(count, queue, ta, Ta, tb, Tb, S)
     for lane in range(count):
         k = queue[PAIR, lane]

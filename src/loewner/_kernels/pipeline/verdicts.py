@@ -32,11 +32,10 @@ from loewner._kernels.narrow.certificate import (
     POSE_B,
     ROWS,
 )
-from loewner._kernels.narrow.exact import exact_piece_pair
-from loewner._kernels.narrow.gjk_fast import scratch
-from loewner._kernels.pieces.pack import pieces_of
+from loewner._kernels.narrow.exact import exact_piece_pair, workspace
+from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.poses import RIGID, fault
-from loewner._kernels.pieces.shapes import LAYOUT, REACH, prefetch_vertices, prefetch_vertices_far
+from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
 from loewner._kernels.simd.support import prefetch
 from loewner._kernels.simd.vectors import SINGLE_LANES
 from loewner._kernels.trees import piece_tree as trees
@@ -107,8 +106,8 @@ def _fill(count, L):
 def _culled(count, margin, asking, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier):
     """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
     a, b = pieces_of(pack_a), pieces_of(pack_b)
-    done = single and lanes.single_spheres(count, margin, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier)
-    if not (done or lanes.spheres(count, margin, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier)):
+    done = single and lanes.single_spheres(count, margin, asking, a.single, Ta, moved_a, b.single, Tb, moved_b, L, tier)
+    if not (done or lanes.spheres(count, margin, asking, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier)):
         return -1
     left = 0
     for lane in range(count):
@@ -138,7 +137,7 @@ def _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
     _fill(unsure, again)
     tiers = np.empty(BLOCK, np.int8)
     W = np.empty(ROWS * BLOCK)
-    if not lanes.certify_best(unsure, 0.0, a[4], Ta, moved_a, b[4], Tb, moved_b, again, tiers, W):
+    if not lanes.certify_best(unsure, 0.0, a.hot, Ta, moved_a, b.hot, Tb, moved_b, again, tiers, W):
         return False
     n = 0
     for lane in range(count):
@@ -169,17 +168,17 @@ def _search(query, half, count, fresh, last, lists, state, out, tally):
     _, _, _, S, N, _, desk = lists
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     Ta, Tb, S, N, state = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(state)
-    together = margin == 0.0 and len(a[5]) > 0 and len(b[5]) > 0
+    together = margin == 0.0 and len(a.single) > 0 and len(b.single) > 0
     at, way = half * HALF, half * (ROWS * BLOCK)
     other = HALF - at
     walking = state[WALKING]
     for n in range(max(count, fresh)):
         if n < fresh:
-            prefetch_vertices_far(a[1], a[9], _entry(S, other + PIECE_A * BLOCK + n))
-            prefetch_vertices_far(b[1], b[9], _entry(S, other + PIECE_B * BLOCK + n))
+            prefetch_vertices_far(a.layout, a.vertices, _entry(S, other + PIECE_A * BLOCK + n))
+            prefetch_vertices_far(b.layout, b.vertices, _entry(S, other + PIECE_B * BLOCK + n))
         if n + AHEAD < count:
-            prefetch_vertices(a[1], a[9], _entry(S, at + PIECE_A * BLOCK + n + AHEAD))
-            prefetch_vertices(b[1], b[9], _entry(S, at + PIECE_B * BLOCK + n + AHEAD))
+            prefetch_vertices(a.layout, a.vertices, _entry(S, at + PIECE_A * BLOCK + n + AHEAD))
+            prefetch_vertices(b.layout, b.vertices, _entry(S, at + PIECE_B * BLOCK + n + AHEAD))
         if n >= count:
             continue
         k = _entry(S, at + PAIR * BLOCK + n)
@@ -188,11 +187,11 @@ def _search(query, half, count, fresh, last, lists, state, out, tally):
         i, j = _entry(S, at + PIECE_A * BLOCK + n), _entry(S, at + PIECE_B * BLOCK + n)
         ka, kb = _entry(S, at + POSE_A * BLOCK + n), _entry(S, at + POSE_B * BLOCK + n)
         x, y, z = _entry(N, way + n), _entry(N, way + BLOCK + n), _entry(N, way + 2 * BLOCK + n)
-        if not (together and walk.takes(a[1], i) and walk.takes(b[1], j)):
-            _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally)
+        if not (together and walk.takes(a.layout, i) and walk.takes(b.layout, j)):
+            _search_one(query, k, i, j, ka, kb, (x, y, z), desk, out, tally)
             continue
         walk.put(desk[0], walking, k, i, j, ka, kb, x, y, z)
-        free = walk.plane(a[5], a[1], a[9], i, Ta, ka, b[5], b[1], b[9], j, Tb, kb, x, y, z)
+        free = walk.plane(a.single, a.layout, a.vertices, i, Ta, ka, b.single, b.layout, b.vertices, j, Tb, kb, x, y, z)
         tally[BY_PLANE] += free
         walking += not free
         if walking == SINGLE_LANES:
@@ -211,7 +210,9 @@ def _walk(query, count, desk, out, tally):
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     L, N, _, found = desk[0]
     if count >= walk.FEW:
-        walk.settle(count, a[5], a[1], a[9], Ta, moved_a, b[5], b[1], b[9], Tb, moved_b, desk[0])
+        walk.settle(
+            count, a.single, a.layout, a.vertices, Ta, moved_a, b.single, b.layout, b.vertices, Tb, moved_b, desk[0]
+        )
     else:
         found[:count] = walk.OPEN
     for n in range(count):
@@ -219,7 +220,7 @@ def _walk(query, count, desk, out, tally):
         if found[n] == walk.OPEN:
             _search_one(
                 query, k, L[PIECE_A * SINGLE_LANES + n], L[PIECE_B * SINGLE_LANES + n], L[POSE_A * SINGLE_LANES + n],
-                L[POSE_B * SINGLE_LANES + n], N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n], desk, out, tally,
+                L[POSE_B * SINGLE_LANES + n], (N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n]), desk, out, tally,
             )  # fmt: skip
         else:
             tally[BY_SEARCH] += 1
@@ -228,16 +229,11 @@ def _walk(query, count, desk, out, tally):
 
 
 @njit()
-def _search_one(query, k, i, j, ka, kb, x, y, z, desk, out, tally):
+def _search_one(query, k, i, j, ka, kb, n, desk, out, tally):
     """Settle one open piece pair, whatever its pieces."""
     _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
-    ta, la, xa = pieces_of(pack_a)[:3]
-    tb, lb, xb = pieces_of(pack_b)[:3]
-    Ta, Tb = borrowed(Ta), borrowed(Tb)
-    size = ta[i, REACH] + tb[j, REACH]
-    for r in range(3):
-        size += abs(Tb[kb, r, 3] - Ta[ka, r, 3])
-    verdict, t = exact_piece_pair(ta, la, xa, i, Ta, ka, tb, lb, xb, j, Tb, kb, margin, size, x, y, z, desk[1], desk[2])
+    A, B = placed(pieces_of(pack_a), i, Ta, ka), placed(pieces_of(pack_b), j, Tb, kb)
+    verdict, t = exact_piece_pair(A, B, margin, n, desk[1])
     tally[t] += 1
     # In a body of many pieces another pair may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:
@@ -260,7 +256,7 @@ def _flush(query, hint, count, state, lists, out, tally):
         How many pairs are HELD for the search and in which half (TURN), are WAITING for the best s, and are WALKING.
     lists : tuple of ndarray
         L, the list; tier and V, what certificates write; S and N; U; and for the searches to write to:
-        `walk.workspace`, `pair_search.scratch`, nine numbers.
+        `gjk_batch.workspace` and `exact.workspace`.
 
     Returns
     -------
@@ -274,7 +270,7 @@ def _flush(query, hint, count, state, lists, out, tally):
     Ta, Tb, state = borrowed(Ta), borrowed(Tb), borrowed(state)
     listed = count
     _fill(count, L)
-    single = len(a[5]) > 0 and len(b[5]) > 0 and hint & CLOSE == 0
+    single = len(a.single) > 0 and len(b.single) > 0 and hint & CLOSE == 0
     if hint & FAR:
         count = _culled(count, margin, hint & ASKING != 0, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier)
         if count < 0:
@@ -285,12 +281,12 @@ def _flush(query, hint, count, state, lists, out, tally):
         _fill(count, L)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if margin > 0.0 or hint & BEST:
-        if not lanes.certify_best(count, margin, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V):
+        if not lanes.certify_best(count, margin, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier, V):
             return FAULTY
     else:
         asking = hint & (ASKING | FAR) == ASKING
-        done = single and lanes.single_certify(count, asking, a[5], Ta, moved_a, b[5], Tb, moved_b, L, tier, V)
-        if not (done or lanes.certify(count, asking, a[4], Ta, moved_a, b[4], Tb, moved_b, L, tier, V)):
+        done = single and lanes.single_certify(count, asking, a.single, Ta, moved_a, b.single, Tb, moved_b, L, tier, V)
+        if not (done or lanes.certify(count, asking, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier, V)):
             return FAULTY
         for lane in range(count):
             unsure += tier[lane] == lanes.UNSURE
@@ -340,8 +336,8 @@ def _flush(query, hint, count, state, lists, out, tally):
             S[np.uint64(at + row * BLOCK + n)] = _entry(L, row * BLOCK + lane)
         for row in range(ROWS):
             N[np.uint64(way + row * BLOCK + n)] = _entry(V, row * BLOCK + lane)
-        prefetch(a[1], _entry(L, PIECE_A * BLOCK + lane) * LAYOUT)
-        prefetch(b[1], _entry(L, PIECE_B * BLOCK + lane) * LAYOUT)
+        prefetch(a.layout, _entry(L, PIECE_A * BLOCK + lane) * LAYOUT)
+        prefetch(b.layout, _entry(L, PIECE_B * BLOCK + lane) * LAYOUT)
     if hint & DISTINCT:
         _search(query, state[TURN], state[HELD], held, False, lists, state, out, tally)
         state[HELD], state[TURN] = held, turn
@@ -429,7 +425,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     S = np.empty(2 * HALF, np.int64)
     U = np.empty(LISTS * BLOCK, np.int64)
     tier = np.empty(BLOCK, np.int8)
-    desk = walk.workspace(), scratch(), np.empty(9)
+    desk = walk.workspace(), workspace()
     lists, again = (L, tier, V, S, N, U, desk), (U, tier, V, S, N, L, desk)
     query = mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb)
     listed = rows.shape[1] > 0
@@ -437,7 +433,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     hint = np.int64(0)
     count = np.int64(0)
     state = np.zeros(STATES, np.int64)
-    if len(a[3]) == len(a[1]) + 1 and len(b[3]) == len(b[1]) + 1:
+    if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
         # One piece a body: nothing to look up.
         k = start
         while k < stop:
@@ -485,7 +481,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
         out[k] = FREE
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         # The trees may leave no piece pair at all, and nobody else would then look at the poses.
-        if (a[8][ia] >= 0 or b[8][ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
+        if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
         trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:

@@ -19,6 +19,8 @@ Rows of the block: S configurations, S a multiple of sixteen. Body b that moves 
 b S + s, piece p its ellipsoids in row p S + s; those that stand still follow, one row each.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
@@ -33,8 +35,8 @@ from loewner._kernels.codes import (
     FREE,
     OPEN,
 )
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, SHAPE_ROUNDINGS
-from loewner._kernels.linalg3 import apply, plus, rotated_shape, trace
+from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
+from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
 from loewner._kernels.narrow import certificate as lanes
 from loewner._kernels.narrow.certificate import (
     BLOCK,
@@ -50,9 +52,9 @@ from loewner._kernels.narrow.certificate import (
     SINGLE_ROUNDOFF,
     UNSURE,
 )
-from loewner._kernels.narrow.exact import exact_piece_pair
-from loewner._kernels.narrow.gjk_fast import scratch
-from loewner._kernels.pieces.pack import checking_of, pieces_of
+from loewner._kernels.narrow.exact import exact_piece_pair, workspace
+from loewner._kernels.narrow.gjk_robust import rounding_error
+from loewner._kernels.pieces.pack import checking_of, pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import (
     HOT,
     INNER_CENTER,
@@ -61,6 +63,7 @@ from loewner._kernels.pieces.shapes import (
     OUTER_RADIUS,
     OUTER_SHAPE,
     REACH,
+    reach,
 )
 from loewner._kernels.robots.kinematics import POSE, place_links, workspace_size
 from loewner._kernels.simd.vectors import (
@@ -93,7 +96,7 @@ OFF, LEAST = POSITION_ERROR * SINGLE_ROUNDOFF, 1e-15
 
 # Piece pairs that may wait for the exact search, and the columns of their list.
 WAITING = 512
-PAIR_NUMBER, STATE, A, B, T_A, T_B, ENTRIES = 0, 1, 2, 3, 4, 5, 6
+PAIR_NUMBER, STATE, A_PIECE, B_PIECE, T_A, T_B, ENTRIES = 0, 1, 2, 3, 4, 5, 6
 
 # Piece pairs are listed for the certificate by their rows in the block; and here by their pieces.
 BY_PIECE_A, BY_PIECE_B = 0, 1
@@ -101,16 +104,16 @@ BY_PIECE_A, BY_PIECE_B = 0, 1
 
 @inline
 def _place_piece(hot, p, R, t, S, at, numbers, rows):
-    """Write the ellipsoids of piece p at eight configurations; returns center, reach and squared half widths."""
+    """Write the ellipsoids of piece p at eight configurations; returns center, length and squared half widths."""
     outer = plus(apply(R, (hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])), t)
     inner = plus(apply(R, (hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])), t)
     k = OUTER_SHAPE
     P = rotated_shape(R, (hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5]))
     k = INNER_SHAPE
     Q = rotated_shape(R, (hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5]))
-    reach = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + hot[p, REACH]) * UP
+    length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + hot[p, REACH]) * UP
     radius = hot[p, OUTER_RADIUS] * UP
-    first, second = (*outer, broadcast(radius), *inner, reach), OUTER_SHAPE + 6
+    first, second = (*outer, broadcast(radius), *inner, length), OUTER_SHAPE + 6
     third = INNER_SHAPE + 6
     for lane in range(LANES):
         numbers[lane] = p * S + at + lane
@@ -123,7 +126,7 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
         rows, HOT, numbers, zero, INNER_SHAPE, (*Q, broadcast(hot[p, third] * UP), broadcast(0.0))
     )
     slack = SHAPE_ROUNDINGS * trace(P)
-    return outer, reach, (P[0] + slack, P[3] + slack, P[5] + slack)
+    return outer, length, (P[0] + slack, P[3] + slack, P[5] + slack)
 
 
 @inline
@@ -148,16 +151,16 @@ def _place(tree, Q, first, last, S, link, ball, piece_start, hot, W, numbers, T,
             scatter_transpose(T, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
             scatter_transpose(T, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one))
             p = piece_start[body]
-            center, reach, squares = _place_piece(hot, p, R, t, S, at, numbers, rows)
-            off = OFF * reach + LEAST
+            center, length, squares = _place_piece(hot, p, R, t, S, at, numbers, rows)
+            off = OFF * length + LEAST
             wide = off + ball[body, 3] * UP
             half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
             if piece_start[body + 1] - p > 1:
                 for other in range(p + 1, piece_start[body + 1]):
                     _place_piece(hot, other, R, t, S, at, numbers, rows)
                 center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
-                reach = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
-                wide = wide + OFF * reach
+                length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
+                wide = wide + OFF * length
                 half = wide, wide, wide
             k = body * BOUNDS * S + at
             store_rounded(bounds, k + X * S, center[0])
@@ -180,39 +183,53 @@ def _stand(S, moving, moving_pieces, poses, ellipsoids, T, rows):
             rows[moving_pieces * S + k, entry] = ellipsoids[k, entry]
 
 
+class Bounds(NamedTuple):
+    """Of one body at sixteen configurations: center of a ball and a box about it, radius, half widths."""
+
+    center: Any
+    radius: Any
+    half: Any
+
+
 @inline
 def _near(a, b, keep, live):
     """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`."""
-    x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    far = (a[3] + b[3]) + keep
+    r = minus(b.center, a.center)
+    far = (a.radius + b.radius) + keep
     far = far * np.float32(UP)
-    clear = (x * x + y * y + z * z) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
+    clear = dot(r, r) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
     live = live & ~movemask(clear)
     if live != 0:
         up = np.float32(UP)
-        clear = absolute(x) > ((a[4] + b[4]) + keep) * up
-        clear = clear | (absolute(y) > ((a[5] + b[5]) + keep) * up)
-        clear = clear | (absolute(z) > ((a[6] + b[6]) + keep) * up)
+        clear = absolute(r[0]) > ((a.half[0] + b.half[0]) + keep) * up
+        clear = clear | (absolute(r[1]) > ((a.half[1] + b.half[1]) + keep) * up)
+        clear = clear | (absolute(r[2]) > ((a.half[2] + b.half[2]) + keep) * up)
         live = live & ~movemask(clear)
     return live
 
 
 @inline
 def _bounds_at(bounds, at, S):
-    return (
-        load_single(bounds, at), load_single(bounds, at + S), load_single(bounds, at + 2 * S),
-        load_single(bounds, at + 3 * S), load_single(bounds, at + 4 * S), load_single(bounds, at + 5 * S),
-        load_single(bounds, at + 6 * S),
-    )  # fmt: skip
+    """Bounds of a body that moves."""
+    return Bounds(
+        (load_single(bounds, at + X * S), load_single(bounds, at + Y * S), load_single(bounds, at + Z * S)),
+        load_single(bounds, at + WIDE * S),
+        (
+            load_single(bounds, at + HALF_X * S),
+            load_single(bounds, at + HALF_Y * S),
+            load_single(bounds, at + HALF_Z * S),
+        ),
+    )
 
 
 @inline
 def _still(standing, k):
     """Bounds of a body that stands still, at all configurations."""
-    return (
-        broadcast(standing[k, 0]), broadcast(standing[k, 1]), broadcast(standing[k, 2]), broadcast(standing[k, 3]),
-        broadcast(standing[k, 4]), broadcast(standing[k, 5]), broadcast(standing[k, 6]),
-    )  # fmt: skip
+    return Bounds(
+        (broadcast(standing[k, X]), broadcast(standing[k, Y]), broadcast(standing[k, Z])),
+        broadcast(standing[k, WIDE]),
+        (broadcast(standing[k, HALF_X]), broadcast(standing[k, HALF_Y]), broadcast(standing[k, HALF_Z])),
+    )
 
 
 @inline
@@ -257,10 +274,10 @@ def _improve(held, a, T, L, tier, V, live, verdicts, tiers, hits, waiting):
         count = min(BLOCK, held - first)
         for lane in range(count):
             entry = waiting[first + lane]
-            L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane] = entry[A], entry[B]
+            L[PIECE_A * BLOCK + lane], L[PIECE_B * BLOCK + lane] = entry[A_PIECE], entry[B_PIECE]
             L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane] = entry[T_A], entry[T_B]
         _fill(count, L)
-        if not lanes.certify_best(count, 0.0, a[4], T, True, a[4], T, True, L, tier, V):
+        if not lanes.certify_best(count, 0.0, a.hot, T, True, a.hot, T, True, L, tier, V):
             tier[:count] = OPEN
         for lane in range(count):
             s = waiting[first + lane, STATE]
@@ -276,29 +293,21 @@ def _improve(held, a, T, L, tier, V, live, verdicts, tiers, hits, waiting):
 
 
 @njit()
-def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, result):
+def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, work):
     """Settle the pairs that wait by the exact searches."""
-    table, layout, points, T = borrowed(a[0]), borrowed(a[1]), borrowed(a[2]), borrowed(T)
-    W, result = borrowed(W), borrowed(result)
     for n in range(held):
         s = waiting[n, STATE]
         if verdicts[s] == COLLIDING:
             continue
-        i, j, ka, kb = waiting[n, A], waiting[n, B], waiting[n, T_A], waiting[n, T_B]
-        size = table[i, REACH] + table[j, REACH]
-        for r in range(3):
-            size += abs(T[kb, r, 3] - T[ka, r, 3])
         p = waiting[n, PAIR_NUMBER]
-        reach = table[i, REACH] + table[j, REACH] + margins[p]
-        widest = max(abs(T[kb, 0, 3] - T[ka, 0, 3]), abs(T[kb, 1, 3] - T[ka, 1, 3]), abs(T[kb, 2, 3] - T[ka, 2, 3]))
-        if widest - POSITION_ROUNDINGS * size > reach:
+        A, B = placed(a, waiting[n, A_PIECE], T, waiting[n, T_A]), placed(a, waiting[n, B_PIECE], T, waiting[n, T_B])
+        shift = shift_between(A, B)
+        widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
+        if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margins[p]:
             # Far beyond what single precision tells, where the squares of the search overflow.
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
-        verdict, tier = exact_piece_pair(
-            table, layout, points, i, T, ka, table, layout, points, j, T, kb, margins[p], size, N[n, 0], N[n, 1],
-            N[n, 2], W, result,
-        )  # fmt: skip
+        verdict, tier = exact_piece_pair(A, B, margins[p], (N[n, 0], N[n, 1], N[n, 2]), work)
         if verdict == COLLIDING:
             _hit(s, BY_SEARCH, live, verdicts, tiers)
             hits[p] += 1
@@ -309,10 +318,10 @@ def _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, W, res
 
 
 @njit()
-def _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result):
+def _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, work):
     """Settle the pairs that wait; none are left."""
     if mode == EXACT:
-        _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, P, result)
+        _search(held, a, T, margins, live, verdicts, tiers, hits, waiting, N, work)
     else:
         _improve(held, a, T, L, tier, V, live, verdicts, tiers, hits, waiting)
     return np.int64(0)
@@ -320,15 +329,15 @@ def _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers
 
 @njit()
 def _certify(
-    mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held, P, result
+    mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held, work
 ):  # fmt: skip
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
     hot, rows, T, L, G, tier, V = (
-        borrowed(a[4]), borrowed(rows), borrowed(T), borrowed(L), borrowed(G), borrowed(tier), borrowed(V),
+        borrowed(a.hot), borrowed(rows), borrowed(T), borrowed(L), borrowed(G), borrowed(tier), borrowed(V),
     )  # fmt: skip
     _fill(count, L)
     done = False
-    if keep == 0.0 and len(a[5]) > 0:
+    if keep == 0.0 and len(a.single) > 0:
         done = lanes.single_certify(count, False, rows, T, False, rows, T, False, L, tier, V)
     if not done:
         for lane in range(count):
@@ -350,7 +359,7 @@ def _certify(
         elif tier[lane] != BY_SPHERE and (mode == EXACT or tier[lane] == UNSURE):
             waiting[held, PAIR_NUMBER] = code // S
             waiting[held, STATE] = s
-            waiting[held, A], waiting[held, B] = G[BY_PIECE_A * BLOCK + lane], G[BY_PIECE_B * BLOCK + lane]
+            waiting[held, A_PIECE], waiting[held, B_PIECE] = G[BY_PIECE_A * BLOCK + lane], G[BY_PIECE_B * BLOCK + lane]
             waiting[held, T_A], waiting[held, T_B] = L[POSE_A * BLOCK + lane], L[POSE_B * BLOCK + lane]
             for row in range(3):
                 N[held, row] = V[(OUT_NORMAL + row) * BLOCK + lane]
@@ -359,9 +368,7 @@ def _certify(
             _leave(s, verdicts, tiers)
     # Last of all: it makes lists of its own in L.
     if held > WAITING - BLOCK:
-        held = _settle_waiting(
-            mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result
-        )
+        held = _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, work)
     return held
 
 
@@ -397,7 +404,7 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
     a = pieces_of(pack)
     tree, link, ball, pairs, margins, order, standing, standing_rows, standing_poses = checking_of(problem)
     moving, still = link.size, len(standing)
-    piece_start = a[3]
+    piece_start = a.piece_start
     moving_pieces = piece_start[moving]
     moves = fractions.size > 0
     most = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
@@ -424,8 +431,7 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
     walk = np.empty(trees.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
     found_b = np.empty(BLOCK, np.int64)
-    P = scratch()
-    result = np.empty(9)
+    work = workspace()
     first = np.int64(start)
     while first < stop:
         last = min(first + S, stop) - 1
@@ -435,7 +441,7 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
                 way[k - first, c] = straight if fractions[k] != 1.0 else Q[1, c]
         at = np.int64(0) if moves else first
         _place(
-            tree, way if moves else Q, at, at + (last - first), S, link, ball, piece_start, a[4], W, numbers, T, rows,
+            tree, way if moves else Q, at, at + (last - first), S, link, ball, piece_start, a.hot, W, numbers, T, rows,
             bounds,
         )  # fmt: skip
         for group in range(S // SINGLE_LANES):
@@ -453,8 +459,8 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
                 # The lists are of one margin.
                 if count > 0:
                     held = _certify(
-                        mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting,
-                        N, held, P, result,
+                        mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits,
+                        waiting, N, held, work,
                     )  # fmt: skip
                     count = np.int64(0)
                 keep = margins[p]
@@ -486,7 +492,7 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
                         if count == BLOCK:
                             held = _certify(
                                 mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits,
-                                waiting, N, held, P, result,
+                                waiting, N, held, work,
                             )  # fmt: skip
                             count = np.int64(0)
                         if more and verdicts[s] != COLLIDING:
@@ -499,11 +505,11 @@ def check_states(mode, start, stop, Q, fractions, pack, problem, out, tiers_out,
                             more = False
         if count > 0:
             held = _certify(
-                mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits, waiting, N, held,
-                P, result,
+                mode, keep, count, S, a, rows, T, margins, L, G, tier, V, live, verdicts, tiers, hits,
+                        waiting, N, held, work,
             )  # fmt: skip
         if held > 0:
-            _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, P, result)
+            _settle_waiting(mode, held, a, T, margins, L, tier, V, live, verdicts, tiers, hits, waiting, N, work)
         for s in range(last + 1 - first):
             out[first + s] = verdicts[s]
             tiers_out[first + s] = tiers[s]

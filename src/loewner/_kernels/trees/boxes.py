@@ -20,6 +20,7 @@ from numba.extending import intrinsic
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_width
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF
+from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
 
 WIDE = 8  # boxes in a group
@@ -143,14 +144,14 @@ def bounds(first, last, body_step, pose_step, pack, T, lower, upper):
     ----------
     body_step, pose_step : int
         1 if each body has its own pieces, its own pose; 0 if all share one.
-    pack : tuple of ndarray
-        Packed pieces, see `shapes`.
+    pack : int
+        Handle of packed pieces, see `pieces.pack`.
     T : ndarray, shape (..., 4, 4), one batch axis
     lower, upper : ndarray, shape (n, 3)
         Receive the corners, in metres.
     """
-    hot = pack[4]
-    start = pack[3]
+    pieces = pieces_of(pack)
+    hot, start = pieces.hot, pieces.piece_start
     for body in range(first, last):
         k = body * pose_step
         row = body * body_step

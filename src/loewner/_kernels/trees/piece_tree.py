@@ -99,8 +99,8 @@ def begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers):
     """
     steps[PIECE] = -1
     steps[B_NEXT], steps[B_END], steps[B_HEIGHT] = 0, 0, 0
-    steps[A_NEXT], steps[A_END], steps[A_HEIGHT] = a[3][ia], a[3][ia + 1], 0
-    root = a[8][ia]
+    steps[A_NEXT], steps[A_END], steps[A_HEIGHT] = a.piece_start[ia], a.piece_start[ia + 1], 0
+    root = a.roots[ia]
     size = 0.0
     for row in range(3):
         size += abs(Tb[kb, row, 3] - Ta[ka, row, 3])
@@ -143,8 +143,8 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
     int
         Pairs written; 0 at the end of the walk.
     """
-    hot_a, groups_a, children_a = a[4], a[6], a[7]
-    groups_b, children_b, root = b[6], b[7], b[8][ib]
+    hot_a, groups_a, children_a = a.hot, a.groups, a.children
+    groups_b, children_b, root = b.groups, b.children, b.roots[ib]
     reach = margin * (1.0 + BEND)
     count = 0
     while count < pieces_a.shape[0]:
@@ -177,7 +177,7 @@ def more(a, b, ib, margin, steps, numbers, pieces_a, pieces_b):
                 return count
             steps[PIECE] = piece
             if root < 0:
-                steps[B_NEXT], steps[B_END] = b[3][ib], b[3][ib + 1]
+                steps[B_NEXT], steps[B_END] = b.piece_start[ib], b.piece_start[ib + 1]
             else:
                 _place(hot_a, piece, numbers)
                 steps[B_STACK] = root
@@ -191,14 +191,14 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
 
     A guess to start from; `numbers` as from `begin`.
     """
-    hot_a, hot_b = a[4], b[4]
+    hot_a, hot_b = a.hot, b.hot
     c = OUTER_CENTER
-    j = b[3][ib]
-    i = a[3][ia]
+    j = b.piece_start[ib]
+    i = a.piece_start[ia]
     for _ in range(rounds):
         best = np.inf
         # The squared distance of a's center from b's, in b's frame.
-        for piece in range(a[3][ia], a[3][ia + 1]):
+        for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
             squared = 0.0
             for row in range(3):
                 squared += (_placed_center(hot_a, piece, numbers, row) - hot_b[j, c + row]) ** 2
@@ -209,7 +209,7 @@ def nearest_centers(a, ia, b, ib, numbers, rounds):
         x = _placed_center(hot_a, i, numbers, 0)
         y = _placed_center(hot_a, i, numbers, 1)
         z = _placed_center(hot_a, i, numbers, 2)
-        for piece in range(b[3][ib], b[3][ib + 1]):
+        for piece in range(b.piece_start[ib], b.piece_start[ib + 1]):
             squared = (x - hot_b[piece, c]) ** 2 + (y - hot_b[piece, c + 1]) ** 2 + (z - hot_b[piece, c + 2]) ** 2
             if squared < best:
                 best = squared
@@ -267,8 +267,8 @@ def _place(hot, piece, numbers):
 @njit()
 def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
     """Put a box around all of b, in a's frame, where the walk keeps it."""
-    hot = b[4]
-    root = b[8][ib]
+    hot = b.hot
+    root = b.roots[ib]
     c = OUTER_CENTER
     for row in range(3):
         shift = 0.0
@@ -278,7 +278,7 @@ def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
         low = np.inf
         high = -np.inf
         if root < 0:
-            for piece in range(b[3][ib], b[3][ib + 1]):
+            for piece in range(b.piece_start[ib], b.piece_start[ib + 1]):
                 width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
                 middle = x * hot[piece, c] + y * hot[piece, c + 1] + z * hot[piece, c + 2]
                 low = min(low, middle - width)
@@ -287,7 +287,7 @@ def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
             low = 0.0
             high = 0.0
             for axis, along in enumerate((x, y, z)):
-                near, far = _root_interval(b[6], root, axis)
+                near, far = _root_interval(b.groups, root, axis)
                 low += min(along * near, along * far)
                 high += max(along * near, along * far)
         error = POSITION_ROUNDINGS * numbers[SIZE]
@@ -309,13 +309,13 @@ def _root_interval(groups, root, axis):
 @njit()
 def _reach(a, ia):
     """Bound on the distance of any point of a body from its origin."""
-    root = a[8][ia]
+    root = a.roots[ia]
     reach = 0.0
     if root < 0:
-        for piece in range(a[3][ia], a[3][ia + 1]):
-            reach = max(reach, a[4][piece, REACH])
+        for piece in range(a.piece_start[ia], a.piece_start[ia + 1]):
+            reach = max(reach, a.hot[piece, REACH])
         return reach
     for axis in range(3):
-        low, high = _root_interval(a[6], root, axis)
+        low, high = _root_interval(a.groups, root, axis)
         reach += max(-low, high)
     return reach
