@@ -12,6 +12,7 @@ from loewner._kernels import codes as verdicts
 from loewner._kernels._jit import njit
 from loewner._kernels.narrow import gjk_batch as walk
 from loewner._kernels.pieces import shapes
+from loewner._kernels.simd.memory import Memory
 from loewner.queries import _prepare, _settle
 from oracles import differences, hull, pack, posed_gaps
 
@@ -30,18 +31,18 @@ FAMILIES = [
 
 
 @njit()
-def _ask(sa, la, xa, ia, Ta, moved_a, sb, lb, xb, ib, Tb, moved_b, N, width, found, free):
+def _ask(sa, la, xa, ia, Ta, moved_a, sb, lb, xb, ib, Tb, moved_b, N, width, found, free, memory):
     """What `walk.settle` says in groups of `width`, and `walk.plane` of each pair by itself."""
-    work = walk.workspace()
+    work = walk.workspace_at(memory)
     for first in range(0, len(N), width):
         count = min(width, len(N) - first)
         for n in range(count):
             k = first + n
             ka, kb = k if moved_a else 0, k if moved_b else 0
-            walk.put(work, n, k, ia[k], ib[k], ka, kb, N[k, 0], N[k, 1], N[k, 2])
-            free[k] = walk.plane(sa, la, xa, ia[k], Ta, ka, sb, lb, xb, ib[k], Tb, kb, N[k, 0], N[k, 1], N[k, 2])
+            walk.put(work, n, k, ia[k], ib[k], ka, kb, (N[k, 0], N[k, 1], N[k, 2]))
+            free[k] = walk.plane(sa, la, xa, ia[k], Ta, ka, sb, lb, xb, ib[k], Tb, kb, (N[k, 0], N[k, 1], N[k, 2]))
         walk.settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work)
-        found[first : first + count] = work[3][:count]
+        found[first : first + count] = work.found[:count]
 
 
 class Crowd(NamedTuple):
@@ -66,7 +67,8 @@ class Crowd(NamedTuple):
             operands += [single, layout, vertices, np.ascontiguousarray(rows[which]), poses, T is not None]
         N = np.ascontiguousarray(directions[which])
         found, free = np.full(len(N), -1, dtype=np.int8), np.zeros(len(N), dtype=bool)
-        _ask(*operands, N, width, found, free)
+        memory = Memory(walk.SIZE)
+        _ask(*operands, N, width, found, free, memory.address)
         return found, free
 
     def lengths(self, poses: bool) -> np.ndarray:

@@ -47,7 +47,7 @@ class CheckedPairs:
     bodies : Bodies
         The same, packed; what moves in the frame of its link.
     link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
-        See `handles.checking_of`.
+        See `pack.problem_of`.
     hits : ndarray of int64, shape (pairs,)
         Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
     handle : int
@@ -69,6 +69,7 @@ class CheckedPairs:
     standing_poses: Floats
     hits: Ints
     handle: int = field(init=False)
+    memory: int = field(init=False)
     _table: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +80,8 @@ class CheckedPairs:
         table = handles.table_of(arrays)
         object.__setattr__(self, "_table", table)
         object.__setattr__(self, "handle", table.ctypes.data)
+        memory = states.memory_size(self.bodies._packed.handle, self.handle, self.robot.dof)
+        object.__setattr__(self, "memory", memory)
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""

@@ -20,6 +20,7 @@ from loewner._check import Floats
 from loewner._kernels import codes as verdicts
 from loewner._kernels.robots import configurations as states
 from loewner._threads import in_shares
+from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Ints
 from loewner.checked_pairs import CheckedPairs, prepared
 from loewner.errors import ConvergenceError, InputError
@@ -46,7 +47,6 @@ BY_PAIR = 1024
 AT_ONCE = 50_000
 
 _OPEN = int(Verdict.AMBIGUOUS)
-_NO_FRACTIONS = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,7 +443,8 @@ class CollisionChecker:
         pack = ready.bodies._packed.handle
 
         def run(first: int, last: int) -> None:
-            states.check_states(mode, first, last, flat, _NO_FRACTIONS, pack, ready.handle, out, tiers, ready.hits)
+            memory = workspace(ready.memory)
+            states.check_configurations(mode, first, last, flat, pack, ready.handle, out, tiers, ready.hits, memory)
 
         in_shares(run, total, LEAST_SHARE)
         self._learn(ready, total)
@@ -469,16 +470,13 @@ class CollisionChecker:
         ready = self._ready()
         fractions = _coarse_first(self._parts(a, b, step))
         total = len(fractions)
-        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
-        ends, pack = np.array((a, b)), ready.bodies._packed.handle
-        done = states.check_states(
-            verdicts.EXACT, 0, total, ends, fractions, pack, ready.handle, out, tiers, ready.hits
+        out, pack = np.empty(total, dtype=np.int8), ready.bodies._packed.handle
+        verdict, settled = states.check_motion(
+            a, b, fractions, pack, ready.handle, out, ready.hits, workspace(ready.memory)
         )
-        self._learn(ready, done)
-        if not out[:done].any():
-            return True
-        if (out[:done] == Verdict.COLLIDING).any():
-            return False
+        self._learn(ready, settled)
+        if verdict != _OPEN:
+            return verdict == verdicts.FREE
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
         return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
 

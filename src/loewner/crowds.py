@@ -10,8 +10,10 @@ from loewner._check import Floats
 from loewner._kernels import codes as verdicts
 from loewner._kernels.pipeline import fallback as careful
 from loewner._kernels.pipeline import verdicts as batch
+from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._kernels.trees import boxes as boxtree
 from loewner._threads import in_shares
+from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Ints, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -141,7 +143,9 @@ def _settled(
         a, b = listed
         out = np.empty(count, dtype=np.int8)
         tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        batch.settle_range(mode, margin, 0, count, plan, listed, packed.handle, T, packed.handle, T, out, tally)
+        batch.settle_range(
+            mode, margin, 0, count, plan, listed, packed.handle, T, packed.handle, T, out, tally, workspace(WORKSPACE)
+        )
         if mode == verdicts.EXACT:
             if tally[verdicts.OPEN]:
                 careful.settle_open(margin, plan, listed, packed.handle, T, packed.handle, T, out)

@@ -17,7 +17,9 @@ from loewner._kernels import codes as verdicts
 from loewner._kernels.pipeline import distances
 from loewner._kernels.pipeline import fallback as careful
 from loewner._kernels.pipeline import verdicts as batch
+from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._threads import in_shares
+from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
 
@@ -233,7 +235,7 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
             out = np.empty(1, dtype=np.int8)
             tally = np.zeros(verdicts.TIERS, dtype=np.int64)
             handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
-            if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally):
+            if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, workspace(WORKSPACE)):
                 return int(out[0])
     return -1
 
@@ -244,7 +246,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
 
     def run(first: int, last: int) -> NDArray[np.int64]:
         tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        if not batch.settle_range(mode, margin, first, last, *pairs.handles, out, tally):
+        if not batch.settle_range(mode, margin, first, last, *pairs.handles, out, tally, workspace(WORKSPACE)):
             for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
                 _check.rigid_motions(T, name)
         return tally

@@ -81,16 +81,6 @@ SURE, SINGLE_SURE = 1e-6, 2e-3
 # What `certify` says where a better s may settle a pair.
 UNSURE = 7
 
-# Rows of the lists: the pair a piece pair belongs to, its pieces and poses; and the pieces and poses that a later block
-# will need, to be asked for while this one is computed.
-PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B = 0, 1, 2, 3, 4
-LATER = 4  # from a row of the list to the one with what comes later
-LISTS = 9
-
-# Rows of the array in which open pairs leave what the exact tests start from.
-OUT_NORMAL = 0
-ROWS = 3
-
 
 class Pose(NamedTuple):
     """Poses of several bodies: rotation (nine entries in row order), translation, and whether all are rigid motions."""
@@ -307,9 +297,9 @@ def _common(a, b, r, n, s, size, unit, sure):
 
 @inline
 def _put_normal(V, at, n):
-    store(V, OUT_NORMAL * BLOCK + at, n[0])
-    store(V, (OUT_NORMAL + 1) * BLOCK + at, n[1])
-    store(V, (OUT_NORMAL + 2) * BLOCK + at, n[2])
+    store(V, at, n[0])
+    store(V, BLOCK + at, n[1])
+    store(V, 2 * BLOCK + at, n[2])
 
 
 def _poses(fetch, everything, rigid_poses, one):
@@ -349,25 +339,25 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
     everything = 2**lanes - 1
 
     @njit()
-    def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier):
+    def spheres(count, margin, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, ahead, tier):
         """Write BY_SPHERE or OPEN to `tier` for each listed piece pair: the first stage by itself.
 
         Returns False where `certify` does.
         """
         for at in range(0, count, lanes):
             if asking:
-                prefetch(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
-                prefetch(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
+                prefetch(hot_a, HOT, ahead.piece_a, at)
+                prefetch(hot_b, HOT, ahead.piece_b, at)
             if asking and moved_a:
-                prefetch(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
+                prefetch(Ta, 16, ahead.pose_a, at)
             if asking and moved_b:
-                prefetch(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
-            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
-            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+                prefetch(Tb, 16, ahead.pose_b, at)
+            a = pose(Ta, listed.pose_a, at, moved_a)
+            b = pose(Tb, listed.pose_b, at, moved_b)
             if not (a.rigid and b.rigid):
                 return False
-            near_a = _bounds(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
-            near_b = _bounds(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+            near_a = _bounds(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+            near_b = _bounds(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
             r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
             size = size_of(a, near_a.reach, b, near_b.reach)
             far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, unit)
@@ -383,25 +373,27 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         return s, m
 
     @njit()
-    def certify(count, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+    def certify(count, asking, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, ahead, tier, V):
         """Certify the listed piece pairs, margin 0.
 
         Parameters
         ----------
         count : int
-            Piece pairs; the lists are filled with repeats up to whole vectors.
+            Piece pairs; the list is filled with repeats up to whole vectors.
         asking : bool
             Ask for what comes later; in portions between the computations, which a burst of it would hold up.
         hot_a, hot_b : ndarray, shape (P, HOT)
         Ta, Tb : ndarray, shape (N, 4, 4)
         moved_a, moved_b : bool
             False if the operand's only pose is the identity.
-        L : ndarray of int64, shape (LISTS * BLOCK,)
+        listed : PairList
             Pieces and poses of each pair.
+        ahead : PairList
+            Pieces and poses that a later block will need.
         tier : ndarray of int8
             Receives BY_SPHERE, BY_OUTER, BY_INNER, OPEN (no s settles the pair) or UNSURE.
-        V : ndarray, shape (ROWS * BLOCK,)
-            Receives the contact normals of the outer ellipsoids.
+        V : ndarray, shape (3 * BLOCK,)
+            Receives the contact normals of the outer ellipsoids: all x, then all y, then all z.
 
         Returns
         -------
@@ -410,15 +402,15 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
         """
         for at in range(0, count, lanes):
             if asking:
-                prefetch(hot_a, HOT, L, (LATER + PIECE_A) * BLOCK + at)
-            a = pose(Ta, L, POSE_A * BLOCK + at, moved_a)
-            b = pose(Tb, L, POSE_B * BLOCK + at, moved_b)
+                prefetch(hot_a, HOT, ahead.piece_a, at)
+            a = pose(Ta, listed.pose_a, at, moved_a)
+            b = pose(Tb, listed.pose_b, at, moved_b)
             if not (a.rigid and b.rigid):
                 return False
             rotated_a = moved_a and movemask(turns(a.R)) != 0
             rotated_b = moved_b and movemask(turns(b.R)) != 0
-            near_a = _bounds(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
-            near_b = _bounds(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+            near_a = _bounds(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+            near_b = _bounds(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
             size = size_of(a, near_a.reach, b, near_b.reach)
 
             r = _offset(a, rotated_a, near_a.outer_center, b, rotated_b, near_b.outer_center)
@@ -426,10 +418,10 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
             free = far
             inseparable = ~(far | ~far)
             if asking:
-                prefetch(hot_b, HOT, L, (LATER + PIECE_B) * BLOCK + at)
+                prefetch(hot_b, HOT, ahead.piece_b, at)
             if movemask(free) != everything:
-                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a.R, rotated_a)
-                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b.R, rotated_b)
+                p = _shape(fetch(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, rotated_a)
+                q = _shape(fetch(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, rotated_b)
                 s = _guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
                 separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
@@ -443,12 +435,12 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                 _put_normal(V, at, n)
 
             if asking and moved_b:
-                prefetch(Tb, 16, L, (LATER + POSE_B) * BLOCK + at)
+                prefetch(Tb, 16, ahead.pose_b, at)
             overlap = free
             distinct = free
             if movemask(free) != everything:
-                p = _shape(fetch(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a.R, rotated_a)
-                q = _shape(fetch(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b.R, rotated_b)
+                p = _shape(fetch(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, rotated_a)
+                q = _shape(fetch(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, rotated_b)
                 r = _offset(a, rotated_a, near_a.inner_center, b, rotated_b, near_b.inner_center)
                 s = _guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
@@ -460,7 +452,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                     overlap = overlap | found
                     distinct = distinct | none
             if asking and moved_a:
-                prefetch(Ta, 16, L, (LATER + POSE_A) * BLOCK + at)
+                prefetch(Ta, 16, ahead.pose_a, at)
             masked_store(tier, at, far | ~far, UNSURE)
             masked_store(tier, at, inseparable & distinct, OPEN)
             masked_store(tier, at, overlap, BY_INNER)
@@ -499,23 +491,23 @@ def _reversed(v):
 
 
 @njit()
-def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier, V):
+def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, tier, V):
     """Certify the listed piece pairs at the best s, in double precision, with any margin.
 
     Parameters and result as for `certify`, but that every pair left is OPEN.
     """
     for at in range(0, count, LANES):
-        a = pose_of(Ta, L, POSE_A * BLOCK + at, moved_a)
-        b = pose_of(Tb, L, POSE_B * BLOCK + at, moved_b)
+        a = pose_of(Ta, listed.pose_a, at, moved_a)
+        b = pose_of(Tb, listed.pose_b, at, moved_b)
         if not (a.rigid and b.rigid):
             return False
-        near_a = _bounds(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_CENTER))
-        near_b = _bounds(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_CENTER))
+        near_a = _bounds(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+        near_b = _bounds(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
         size = _size(a, near_a.reach, b, near_b.reach)
         r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
-        p = _shape(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, OUTER_SHAPE), a.R, moved_a)
-        q = _shape(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, OUTER_SHAPE), b.R, moved_b)
+        p = _shape(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
+        q = _shape(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
         # The larger second: s is then small, and keeps its digits where the sizes are far apart.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
@@ -523,8 +515,8 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, L, tier,
         _put_normal(V, at, _selected(swap, _reversed(n), n))
         free = far | (separation(p.Q, q.Q, r, n, size) > margin)
 
-        p = _shape(gather_transpose(hot_a, HOT, L, PIECE_A * BLOCK + at, INNER_SHAPE), a.R, moved_a)
-        q = _shape(gather_transpose(hot_b, HOT, L, PIECE_B * BLOCK + at, INNER_SHAPE), b.R, moved_b)
+        p = _shape(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
+        q = _shape(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
         r = _offset(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)

@@ -2,29 +2,30 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_PLANE, BY_SEARCH, COLLIDING, FREE, OPEN
 from loewner._kernels.linalg3 import dot
-from loewner._kernels.narrow.gjk_fast import INSIDE, begin, decide, measure
-from loewner._kernels.narrow.gjk_fast import workspace as points_workspace
+from loewner._kernels.narrow.gjk_fast import ENTRIES, INSIDE, begin, decide, measure
 from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, rounding_error, swollen_radii
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
+from loewner._kernels.simd.memory import LINE, floats_at
 
 
 class Workspace(NamedTuple):
-    """What the searches write to: `gjk_fast.workspace`, and nine numbers."""
+    """What the searches write to: the points of `gjk_fast`, and nine numbers."""
 
     points: Any
     result: Any
 
 
-@njit()
-def workspace():
-    """Make a workspace; one serves any number of pairs in turn."""
-    return Workspace(points_workspace(), np.empty(9))
+SIZE = 8 * ENTRIES + 2 * LINE  # bytes of a workspace
+
+
+@inline
+def workspace_at(address):
+    """The workspace at an address; it serves any number of pairs in turn."""
+    return Workspace(floats_at(address, (ENTRIES,)), floats_at(address + 8 * ENTRIES, (9,)))
 
 
 @inline
@@ -51,12 +52,12 @@ def exact_piece_pair(A, B, margin, n, work):
     error = rounding_error(A, B, shift)
     radii = radius(A) + radius(B)
     status, points = UNSETTLED, 1
-    W = borrowed(work.points)
+    W = work.points
     ends = begin(A, B, shift, W)
     if margin == 0.0 and radii == 0.0:
         status, n, points = decide(A, B, shift, W, ends, n, error)
     if status == UNSETTLED:
-        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, borrowed(work.result))
+        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, work.result)
     return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH
 
 

@@ -14,25 +14,25 @@ References
 Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083; Ericson, Real-Time Collision Detection (2005), section 5.1.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
+from loewner._kernels.narrow import pair_list
 from loewner._kernels.narrow.certificate import (
-    PAIR,
-    PIECE_A,
-    PIECE_B,
-    POSE_A,
-    POSE_B,
     SINGLE_ROUNDOFF,
     rounded_size,
     single_pose_of,
     turns,
 )
 from loewner._kernels.narrow.gjk_fast import KEPT
+from loewner._kernels.narrow.pair_list import fill, pair_list_at
 from loewner._kernels.pieces.shapes import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.simd import support as blocks
+from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, singles_at
 from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
     SINGLE_ALL,
@@ -68,42 +68,69 @@ SHORT = 1e-30  # directions whose square is less are not trusted: it may be shor
 
 VERTEX = 3 * SINGLE_LANES  # entries that one vertex of each of sixteen pieces takes
 
-# After the rows of the list, PAIR .. POSE_B: first and last block of vertices of each piece, and the one to read.
-FIRST_A, LAST_A, FIRST_B, LAST_B, HERE = 5, 6, 7, 8, 9
 
+class Workspace(NamedTuple):
+    """What a walk reads and writes; one serves any number of walks in turn.
 
-@njit()
-def workspace():
-    """Make the arrays that serve any number of walks in turn.
-
-    Returns
-    -------
-    L : ndarray of int64
-        Sixteen pairs, rows PAIR .. POSE_B, and more to write to.
-    N : ndarray
-        Their directions, rows x, y and z.
-    W : ndarray of float32
-        To write to.
+    Attributes
+    ----------
+    listed : PairList
+        Sixteen pairs.
+    first_a, last_a, first_b, last_b : ndarray of int64, shape (16,)
+        First and last block of vertices of each piece.
+    here : ndarray of int64, shape (16,)
+        The block of each piece that is read.
+    directions : ndarray, shape (48,)
+        From a to b: all x, all y, all z.
+    vertices : ndarray of float32
+        Of all sixteen pairs, side by side.
     found : ndarray of int8, shape (16,)
         What `settle` says of them.
     """
-    return (
-        np.empty((HERE + 1) * SINGLE_LANES, np.int64),
-        np.empty(3 * SINGLE_LANES),
-        np.empty(2 * MOST * VERTEX, np.float32),
-        np.empty(SINGLE_LANES, np.int8),
+
+    listed: Any
+    first_a: Any
+    last_a: Any
+    first_b: Any
+    last_b: Any
+    here: Any
+    directions: Any
+    vertices: Any
+    found: Any
+
+
+_LIST, _NUMBERS = pair_list.size(SINGLE_LANES), 8 * SINGLE_LANES
+_VERTICES = 4 * 2 * MOST * VERTEX
+
+SIZE = _LIST + 8 * _NUMBERS + _VERTICES + LINE  # bytes of a workspace
+
+
+@inline
+def workspace_at(address):
+    """The workspace at an address."""
+    rest = address + _LIST
+    vertices = rest + 8 * _NUMBERS
+    return Workspace(
+        pair_list_at(address, SINGLE_LANES),
+        integers_at(rest, (SINGLE_LANES,)),
+        integers_at(rest + _NUMBERS, (SINGLE_LANES,)),
+        integers_at(rest + 2 * _NUMBERS, (SINGLE_LANES,)),
+        integers_at(rest + 3 * _NUMBERS, (SINGLE_LANES,)),
+        integers_at(rest + 4 * _NUMBERS, (SINGLE_LANES,)),
+        floats_at(rest + 5 * _NUMBERS, (3 * SINGLE_LANES,)),
+        singles_at(vertices, (2 * MOST * VERTEX,)),
+        bytes_at(vertices + _VERTICES, (SINGLE_LANES,)),
     )
 
 
 @inline
-def put(work, at, k, i, j, ka, kb, nx, ny, nz):
+def put(work, at, k, i, j, ka, kb, n):
     """List a pair: its number, its pieces and their poses, a direction from a to b."""
-    L, N = work[0], work[1]
+    pair_list.put(work.listed, at, k, i, j, ka, kb)
     at = np.uint64(at)
-    for row, value in ((PAIR, k), (PIECE_A, i), (PIECE_B, j), (POSE_A, ka), (POSE_B, kb)):
-        L[np.uint64(row * SINGLE_LANES) + at] = value
-    for row, part in ((0, nx), (1, ny), (2, nz)):
-        N[np.uint64(row * SINGLE_LANES) + at] = part
+    work.directions[at] = n[0]
+    work.directions[np.uint64(SINGLE_LANES) + at] = n[1]
+    work.directions[np.uint64(2 * SINGLE_LANES) + at] = n[2]
 
 
 @inline
@@ -114,37 +141,36 @@ def takes(layout, piece):
 
 
 @inline
-def _blocks(layout, L, pieces, first):
-    """Write the first and the last block of vertices of each piece to L; how many blocks the largest one has."""
+def _blocks(layout, pieces, first, last):
+    """Write the first and the last block of vertices of each piece; returns how many blocks the largest one has."""
     most = np.int64(0)
     for lane in range(SINGLE_LANES):
-        piece = L[pieces * SINGLE_LANES + lane]
+        piece = pieces[lane]
         begin, end = layout[piece, POINTS_FROM] // blocks.BLOCK, layout[piece, POINTS_TO] // blocks.BLOCK - 1
-        L[first * SINGLE_LANES + lane] = begin
-        L[(first + 1) * SINGLE_LANES + lane] = end
+        first[lane] = begin
+        last[lane] = end
         most = max(most, end - begin + 1)
     return most
 
 
 @inline
-def _block(points, L, first, b):
+def _block(points, first, last, here, b):
     """The b-th block of vertices of each piece: eight x, eight y and eight z. The last one stands for those beyond."""
     for lane in range(SINGLE_LANES):
-        here = min(L[first * SINGLE_LANES + lane] + b, L[(first + 1) * SINGLE_LANES + lane])
-        L[HERE * SINGLE_LANES + lane] = here
-    width, at = 3 * blocks.BLOCK, HERE * SINGLE_LANES
+        here[lane] = min(first[lane] + b, last[lane])
+    width = 3 * blocks.BLOCK
     return (
-        gather_transpose_single(points, width, L, at, 0),
-        gather_transpose_single(points, width, L, at, blocks.BLOCK),
-        gather_transpose_single(points, width, L, at, 2 * blocks.BLOCK),
+        gather_transpose_single(points, width, here, 0, 0),
+        gather_transpose_single(points, width, here, 0, blocks.BLOCK),
+        gather_transpose_single(points, width, here, 0, 2 * blocks.BLOCK),
     )
 
 
 @inline
-def _lay(points, L, first, most, W, at):
+def _lay(points, first, last, here, most, W, at):
     """Write the vertices of sixteen pieces side by side from W[at] on; returns where they end."""
     for b in range(most):
-        px, py, pz = _block(points, L, first, b)
+        px, py, pz = _block(points, first, last, here, b)
         store_strided(W, at, VERTEX, px)
         store_strided(W, at + SINGLE_LANES, VERTEX, py)
         store_strided(W, at + 2 * SINGLE_LANES, VERTEX, pz)
@@ -182,15 +208,16 @@ def _farthest(W, start, stop, x, y, z):
 
 
 @inline
-def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, x, y, z):
+def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     """Tell whether the plane across a direction from a to b surely separates two pieces, margin 0.
 
     Parameters
     ----------
     sa, la, xa, i, Ta, r : ndarray, ndarray, ndarray, int, ndarray, int
         Of a: hot columns and vertices in single precision and layout (see `shapes`), piece; poses, and which. Of b the
-        same. The pieces are such that `walks`.
+        same. The pieces are such that `takes`.
     """
+    x, y, z = n
     i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
     width_a = extent(
@@ -232,27 +259,27 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         Of a: hot columns and vertices in single precision and layout (see `shapes`), and poses; of b the same.
     moved_a, moved_b : bool
         False if the operand's only pose is the identity.
-    work : tuple of ndarray
-        See `workspace`. The pieces are such that `walks`; `found` receives APART, TOUCHING or OPEN.
+    work : Workspace
+        The pieces are such that `takes`; `found` receives APART, TOUCHING or OPEN.
     """
-    L, N, W, found = work
-    L, N, W, found = borrowed(L), borrowed(N), borrowed(W), borrowed(found)
+    listed, N, W, found = work.listed, work.directions, work.vertices, work.found
+    fill(listed, count)
     for lane in range(count, SINGLE_LANES):
-        for row in range(PIECE_A, POSE_B + 1):
-            L[row * SINGLE_LANES + lane] = L[row * SINGLE_LANES + count - 1]
         for row in range(3):
             N[row * SINGLE_LANES + lane] = N[row * SINGLE_LANES + count - 1]
-    a = single_pose_of(Ta, L, POSE_A * SINGLE_LANES, moved_a)
-    b = single_pose_of(Tb, L, POSE_B * SINGLE_LANES, moved_b)
+    a = single_pose_of(Ta, listed.pose_a, 0, moved_a)
+    b = single_pose_of(Tb, listed.pose_b, 0, moved_b)
     rotated_a = moved_a and movemask(turns(a.R)) != 0
     rotated_b = moved_b and movemask(turns(b.R)) != 0
-    reach_a = gather_single(sa, HOT, L, PIECE_A * SINGLE_LANES, REACH)
-    reach_b = gather_single(sb, HOT, L, PIECE_B * SINGLE_LANES, REACH)
+    reach_a = gather_single(sa, HOT, listed.piece_a, 0, REACH)
+    reach_b = gather_single(sb, HOT, listed.piece_b, 0, REACH)
     size = rounded_size(a, reach_a, b, reach_b)
     error = PRODUCT_ERROR * SINGLE_ROUNDOFF * size
     shift = minus(b.t, a.t)
-    ends_a = _lay(xa, L, FIRST_A, _blocks(la, L, PIECE_A, FIRST_A), W, np.int64(0))
-    ends_b = _lay(xb, L, FIRST_B, _blocks(lb, L, PIECE_B, FIRST_B), W, ends_a)
+    most_a = _blocks(la, listed.piece_a, work.first_a, work.last_a)
+    most_b = _blocks(lb, listed.piece_b, work.first_b, work.last_b)
+    ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, np.int64(0))
+    ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
     # The simplex, the newest point first: one, two or three points B, C, E of the Minkowski difference. The direction
     # n leads from the origin to the part of it that is kept.

@@ -37,10 +37,13 @@ PLACED = 2 * LARGE
 _PATH = 3 * PLACED
 
 
+ENTRIES = _PATH + 6 * MEASURE_ROUNDS
+
+
 @njit()
 def workspace():
     """Make the array that the searches write to; one serves any number of pairs in turn."""
-    return aligned(_PATH + 6 * MEASURE_ROUNDS)
+    return aligned(ENTRIES)
 
 
 @inline

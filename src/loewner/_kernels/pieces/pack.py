@@ -6,13 +6,9 @@ A handle is the address of a small table: for each array of a packed set (see `s
 from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core.typing.templates import signature
-from numba.extending import intrinsic
-from numba.np.numpy_support import carray
 
 from loewner._kernels._jit import borrowed, inline
+from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
 
 ENTRIES = 3  # address, rows, columns (1 for a flat array)
 
@@ -49,45 +45,21 @@ class Placed(NamedTuple):
     row: Any
 
 
-@intrinsic
-def _integers(typingctx, address):
-    def generate(context, builder, sig, args):
-        return builder.inttoptr(args[0], ir.IntType(64).as_pointer())
-
-    return signature(types.CPointer(types.int64), types.int64), generate
-
-
-@intrinsic
-def _floats(typingctx, address):
-    def generate(context, builder, sig, args):
-        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
-
-    return signature(types.CPointer(types.float64), types.int64), generate
-
-
-@intrinsic
-def _singles(typingctx, address):
-    def generate(context, builder, sig, args):
-        return builder.inttoptr(args[0], ir.FloatType().as_pointer())
-
-    return signature(types.CPointer(types.float32), types.int64), generate
-
-
 @inline
 def pieces_of(handle):
     """The arrays of a packed set from its handle."""
-    t = carray(_integers(handle), (10, ENTRIES))
+    t = integers_at(handle, (10, ENTRIES))
     return Pieces(
-        table=carray(_floats(t[0, 0]), (t[0, 1], t[0, 2])),
-        layout=carray(_integers(t[1, 0]), (t[1, 1], t[1, 2])),
-        points=carray(_floats(t[2, 0]), (t[2, 1],)),
-        piece_start=carray(_integers(t[3, 0]), (t[3, 1],)),
-        hot=carray(_floats(t[4, 0]), (t[4, 1], t[4, 2])),
-        single=carray(_singles(t[5, 0]), (t[5, 1], t[5, 2])),
-        groups=carray(_floats(t[6, 0]), (t[6, 1],)),
-        children=carray(_integers(t[7, 0]), (t[7, 1],)),
-        roots=carray(_integers(t[8, 0]), (t[8, 1],)),
-        vertices=carray(_singles(t[9, 0]), (t[9, 1],)),
+        table=floats_at(t[0, 0], (t[0, 1], t[0, 2])),
+        layout=integers_at(t[1, 0], (t[1, 1], t[1, 2])),
+        points=floats_at(t[2, 0], (t[2, 1],)),
+        piece_start=integers_at(t[3, 0], (t[3, 1],)),
+        hot=floats_at(t[4, 0], (t[4, 1], t[4, 2])),
+        single=singles_at(t[5, 0], (t[5, 1], t[5, 2])),
+        groups=floats_at(t[6, 0], (t[6, 1],)),
+        children=integers_at(t[7, 0], (t[7, 1],)),
+        roots=integers_at(t[8, 0], (t[8, 1],)),
+        vertices=singles_at(t[9, 0], (t[9, 1],)),
     )
 
 
@@ -107,14 +79,23 @@ def shift_between(A, B):
     )
 
 
-@inline
-def checking_of(handle):
-    """What `states` checks, from the handle of its arrays.
+class Tree(NamedTuple):
+    """A robot as kernels see it: six arrays, described in `robots.kinematics`."""
 
-    Returns
-    -------
-    tree : tuple of six ndarray
-        See `kinematics`.
+    parent: Any
+    kind: Any
+    column: Any
+    multiplier: Any
+    offset: Any
+    constants: Any
+
+
+class Problem(NamedTuple):
+    """What `robots.configurations` checks.
+
+    Attributes
+    ----------
+    tree : Tree
     link : ndarray of int64, shape (moving bodies,)
     ball : ndarray, shape (moving bodies, 5)
         Center and radius of a ball about each, in its frame, and the reach: how far the ball goes from the origin.
@@ -128,23 +109,38 @@ def checking_of(handle):
         Ellipsoids in world coordinates.
     standing_poses : ndarray, shape (standing bodies, 16)
     """
-    t = carray(_integers(handle), (14, ENTRIES))
-    tree = (
-        carray(_integers(t[0, 0]), (t[0, 1],)),
-        carray(_integers(t[1, 0]), (t[1, 1],)),
-        carray(_integers(t[2, 0]), (t[2, 1],)),
-        carray(_floats(t[3, 0]), (t[3, 1],)),
-        carray(_floats(t[4, 0]), (t[4, 1],)),
-        carray(_floats(t[5, 0]), (t[5, 1], t[5, 2])),
+
+    tree: Any
+    link: Any
+    ball: Any
+    pairs: Any
+    margins: Any
+    order: Any
+    standing: Any
+    standing_rows: Any
+    standing_poses: Any
+
+
+@inline
+def problem_of(handle):
+    """What `configurations` checks, from the handle of its arrays."""
+    t = integers_at(handle, (14, ENTRIES))
+    tree = Tree(
+        integers_at(t[0, 0], (t[0, 1],)),
+        integers_at(t[1, 0], (t[1, 1],)),
+        integers_at(t[2, 0], (t[2, 1],)),
+        floats_at(t[3, 0], (t[3, 1],)),
+        floats_at(t[4, 0], (t[4, 1],)),
+        floats_at(t[5, 0], (t[5, 1], t[5, 2])),
     )
-    return (
+    return Problem(
         tree,
-        carray(_integers(t[6, 0]), (t[6, 1],)),
-        carray(_floats(t[7, 0]), (t[7, 1], t[7, 2])),
-        carray(_integers(t[8, 0]), (t[8, 1], t[8, 2])),
-        carray(_floats(t[9, 0]), (t[9, 1],)),
-        carray(_integers(t[10, 0]), (t[10, 1],)),
-        carray(_singles(t[11, 0]), (t[11, 1], t[11, 2])),
-        carray(_singles(t[12, 0]), (t[12, 1], t[12, 2])),
-        carray(_floats(t[13, 0]), (t[13, 1], t[13, 2])),
+        integers_at(t[6, 0], (t[6, 1],)),
+        floats_at(t[7, 0], (t[7, 1], t[7, 2])),
+        integers_at(t[8, 0], (t[8, 1], t[8, 2])),
+        floats_at(t[9, 0], (t[9, 1],)),
+        integers_at(t[10, 0], (t[10, 1],)),
+        singles_at(t[11, 0], (t[11, 1], t[11, 2])),
+        singles_at(t[12, 0], (t[12, 1], t[12, 2])),
+        floats_at(t[13, 0], (t[13, 1], t[13, 2])),
     )

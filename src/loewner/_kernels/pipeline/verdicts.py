@@ -4,6 +4,8 @@ The k-th pair of a batch of shape (s0, s1, ...) uses row Σ index_d · stride_d 
 (two bodies, two pose arrays): broadcasting without copies.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
@@ -19,47 +21,46 @@ from loewner._kernels.codes import (
     FREE,
     OPEN,
 )
-from loewner._kernels.narrow import certificate as lanes
-from loewner._kernels.narrow import gjk_batch as walk
-from loewner._kernels.narrow.certificate import (
-    BLOCK,
-    LATER,
-    LISTS,
-    PAIR,
-    PIECE_A,
-    PIECE_B,
-    POSE_A,
-    POSE_B,
-    ROWS,
-)
-from loewner._kernels.narrow.exact import exact_piece_pair, workspace
+from loewner._kernels.narrow import certificate, gjk_batch, pair_list
+from loewner._kernels.narrow.certificate import BLOCK
+from loewner._kernels.narrow.exact import exact_piece_pair
+from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.poses import RIGID, fault
 from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
+from loewner._kernels.pipeline.workspace import CARRIED, HELD, TURN, UNSURE, WALKING, workspace_at
 from loewner._kernels.simd.support import prefetch
 from loewner._kernels.simd.vectors import SINGLE_LANES
-from loewner._kernels.trees import piece_tree as trees
+from loewner._kernels.trees import piece_tree
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
 # that single precision could not settle. Or a pose that is no rigid motion.
 FAR, CLOSE = 1, 2
 FAULTY = -1
 
+# Said to `_flush` besides: the list is of bodies of one piece, no pair twice; of consecutive ones; it tells what comes
+# later; and it is of pairs that need the best s.
+DISTINCT, CONSECUTIVE, PREFETCHING, BEST = 4, 8, 16, 32
+
 AHEAD = 6  # piece pairs between asking for their vertices and their use
 
 LEAD = 2 * BLOCK  # piece pairs between asking for their rows and their use
 
-# Said to `_flush` besides: the list is of bodies of one piece, no pair twice; of consecutive ones; it tells what comes
-# later; and it is of pairs that need the best s.
-DISTINCT, CONSECUTIVE, ASKING, BEST = 4, 8, 16, 32
-
-HALF = (POSE_B + 1) * BLOCK  # of the list of pairs that are open: one is searched while the other fills
-
-# What is carried from block to block: how many pairs are held for the search, in which half of the list; wait for the
-# best s; wait for a walk.
-HELD, TURN, WAITING, WALKING, STATES = 0, 1, 2, 3, 4
-
 ENOUGH = BLOCK // 2  # pairs that need the best s are settled when so many have come together
+
+
+class Query(NamedTuple):
+    """What is asked: CERTIFY or EXACT, the margin; of each operand the handle of its pieces, its poses, and whether
+    they move anything."""
+
+    mode: Any
+    margin: Any
+    a: Any
+    poses_a: Any
+    moved_a: Any
+    b: Any
+    poses_b: Any
+    moved_b: Any
 
 
 @inline
@@ -94,210 +95,211 @@ def is_identity(T):
     return True
 
 
-@inline
-def _fill(count, L):
-    """Repeat the last listed pair up to whole vectors."""
-    for lane in range(count, (count + SINGLE_LANES - 1) // SINGLE_LANES * SINGLE_LANES):
-        for row in range(PIECE_A, POSE_B + 1):
-            L[row * BLOCK + lane] = L[row * BLOCK + count - 1]
-
-
 @njit()
-def _culled(count, margin, asking, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier):
-    """Drop the pairs whose bounding spheres are apart from the lists; how many are left, -1 for a faulty pose."""
-    a, b = pieces_of(pack_a), pieces_of(pack_b)
-    done = single and lanes.single_spheres(count, margin, asking, a.single, Ta, moved_a, b.single, Tb, moved_b, L, tier)
-    if not (done or lanes.spheres(count, margin, asking, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier)):
-        return -1
+def _culled(query, flags, count, single, work):
+    """Drop the pairs whose bounding spheres are apart from the list; how many are left, FAULTY for a faulty pose."""
+    a, b = pieces_of(query.a), pieces_of(query.b)
+    listed, ahead, tier = work.listed, work.ahead, work.tier
+    prefetching = flags & PREFETCHING != 0
+    done = single and certificate.single_spheres(
+        count, query.margin, prefetching, a.single, query.poses_a, query.moved_a, b.single, query.poses_b,
+        query.moved_b, listed, ahead, tier,
+    )  # fmt: skip
+    done = done or certificate.spheres(
+        count, query.margin, prefetching, a.hot, query.poses_a, query.moved_a, b.hot, query.poses_b, query.moved_b,
+        listed, ahead, tier,
+    )  # fmt: skip
+    if not done:
+        return FAULTY
     left = 0
     for lane in range(count):
-        for row in range(PAIR, POSE_B + 1):
-            L[row * BLOCK + left] = L[row * BLOCK + lane]
+        pair_list.copy(listed, left, listed, lane)
         left += tier[lane] != BY_SPHERE
     return left
 
 
 @njit()
-def _wait(count, waiting, L, tier, U):
+def _wait(count, listed, tier, waiting, unsure):
     """Copy the listed pairs that are UNSURE to a list that `waiting` pairs are in already; how many are in it then."""
     for lane in range(count):
-        if tier[lane] == lanes.UNSURE:
-            for row in range(PAIR, POSE_B + 1):
-                U[row * BLOCK + waiting] = L[row * BLOCK + lane]
+        if tier[lane] == certificate.UNSURE:
+            pair_list.copy(unsure, waiting, listed, lane)
             waiting += 1
     return waiting
 
 
 @njit()
-def _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
+def _improved(query, count, work):
     """Certify the lanes left UNSURE once more, at the best s; False for a faulty pose."""
-    a, b = pieces_of(pack_a), pieces_of(pack_b)
-    again = np.empty(LISTS * BLOCK, np.int64)
-    unsure = _wait(count, np.int64(0), L, tier, again)
-    _fill(unsure, again)
+    a, b = pieces_of(query.a), pieces_of(query.b)
+    again = work.ahead  # what it said has been asked for by now
+    unsure = _wait(count, work.listed, work.tier, np.int64(0), again)
+    fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
-    W = np.empty(ROWS * BLOCK)
-    if not lanes.certify_best(unsure, 0.0, a.hot, Ta, moved_a, b.hot, Tb, moved_b, again, tiers, W):
+    normals = np.empty(3 * BLOCK)
+    if not certificate.certify_best(
+        unsure, 0.0, a.hot, query.poses_a, query.moved_a, b.hot, query.poses_b, query.moved_b, again, tiers, normals,
+    ):  # fmt: skip
         return False
     n = 0
     for lane in range(count):
-        if tier[lane] == lanes.UNSURE:
-            tier[lane] = tiers[n]
-            for row in range(ROWS):
-                V[row * BLOCK + lane] = W[row * BLOCK + n]
+        if work.tier[lane] == certificate.UNSURE:
+            work.tier[lane] = tiers[n]
+            for row in range(3):
+                work.normals[row * BLOCK + lane] = normals[row * BLOCK + n]
             n += 1
     return True
 
 
 @njit()
-def _search(query, half, count, fresh, last, lists, state, out, tally):
-    """Settle the open piece pairs listed in one half of S and N by the exact searches.
+def _search(query, turn, count, fresh, last, work, out, tally):
+    """Settle the open piece pairs held in one half of the list by the exact searches.
 
-    Pairs of small polytopes that no plane separates at once wait for a walk, `state[WALKING]` of them, until they fill
-    registers. None are left if these are the last.
+    Pairs of small polytopes that no plane separates at once wait for the batch GJK until they fill registers. None are
+    left if these are the last.
 
     Parameters
     ----------
-    half, count : int
+    turn, count : int
         Which half, and how many pairs it has.
     fresh : int
         Pairs in the other half, whose vertices are asked for: between the searches, which a burst of it would hold up.
-    last : bool
+    last : int
+        1 if these are the last, else 0.
     """
-    _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
-    _, _, _, S, N, _, desk = lists
-    a, b = pieces_of(pack_a), pieces_of(pack_b)
-    Ta, Tb, S, N, state = borrowed(Ta), borrowed(Tb), borrowed(S), borrowed(N), borrowed(state)
-    together = margin == 0.0 and len(a.single) > 0 and len(b.single) > 0
-    at, way = half * HALF, half * (ROWS * BLOCK)
-    other = HALF - at
-    walking = state[WALKING]
+    a, b = pieces_of(query.a), pieces_of(query.b)
+    Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
+    held, N = work.held, work.held_normals
+    together = query.margin == 0.0 and len(a.single) > 0 and len(b.single) > 0
+    at, way = turn * BLOCK, turn * (3 * BLOCK)
+    other = BLOCK - at
+    walking = work.carried[WALKING]
     for n in range(max(count, fresh)):
         if n < fresh:
-            prefetch_vertices_far(a.layout, a.vertices, _entry(S, other + PIECE_A * BLOCK + n))
-            prefetch_vertices_far(b.layout, b.vertices, _entry(S, other + PIECE_B * BLOCK + n))
+            prefetch_vertices_far(a.layout, a.vertices, _entry(held.piece_a, other + n))
+            prefetch_vertices_far(b.layout, b.vertices, _entry(held.piece_b, other + n))
         if n + AHEAD < count:
-            prefetch_vertices(a.layout, a.vertices, _entry(S, at + PIECE_A * BLOCK + n + AHEAD))
-            prefetch_vertices(b.layout, b.vertices, _entry(S, at + PIECE_B * BLOCK + n + AHEAD))
+            prefetch_vertices(a.layout, a.vertices, _entry(held.piece_a, at + n + AHEAD))
+            prefetch_vertices(b.layout, b.vertices, _entry(held.piece_b, at + n + AHEAD))
         if n >= count:
             continue
-        k = _entry(S, at + PAIR * BLOCK + n)
+        k = _entry(held.pair, at + n)
         if _entry(out, k) == COLLIDING:
             continue
-        i, j = _entry(S, at + PIECE_A * BLOCK + n), _entry(S, at + PIECE_B * BLOCK + n)
-        ka, kb = _entry(S, at + POSE_A * BLOCK + n), _entry(S, at + POSE_B * BLOCK + n)
-        x, y, z = _entry(N, way + n), _entry(N, way + BLOCK + n), _entry(N, way + 2 * BLOCK + n)
-        if not (together and walk.takes(a.layout, i) and walk.takes(b.layout, j)):
-            _search_one(query, k, i, j, ka, kb, (x, y, z), desk, out, tally)
+        i, j = _entry(held.piece_a, at + n), _entry(held.piece_b, at + n)
+        ka, kb = _entry(held.pose_a, at + n), _entry(held.pose_b, at + n)
+        normal = _entry(N, way + n), _entry(N, way + BLOCK + n), _entry(N, way + 2 * BLOCK + n)
+        if not (together and gjk_batch.takes(a.layout, i) and gjk_batch.takes(b.layout, j)):
+            _search_one(query, k, i, j, ka, kb, normal, work, out, tally)
             continue
-        walk.put(desk[0], walking, k, i, j, ka, kb, x, y, z)
-        free = walk.plane(a.single, a.layout, a.vertices, i, Ta, ka, b.single, b.layout, b.vertices, j, Tb, kb, x, y, z)
+        gjk_batch.put(work.walk, walking, k, i, j, ka, kb, normal)
+        free = gjk_batch.plane(
+            a.single, a.layout, a.vertices, i, Ta, ka, b.single, b.layout, b.vertices, j, Tb, kb, normal
+        )
         tally[BY_PLANE] += free
         walking += not free
         if walking == SINGLE_LANES:
-            _walk(query, walking, desk, out, tally)
+            _walk(query, walking, work, out, tally)
             walking = np.int64(0)
-    if last and walking > 0:
-        _walk(query, walking, desk, out, tally)
+    if last != 0 and walking > 0:
+        _walk(query, walking, work, out, tally)
         walking = np.int64(0)
-    state[WALKING] = walking
+    work.carried[WALKING] = walking
 
 
 @njit()
-def _walk(query, count, desk, out, tally):
+def _walk(query, count, work, out, tally):
     """Settle up to sixteen pairs of small polytopes."""
-    _, _, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
-    a, b = pieces_of(pack_a), pieces_of(pack_b)
-    L, N, _, found = desk[0]
-    if count >= walk.FEW:
-        walk.settle(
-            count, a.single, a.layout, a.vertices, Ta, moved_a, b.single, b.layout, b.vertices, Tb, moved_b, desk[0]
-        )
+    a, b = pieces_of(query.a), pieces_of(query.b)
+    listed, N, found = work.walk.listed, work.walk.directions, work.walk.found
+    if count >= gjk_batch.FEW:
+        gjk_batch.settle(
+            count, a.single, a.layout, a.vertices, query.poses_a, query.moved_a, b.single, b.layout, b.vertices,
+            query.poses_b, query.moved_b, work.walk,
+        )  # fmt: skip
     else:
-        found[:count] = walk.OPEN
+        found[:count] = gjk_batch.OPEN
     for n in range(count):
-        k = L[PAIR * SINGLE_LANES + n]
-        if found[n] == walk.OPEN:
+        k = listed.pair[n]
+        if found[n] == gjk_batch.OPEN:
+            normal = N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n]
             _search_one(
-                query, k, L[PIECE_A * SINGLE_LANES + n], L[PIECE_B * SINGLE_LANES + n], L[POSE_A * SINGLE_LANES + n],
-                L[POSE_B * SINGLE_LANES + n], (N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n]), desk, out, tally,
+                query, k, listed.piece_a[n], listed.piece_b[n], listed.pose_a[n], listed.pose_b[n], normal, work, out,
+                tally,
             )  # fmt: skip
         else:
             tally[BY_SEARCH] += 1
-            if found[n] == walk.TOUCHING:
+            if found[n] == gjk_batch.TOUCHING:
                 out[k] = COLLIDING
 
 
 @njit()
-def _search_one(query, k, i, j, ka, kb, n, desk, out, tally):
+def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
     """Settle one open piece pair, whatever its pieces."""
-    _, margin, pack_a, Ta, _, pack_b, Tb, _ = query
-    A, B = placed(pieces_of(pack_a), i, Ta, ka), placed(pieces_of(pack_b), j, Tb, kb)
-    verdict, t = exact_piece_pair(A, B, margin, n, desk[1])
-    tally[t] += 1
+    A, B = placed(pieces_of(query.a), i, query.poses_a, ka), placed(pieces_of(query.b), j, query.poses_b, kb)
+    verdict, tier = exact_piece_pair(A, B, query.margin, normal, work.exact)
+    tally[tier] += 1
     # In a body of many pieces another pair may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:
         out[k] = verdict
 
 
 @njit()
-def _flush(query, hint, count, state, lists, out, tally):
+def _flush(query, flags, count, work, out, tally):
     """Certify the listed piece pairs and merge them into the verdicts of their pairs.
 
-    Those left open wait for the exact search in one half of S and N while the next block is certified: their vertices
-    then arrive meanwhile. The few that need the best s wait in U until they fill registers; so do those that need a
-    walk (see `_search`). If the list is not DISTINCT nothing waits: what is found at once may spare the rest.
-
-    Parameters
-    ----------
-    query : tuple
-        Mode, margin; for each operand the handle of its pieces, its poses, and whether they move anything.
-    state : ndarray of int64
-        How many pairs are HELD for the search and in which half (TURN), are WAITING for the best s, and are WALKING.
-    lists : tuple of ndarray
-        L, the list; tier and V, what certificates write; S and N; U; and for the searches to write to:
-        `gjk_batch.workspace` and `exact.workspace`.
+    Those left open are held for the exact search in one half of a list while the next block is certified: their
+    vertices then arrive meanwhile. The few that need the best s wait until they fill registers; so do those that the
+    batch GJK takes (see `_search`). If the list is not DISTINCT nothing waits: what is found at once may spare the
+    rest.
 
     Returns
     -------
-    hint : int
+    int
         FAR | CLOSE for how to start with the next block, or FAULTY.
     """
-    mode, margin, pack_a, Ta, moved_a, pack_b, Tb, moved_b = query
-    a, b = pieces_of(pack_a), pieces_of(pack_b)
-    L, tier, V, S, N, U, desk = lists
-    L, tier, V, S, N, U = borrowed(L), borrowed(tier), borrowed(V), borrowed(S), borrowed(N), borrowed(U)
-    Ta, Tb, state = borrowed(Ta), borrowed(Tb), borrowed(state)
-    listed = count
-    _fill(count, L)
-    single = len(a.single) > 0 and len(b.single) > 0 and hint & CLOSE == 0
-    if hint & FAR:
-        count = _culled(count, margin, hint & ASKING != 0, pack_a, Ta, moved_a, pack_b, Tb, moved_b, single, L, tier)
-        if count < 0:
+    a, b = pieces_of(query.a), pieces_of(query.b)
+    Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
+    listed, tier, carried = work.listed, work.tier, work.carried
+    total = count
+    fill(listed, count)
+    single = len(a.single) > 0 and len(b.single) > 0 and flags & CLOSE == 0
+    if flags & FAR:
+        count = _culled(query, flags, count, single, work)
+        if count == FAULTY:
             return FAULTY
         if count == 0:
-            tally[BY_SPHERE] += listed
-            return hint & (FAR | CLOSE)
-        _fill(count, L)
+            tally[BY_SPHERE] += total
+            return flags & (FAR | CLOSE)
+        fill(listed, count)
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
-    if margin > 0.0 or hint & BEST:
-        if not lanes.certify_best(count, margin, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier, V):
+    if query.margin > 0.0 or flags & BEST:
+        if not certificate.certify_best(
+            count, query.margin, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, tier, work.normals
+        ):
             return FAULTY
     else:
-        asking = hint & (ASKING | FAR) == ASKING
-        done = single and lanes.single_certify(count, asking, a.single, Ta, moved_a, b.single, Tb, moved_b, L, tier, V)
-        if not (done or lanes.certify(count, asking, a.hot, Ta, moved_a, b.hot, Tb, moved_b, L, tier, V)):
+        prefetching = flags & (PREFETCHING | FAR) == PREFETCHING
+        done = single and certificate.single_certify(
+            count, prefetching, a.single, Ta, query.moved_a, b.single, Tb, query.moved_b, listed, work.ahead, tier,
+            work.normals,
+        )  # fmt: skip
+        done = done or certificate.certify(
+            count, prefetching, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, work.ahead, tier,
+            work.normals,
+        )  # fmt: skip
+        if not done:
             return FAULTY
         for lane in range(count):
-            unsure += tier[lane] == lanes.UNSURE
-        if hint & DISTINCT and state[WAITING] + unsure <= BLOCK:
+            unsure += tier[lane] == certificate.UNSURE
+        if flags & DISTINCT and carried[UNSURE] + unsure <= BLOCK:
             if unsure > 0:
-                state[WAITING] = _wait(count, state[WAITING], L, tier, U)
-        elif unsure > 0 and not _improved(count, pack_a, Ta, moved_a, pack_b, Tb, moved_b, L, tier, V):
+                carried[UNSURE] = _wait(count, listed, tier, carried[UNSURE], work.unsure)
+        elif unsure > 0 and not _improved(query, count, work):
             return FAULTY
 
     # Without branches: nobody can predict how the next pair comes out.
-    far, outer, inner, left = listed - count, 0, 0, 0
+    far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):
         far += tier[lane] == BY_SPHERE
         outer += tier[lane] == BY_OUTER
@@ -306,77 +308,85 @@ def _flush(query, hint, count, state, lists, out, tally):
     tally[BY_SPHERE] += far
     tally[BY_OUTER] += outer
     tally[BY_INNER] += inner
-    unsettled = np.int8(FREE if mode == EXACT else AMBIGUOUS)
-    first = L[PAIR * BLOCK]
-    if hint & CONSECUTIVE and count == listed:
-        begin = np.uint64(first)  # unsigned for the reason given at `_steps`
+    unsettled = np.int8(FREE if query.mode == EXACT else AMBIGUOUS)
+    if flags & CONSECUTIVE and count == total:
+        begin = np.uint64(listed.pair[0])  # unsigned for the reason given in `pair_list`
         for lane in range(count):
             verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
             out[begin + np.uint64(lane)] = verdict
     else:
         for lane in range(count):
-            k = L[PAIR * BLOCK + lane]
+            k = listed.pair[lane]
             verdict = np.int8(COLLIDING) * (tier[lane] == BY_INNER) + unsettled * (tier[lane] == OPEN)
             before = out[k]
             out[k] = before if (before == COLLIDING) | (verdict == FREE) else verdict
-    hint = FAR * (2 * far > listed) | CLOSE * ((2 * unsure > count) | (hint & CLOSE != 0)) | hint & DISTINCT
-    if mode != EXACT:
+    found = FAR * (2 * far > total) | CLOSE * ((2 * unsure > count) | (flags & CLOSE != 0))
+    if query.mode != EXACT:
         tally[OPEN] += left
-        return hint & (FAR | CLOSE)
-    # First where they are: few are open, and each has much to copy.
-    turn = 1 - state[TURN]
-    at, way = turn * HALF, turn * (ROWS * BLOCK)
-    held = np.int64(0)
-    for lane in range(count):
-        S[np.uint64(at + held)] = lane
-        held += tier[lane] == OPEN
-    for n in range(held):
-        lane = _entry(S, at + n)
-        for row in range(PAIR, POSE_B + 1):
-            S[np.uint64(at + row * BLOCK + n)] = _entry(L, row * BLOCK + lane)
-        for row in range(ROWS):
-            N[np.uint64(way + row * BLOCK + n)] = _entry(V, row * BLOCK + lane)
-        prefetch(a.layout, _entry(L, PIECE_A * BLOCK + lane) * LAYOUT)
-        prefetch(b.layout, _entry(L, PIECE_B * BLOCK + lane) * LAYOUT)
-    if hint & DISTINCT:
-        _search(query, state[TURN], state[HELD], held, False, lists, state, out, tally)
-        state[HELD], state[TURN] = held, turn
+        return found
+    turn = 1 - carried[TURN]
+    held = _hold(a, b, count, turn, work)
+    if flags & DISTINCT:
+        _search(query, carried[TURN], carried[HELD], held, np.int64(0), work, out, tally)
+        carried[HELD], carried[TURN] = held, turn
     elif held > 0:
-        _search(query, turn, held, np.int64(0), True, lists, state, out, tally)
-    return hint & (FAR | CLOSE)
+        _search(query, turn, held, np.int64(0), np.int64(1), work, out, tally)
+    return found
 
 
 @inline
-def _put(L, count, k, i, j, ka, kb):
-    L[PAIR * BLOCK + count] = k
-    L[PIECE_A * BLOCK + count] = i
-    L[PIECE_B * BLOCK + count] = j
-    L[POSE_A * BLOCK + count] = ka
-    L[POSE_B * BLOCK + count] = kb
+def _hold(a, b, count, turn, work):
+    """Copy the pairs left OPEN, with their normals, to one half of the list of those held; how many they are."""
+    listed, tier, held, at, way = work.listed, work.tier, work.held, turn * BLOCK, turn * (3 * BLOCK)
+    # First where they are: few are open, and each has much to copy.
+    open_pairs = np.int64(0)
+    for lane in range(count):
+        held.pair[np.uint64(at + open_pairs)] = lane
+        open_pairs += tier[lane] == OPEN
+    for n in range(open_pairs):
+        lane = _entry(held.pair, at + n)
+        pair_list.copy(held, at + n, listed, lane)
+        for row in range(3):
+            work.held_normals[np.uint64(way + row * BLOCK + n)] = _entry(work.normals, row * BLOCK + lane)
+        prefetch(a.layout, _entry(listed.piece_a, lane) * LAYOUT)
+        prefetch(b.layout, _entry(listed.piece_b, lane) * LAYOUT)
+    return open_pairs
 
 
-# Both write to unsigned places: a signed one might count from the end, and vectors would be scattered one by one.
 @inline
-def _steps(L, row, at, more, first, step):
-    """Put an arithmetic progression into one row of the lists; and into that of what comes later, if it has one."""
-    to = np.uint64(row * BLOCK + at)
+def _steps(row, at, more, first, step):
+    """Write an arithmetic progression to one row of a list."""
+    to = np.uint64(at)
     for lane in range(more):
-        L[to + np.uint64(lane)] = first + lane * step
-    if row != PAIR:
-        # Past the end of the axis nobody needs these: no harm in asking.
-        later = np.uint64((LATER + row) * BLOCK + at)
-        for lane in range(more):
-            L[later + np.uint64(lane)] = first + (LEAD + lane) * step
+        row[to + np.uint64(lane)] = first + lane * step
 
 
 @inline
-def _picked(L, row, more, rows, side, k, stop, step):
-    """The same for what pairs k .. k + more that are listed by number use, at the begin of the row."""
-    to, later, begin = np.uint64(row * BLOCK), np.uint64((LATER + row) * BLOCK), np.uint64(k)
+def _progressions(work, at, more, k, first, step):
+    """List pairs k .. k + more, whose rows of a, b and their poses are arithmetic progressions; and what comes later.
+
+    Past the end of an axis nobody needs what comes later: no harm in asking for it.
+    """
+    listed, ahead = work.listed, work.ahead
+    _steps(listed.pair, at, more, k, 1)
+    _steps(listed.piece_a, at, more, first[0], step[0])
+    _steps(listed.piece_b, at, more, first[1], step[1])
+    _steps(listed.pose_a, at, more, first[2], step[2])
+    _steps(listed.pose_b, at, more, first[3], step[3])
+    _steps(ahead.piece_a, at, more, first[0] + LEAD * step[0], step[0])
+    _steps(ahead.piece_b, at, more, first[1] + LEAD * step[1], step[1])
+    _steps(ahead.pose_a, at, more, first[2] + LEAD * step[2], step[2])
+    _steps(ahead.pose_b, at, more, first[3] + LEAD * step[3], step[3])
+
+
+@inline
+def _picked(row, later, more, rows, side, k, stop, step):
+    """Write what pairs k .. k + more use, of those listed by number, to the begin of one row; and what comes later."""
+    begin = np.uint64(k)
     for lane in range(more):
-        L[to + np.uint64(lane)] = rows[side, begin + np.uint64(lane)] * step
+        row[np.uint64(lane)] = rows[side, begin + np.uint64(lane)] * step
     for lane in range(min(more, stop - k - LEAD)):
-        L[later + np.uint64(lane)] = rows[side, begin + np.uint64(LEAD + lane)] * step
+        later[np.uint64(lane)] = rows[side, begin + np.uint64(LEAD + lane)] * step
 
 
 @inline
@@ -388,7 +398,7 @@ def rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b):
 
 
 @njit()
-def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally):
+def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out, tally, memory):
     """Settle pairs start .. stop.
 
     One function for everything, single pairs included: what calls it would be compiled with all of it once more.
@@ -405,97 +415,102 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
         If not empty, pair k is of a's row rows[0, k] and b's row rows[1, k], and d is 1: strides are then steps from
         one such row to the next.
     pack_a, pack_b : int
-        Handles of packed pieces, see `handles`.
+        Handles of packed pieces, see `pieces.pack`.
     Ta, Tb : ndarray, shape (..., 4, 4), one batch axis
     out : ndarray of int8
         Receives the verdicts; AMBIGUOUS in mode EXACT means that the search did not settle the pair.
     tally : ndarray of int64, shape (TIERS,)
         Piece pairs settled by each tier are added here.
+    memory : int
+        Address of `workspace.SIZE` bytes to write to; one thread uses them at a time.
 
     Returns
     -------
     bool
         False if one of the poses is no rigid motion; nothing then holds.
     """
+    work = workspace_at(memory)
+    for k in range(CARRIED):
+        work.carried[k] = 0
+    query = Query(mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb))
     a, b = pieces_of(pack_a), pieces_of(pack_b)
-    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    V = np.empty(ROWS * BLOCK)
-    N = np.empty(2 * ROWS * BLOCK)
-    L = np.empty(LISTS * BLOCK, np.int64)
-    S = np.empty(2 * HALF, np.int64)
-    U = np.empty(LISTS * BLOCK, np.int64)
-    tier = np.empty(BLOCK, np.int8)
-    desk = walk.workspace(), workspace()
-    lists, again = (L, tier, V, S, N, U, desk), (U, tier, V, S, N, L, desk)
-    query = mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb)
-    listed = rows.shape[1] > 0
-    # Typed: a constant would have `_flush` compiled twice.
-    hint = np.int64(0)
-    count = np.int64(0)
-    state = np.zeros(STATES, np.int64)
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        # One piece a body: nothing to look up.
-        k = start
-        while k < stop:
-            count = np.int64(0)
-            while count < BLOCK and k < stop:
-                more = min(BLOCK - count, stop - k)
-                last = shape.shape[0] - 1
-                if listed:
-                    _steps(L, PAIR, count, more, k, 1)
-                    _picked(L, PIECE_A, more, rows, 0, k, stop, body_a[0])
-                    _picked(L, PIECE_B, more, rows, 1, k, stop, body_b[0])
-                    _picked(L, POSE_A, more, rows, 0, k, stop, pose_a[0])
-                    _picked(L, POSE_B, more, rows, 1, k, stop, pose_b[0])
-                else:
-                    # Along the last axis the rows are arithmetic progressions.
-                    more = min(more, shape[last] - k % shape[last])
-                    ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-                    _steps(L, PAIR, count, more, k, 1)
-                    _steps(L, PIECE_A, count, more, ia, body_a[last])
-                    _steps(L, PIECE_B, count, more, ib, body_b[last])
-                    _steps(L, POSE_A, count, more, ka, pose_a[last])
-                    _steps(L, POSE_B, count, more, kb, pose_b[last])
-                count += more
-                k += more
-            out[k - count : k] = FREE
-            hint |= DISTINCT | CONSECUTIVE | ASKING * (k + LEAD <= stop)
-            hint = _flush(query, hint, count, state, lists, out, tally)
-            waiting = state[WAITING]
-            if hint != FAULTY and (waiting >= ENOUGH or (waiting > 0 and k == stop)):
-                # They say nothing about the blocks to come.
-                state[WAITING] = 0
-                if _flush(query, np.int64(DISTINCT | BEST), waiting, state, again, out, tally) == FAULTY:
-                    hint = np.int64(FAULTY)
-            if hint == FAULTY:
-                return False
-        if state[HELD] + state[WALKING] > 0:
-            _search(query, state[TURN], state[HELD], np.int64(0), True, lists, state, out, tally)
-        return True
+        return _settle_simple(query, start, stop, plan, rows, work, out, tally)
+    return _settle_unions(query, start, stop, plan, rows, work, out, tally)
 
-    steps = np.empty(trees.STEPS, np.int64)
-    numbers = np.empty(trees.NUMBERS)
+
+@inline
+def _settle_simple(query, start, stop, plan, rows, work, out, tally):
+    """Settle pairs of bodies of one piece each: there is nothing to look up."""
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+    listed, ahead, carried = work.listed, work.ahead, work.carried
+    last = shape.shape[0] - 1
+    step = body_a[last], body_b[last], pose_a[last], pose_b[last]
+    # Typed: a constant would have `_flush` compiled twice.
+    found = np.int64(0)
+    k = start
+    while k < stop:
+        count = np.int64(0)
+        while count < BLOCK and k < stop:
+            more = min(BLOCK - count, stop - k)
+            if rows.shape[1] > 0:
+                _steps(listed.pair, count, more, k, 1)
+                _picked(listed.piece_a, ahead.piece_a, more, rows, 0, k, stop, step[0])
+                _picked(listed.piece_b, ahead.piece_b, more, rows, 1, k, stop, step[1])
+                _picked(listed.pose_a, ahead.pose_a, more, rows, 0, k, stop, step[2])
+                _picked(listed.pose_b, ahead.pose_b, more, rows, 1, k, stop, step[3])
+            else:
+                # Along the last axis the rows are arithmetic progressions.
+                more = min(more, shape[last] - k % shape[last])
+                first = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
+                _progressions(work, count, more, k, first, step)
+            count += more
+            k += more
+        out[k - count : k] = FREE
+        flags = found | DISTINCT | CONSECUTIVE | PREFETCHING * (k + LEAD <= stop)
+        found = _flush(query, flags, count, work, out, tally)
+        if found == FAULTY:
+            return False
+        waiting = carried[UNSURE]
+        if waiting >= ENOUGH or (waiting > 0 and k == stop):
+            # They take the place of the block for once; what is found of them says nothing about those to come.
+            carried[UNSURE] = 0
+            for lane in range(waiting):
+                pair_list.copy(listed, lane, work.unsure, lane)
+            if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
+                return False
+    if carried[HELD] + carried[WALKING] > 0:
+        _search(query, carried[TURN], carried[HELD], np.int64(0), np.int64(1), work, out, tally)
+    return True
+
+
+@inline
+def _settle_unions(query, start, stop, plan, rows, work, out, tally):
+    """Settle pairs of bodies of which one has many pieces, by their trees."""
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+    a, b, Ta, Tb = pieces_of(query.a), pieces_of(query.b), query.poses_a, query.poses_b
+    steps = np.empty(piece_tree.STEPS, np.int64)
+    numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
     found_b = np.empty(BLOCK, np.int64)
+    flags, count = np.int64(0), np.int64(0)
     for k in range(start, stop):
         out[k] = FREE
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         # The trees may leave no piece pair at all, and nobody else would then look at the poses.
         if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
-        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:
-            found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+            found = piece_tree.more(a, b, ib, query.margin, steps, numbers, found_a, found_b)
             if found == 0:
                 break
             for c in range(found):
-                _put(L, count, k, found_a[c], found_b[c], ka, kb)
+                pair_list.put(work.listed, count, k, found_a[c], found_b[c], ka, kb)
                 count += 1
                 if count == BLOCK:
-                    hint = _flush(query, hint, count, state, lists, out, tally)
-                    if hint == FAULTY:
+                    flags = _flush(query, flags, count, work, out, tally)
+                    if flags == FAULTY:
                         return False
                     count = np.int64(0)
-    if count > 0:
-        hint = _flush(query, hint, count, state, lists, out, tally)
-    return hint != FAULTY
+    return count == 0 or _flush(query, flags, count, work, out, tally) != FAULTY

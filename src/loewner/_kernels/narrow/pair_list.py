@@ -1,0 +1,70 @@
+"""Lists of piece pairs: what the stages of a query hand on to each other."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline
+from loewner._kernels.simd.memory import integers_at
+from loewner._kernels.simd.vectors import SINGLE_LANES
+
+
+class PairList(NamedTuple):
+    """Five arrays of int64, an entry for each piece pair.
+
+    Attributes
+    ----------
+    pair : the pair of bodies, or of a body and a configuration, that the piece pair belongs to
+    piece_a, piece_b : rows of the packed pieces
+    pose_a, pose_b : rows of the poses
+    """
+
+    pair: Any
+    piece_a: Any
+    piece_b: Any
+    pose_a: Any
+    pose_b: Any
+
+
+def size(capacity: int) -> int:
+    """Bytes of a list; its capacity is a multiple of eight."""
+    return 5 * 8 * capacity
+
+
+@inline
+def pair_list_at(address, capacity):
+    """The list at an address."""
+    step = 8 * capacity
+    return PairList(
+        integers_at(address, (capacity,)),
+        integers_at(address + step, (capacity,)),
+        integers_at(address + 2 * step, (capacity,)),
+        integers_at(address + 3 * step, (capacity,)),
+        integers_at(address + 4 * step, (capacity,)),
+    )
+
+
+# Places are unsigned: a signed one might count from the end, a comparison that keeps loops from being vectors.
+@inline
+def put(listed, at, pair, piece_a, piece_b, pose_a, pose_b):
+    """Write entry `at`."""
+    at = np.uint64(at)
+    listed.pair[at] = pair
+    listed.piece_a[at] = piece_a
+    listed.piece_b[at] = piece_b
+    listed.pose_a[at] = pose_a
+    listed.pose_b[at] = pose_b
+
+
+@inline
+def copy(target, to, source, at):
+    """Copy entry `at` of one list to entry `to` of another, or of the same."""
+    at = np.uint64(at)
+    put(target, to, source.pair[at], source.piece_a[at], source.piece_b[at], source.pose_a[at], source.pose_b[at])
+
+
+@inline
+def fill(listed, count):
+    """Repeat the last of `count` entries up to whole vectors."""
+    for lane in range(count, (count + SINGLE_LANES - 1) // SINGLE_LANES * SINGLE_LANES):
+        copy(listed, lane, listed, count - 1)

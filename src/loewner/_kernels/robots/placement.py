@@ -1,0 +1,250 @@
+"""Where everything of a robot and its scene is in a block of configurations: poses, ellipsoids, bounds.
+
+Rows of a block of S configurations, S a multiple of sixteen: body b that moves has its pose at configuration s in row
+b S + s, piece p its ellipsoids in row p S + s; those that stand still follow, one row each.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline
+from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
+from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
+from loewner._kernels.narrow.certificate import POSITION_ERROR, SINGLE_ROUNDOFF
+from loewner._kernels.pieces.shapes import (
+    HOT,
+    INNER_CENTER,
+    INNER_SHAPE,
+    OUTER_CENTER,
+    OUTER_RADIUS,
+    OUTER_SHAPE,
+    REACH,
+)
+from loewner._kernels.robots.kinematics import POSE, place_links, workspace_size
+from loewner._kernels.simd.memory import floats_at, integers_at, lines, singles_at
+from loewner._kernels.simd.vectors import (
+    LANES,
+    absolute,
+    broadcast,
+    load,
+    load_single,
+    movemask,
+    scatter_transpose,
+    scatter_transpose_rounded,
+    sqrt,
+    store_rounded,
+)
+
+MOST = 64  # configurations in a block
+
+# What a body's row of bounds holds: center, how far a sphere about it must be from another one, half widths.
+X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z, BOUNDS = 0, 1, 2, 3, 4, 5, 6, 8
+
+# Lengths and bounds are rounded up by this factor before they go to single precision.
+UP = 1.0 + 2.0**-22
+
+# What centers may be off by after rounding to single precision, relative to the lengths that they are made of; and a
+# length far below all others that keeps squares from underflowing.
+OFF, LEAST = POSITION_ERROR * SINGLE_ROUNDOFF, 1e-15
+
+
+class Placement(NamedTuple):
+    """What `place` and `stand` write.
+
+    Attributes
+    ----------
+    poses : ndarray, shape (rows, 4, 4)
+        Of all bodies.
+    ellipsoids : ndarray of float32, shape (rows, HOT)
+        Of all pieces, in world coordinates.
+    bounds : ndarray of float32
+        Of the bodies that move: BOUNDS rows of S numbers each.
+    links : ndarray
+        What the kinematics writes, see `kinematics`.
+    numbers : ndarray of int64, shape (8,)
+        Row numbers of a vector's lanes.
+    """
+
+    poses: Any
+    ellipsoids: Any
+    bounds: Any
+    links: Any
+    numbers: Any
+
+
+class Counts(NamedTuple):
+    """How much there is of everything: decides the size of a placement."""
+
+    links: Any
+    dof: Any
+    moving: Any
+    moving_pieces: Any
+    standing: Any
+    standing_pieces: Any
+
+
+@inline
+def placement_size(counts):
+    """Bytes of a placement."""
+    poses = counts.moving * MOST + counts.standing
+    rows = counts.moving_pieces * MOST + counts.standing_pieces
+    return (
+        lines(8 * 16 * poses)
+        + lines(4 * HOT * rows)
+        + lines(4 * BOUNDS * MOST * counts.moving)
+        + lines(8 * workspace_size(counts.links, counts.dof))
+        + lines(8 * LANES)
+    )
+
+
+@inline
+def placement_at(address, counts):
+    """The placement at an address."""
+    poses = counts.moving * MOST + counts.standing
+    rows = counts.moving_pieces * MOST + counts.standing_pieces
+    at_rows = address + lines(8 * 16 * poses)
+    at_bounds = at_rows + lines(4 * HOT * rows)
+    at_links = at_bounds + lines(4 * BOUNDS * MOST * counts.moving)
+    links = workspace_size(counts.links, counts.dof)
+    return Placement(
+        floats_at(address, (poses, 4, 4)),
+        singles_at(at_rows, (rows, HOT)),
+        singles_at(at_bounds, (BOUNDS * MOST * counts.moving,)),
+        floats_at(at_links, (links,)),
+        integers_at(at_links + lines(8 * links), (LANES,)),
+    )
+
+
+@inline
+def _place_piece(hot, p, R, t, S, at, numbers, rows):
+    """Write the ellipsoids of piece p at eight configurations; returns center, length and squared half widths."""
+    outer = plus(apply(R, (hot[p, OUTER_CENTER], hot[p, OUTER_CENTER + 1], hot[p, OUTER_CENTER + 2])), t)
+    inner = plus(apply(R, (hot[p, INNER_CENTER], hot[p, INNER_CENTER + 1], hot[p, INNER_CENTER + 2])), t)
+    k = OUTER_SHAPE
+    P = rotated_shape(R, (hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5]))
+    k = INNER_SHAPE
+    Q = rotated_shape(R, (hot[p, k], hot[p, k + 1], hot[p, k + 2], hot[p, k + 3], hot[p, k + 4], hot[p, k + 5]))
+    length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + hot[p, REACH]) * UP
+    radius = hot[p, OUTER_RADIUS] * UP
+    first, second = (*outer, broadcast(radius), *inner, length), OUTER_SHAPE + 6
+    third = INNER_SHAPE + 6
+    for lane in range(LANES):
+        numbers[lane] = p * S + at + lane
+    zero = np.int64(0)
+    scatter_transpose_rounded(rows, HOT, numbers, zero, zero, first)
+    scatter_transpose_rounded(
+        rows, HOT, numbers, zero, OUTER_SHAPE, (*P, broadcast(hot[p, second]), broadcast(hot[p, second + 1]))
+    )
+    scatter_transpose_rounded(
+        rows, HOT, numbers, zero, INNER_SHAPE, (*Q, broadcast(hot[p, third] * UP), broadcast(0.0))
+    )
+    slack = SHAPE_ROUNDINGS * trace(P)
+    return outer, length, (P[0] + slack, P[3] + slack, P[5] + slack)
+
+
+@inline
+def place(problem, pieces, Q, first, last, S, to):
+    """Place all that moves at the configurations first .. last; vectors are filled up with repeats of the last."""
+    link, ball, piece_start, hot = problem.link, problem.ball, pieces.piece_start, pieces.hot
+    W, numbers, bounds = to.links, to.numbers, to.bounds
+    zero, one = broadcast(0.0), broadcast(1.0)
+    nought = np.int64(0)
+    for at in range(0, min(S, last + 1 - first), LANES):
+        for lane in range(LANES):
+            numbers[lane] = min(first + at + lane, last)
+        place_links(problem.tree, Q, numbers, nought, W)
+        for body in range(link.size):
+            k = link[body] * (POSE * LANES)
+            R = (
+                load(W, k), load(W, k + LANES), load(W, k + 2 * LANES),
+                load(W, k + 3 * LANES), load(W, k + 4 * LANES), load(W, k + 5 * LANES),
+                load(W, k + 6 * LANES), load(W, k + 7 * LANES), load(W, k + 8 * LANES),
+            )  # fmt: skip
+            t = load(W, k + 9 * LANES), load(W, k + 10 * LANES), load(W, k + 11 * LANES)
+            for lane in range(LANES):
+                numbers[lane] = body * S + at + lane
+            scatter_transpose(to.poses, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
+            scatter_transpose(
+                to.poses, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one)
+            )
+            p = piece_start[body]
+            center, length, squares = _place_piece(hot, p, R, t, S, at, numbers, to.ellipsoids)
+            off = OFF * length + LEAST
+            wide = off + ball[body, 3] * UP
+            half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
+            if piece_start[body + 1] - p > 1:
+                for other in range(p + 1, piece_start[body + 1]):
+                    _place_piece(hot, other, R, t, S, at, numbers, to.ellipsoids)
+                center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
+                length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
+                wide = wide + OFF * length
+                half = wide, wide, wide
+            k = body * BOUNDS * S + at
+            store_rounded(bounds, k + X * S, center[0])
+            store_rounded(bounds, k + Y * S, center[1])
+            store_rounded(bounds, k + Z * S, center[2])
+            store_rounded(bounds, k + WIDE * S, wide * UP)
+            store_rounded(bounds, k + HALF_X * S, half[0] * UP)
+            store_rounded(bounds, k + HALF_Y * S, half[1] * UP)
+            store_rounded(bounds, k + HALF_Z * S, half[2] * UP)
+
+
+@inline
+def stand(problem, S, counts, to):
+    """Write what stands still behind what moves in a block of S configurations."""
+    for k in range(counts.standing):
+        for entry in range(16):
+            to.poses[counts.moving * S + k, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+    for k in range(counts.standing_pieces):
+        for entry in range(HOT):
+            to.ellipsoids[counts.moving_pieces * S + k, entry] = problem.standing_rows[k, entry]
+
+
+class Bounds(NamedTuple):
+    """Of one body at sixteen configurations: center of a ball and a box about it, radius, half widths."""
+
+    center: Any
+    radius: Any
+    half: Any
+
+
+@inline
+def near(a, b, keep, live):
+    """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`."""
+    r = minus(b.center, a.center)
+    far = (a.radius + b.radius) + keep
+    far = far * np.float32(UP)
+    clear = dot(r, r) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
+    live = live & ~movemask(clear)
+    if live != 0:
+        up = np.float32(UP)
+        clear = absolute(r[0]) > ((a.half[0] + b.half[0]) + keep) * up
+        clear = clear | (absolute(r[1]) > ((a.half[1] + b.half[1]) + keep) * up)
+        clear = clear | (absolute(r[2]) > ((a.half[2] + b.half[2]) + keep) * up)
+        live = live & ~movemask(clear)
+    return live
+
+
+@inline
+def bounds_at(bounds, at, S):
+    """Bounds of a body that moves."""
+    return Bounds(
+        (load_single(bounds, at + X * S), load_single(bounds, at + Y * S), load_single(bounds, at + Z * S)),
+        load_single(bounds, at + WIDE * S),
+        (
+            load_single(bounds, at + HALF_X * S),
+            load_single(bounds, at + HALF_Y * S),
+            load_single(bounds, at + HALF_Z * S),
+        ),
+    )
+
+
+@inline
+def bounds_standing(standing, k):
+    """Bounds of a body that stands still, at all configurations."""
+    return Bounds(
+        (broadcast(standing[k, X]), broadcast(standing[k, Y]), broadcast(standing[k, Z])),
+        broadcast(standing[k, WIDE]),
+        (broadcast(standing[k, HALF_X]), broadcast(standing[k, HALF_Y]), broadcast(standing[k, HALF_Z])),
+    )

@@ -1,0 +1,74 @@
+"""Memory by address: what Python owns, as arrays for kernels.
+
+A call from Python costs 150 ns for every array it hands over and 20 ns for a number; and an array that a kernel makes
+itself costs an allocation. So Python keeps the memory and hands over addresses. Whoever does must keep it alive.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.typing.templates import signature
+from numba.extending import intrinsic
+from numba.np.numpy_support import carray
+
+from loewner._kernels._jit import inline
+
+LINE = 64  # bytes of a cache line; everything in a `Memory` begins at one
+
+
+def _pointer_to(kind: Any, entry: Any) -> Any:
+    @intrinsic
+    def pointer(typingctx, address):
+        def generate(context, builder, sig, args):
+            return builder.inttoptr(args[0], entry.as_pointer())
+
+        return signature(types.CPointer(kind), types.int64), generate
+
+    return pointer
+
+
+_integers = _pointer_to(types.int64, ir.IntType(64))
+_floats = _pointer_to(types.float64, ir.DoubleType())
+_singles = _pointer_to(types.float32, ir.FloatType())
+_bytes = _pointer_to(types.int8, ir.IntType(8))
+
+
+@inline
+def integers_at(address, shape):
+    """Array of int64; `shape` is a tuple."""
+    return carray(_integers(address), shape)
+
+
+@inline
+def floats_at(address, shape):
+    """Array of float64."""
+    return carray(_floats(address), shape)
+
+
+@inline
+def singles_at(address, shape):
+    """Array of float32."""
+    return carray(_singles(address), shape)
+
+
+@inline
+def bytes_at(address, shape):
+    """Array of int8."""
+    return carray(_bytes(address), shape)
+
+
+@inline
+def lines(size):
+    """Bytes of whole cache lines that hold `size` bytes."""
+    return (size + (LINE - 1)) // LINE * LINE
+
+
+class Memory:
+    """A piece of memory for kernels to write to, which begins at a cache line; one thread uses it at a time."""
+
+    def __init__(self, size: int) -> None:
+        self._raw = np.empty(size + LINE, dtype=np.uint8)
+        self.size = size
+        self.address = -(-self._raw.ctypes.data // LINE) * LINE

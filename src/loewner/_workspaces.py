@@ -1,0 +1,24 @@
+"""Memory that kernels write to: each thread has its own, and uses it again for the next query."""
+
+import threading
+
+from loewner._kernels.simd.memory import Memory
+
+
+class _Own(threading.local):
+    def __init__(self) -> None:
+        # All that were made, the largest last. A signal handler may ask for more between another query's look and its
+        # use, so none is given back before the thread ends; together they are at most twice the largest.
+        self.made = [Memory(0)]
+
+
+_own = _Own()
+
+
+def workspace(size: int) -> int:
+    """Address of at least `size` bytes that belong to this thread until it ends; the next caller overwrites them."""
+    memory = _own.made[-1]
+    if memory.size < size:
+        memory = Memory(max(size, 2 * memory.size))
+        _own.made.append(memory)
+    return memory.address
