@@ -29,7 +29,7 @@ FORBIDDEN = 403
 
 # A Host header: a name or an address, IPv6 in brackets, and a port unless it is HTTP's own.
 HOST = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[^\s:/@\[\]]+)(?::(?P<port>[0-9]{1,5}))?")
-HTTP_PORT = 80
+HTTP_PORT = "80"
 
 # No host has this name (RFC 2606): it stands for all foreign ones when the guard is tried.
 FOREIGN = "loewner.invalid"
@@ -153,7 +153,7 @@ class Guard:
 
     def _knows(self, host: str) -> bool:
         read = HOST.fullmatch(host)
-        if read is None or int(read["port"] or HTTP_PORT) != self.port:
+        if read is None or (read["port"] or HTTP_PORT) != str(self.port):
             return False
         name = read["name"].strip("[]")
         if name in self._names:
