@@ -1,18 +1,11 @@
-"""Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
-
-A `Body` is one; `Bodies` is a packed sequence of them for batches. Both are read-only. A body is
-moved by handing a pose to a query; the fits are never computed again.
-"""
+"""`Body` and `Bodies`: what users hold."""
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import os
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,197 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
-from loewner._files import replacing
-from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
+from loewner._kernels import shapes
+from loewner.bodies import files
+from loewner.bodies.layout import Ints
+from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 
-Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
-
-FORMAT, VERSION = "loewner-bodies", 1
-
-KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
-
-# Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function
-# forms; nothing anybody collides is near either end.
-SMALLEST, LARGEST = 1e-30, 1e30
-
-# Sizes at which the certificate may work in single precision first (docs/certified.md).
-SINGLE_SIZES = 1e-3, 1e3
 
 # Relative allowance for the rounding of a closed form and of a stored factor.
 CLOSED_FORM_ROUNDING = 16 * 2.0**-53
-
-
-@dataclass(frozen=True, eq=False)
-class Packed:
-    """Pieces of n bodies as arrays; what kernels see is `kernel`.
-
-    Attributes
-    ----------
-    layout : ndarray of int64, shape (P, 5)
-        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
-    points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
-    piece_start : ndarray of int64, shape (n + 1,)
-        Body i owns the pieces piece_start[i] .. piece_start[i+1].
-    frames : ndarray, shape (P, 13)
-        Rounding radius, center and factor of the unit shape's image (zero for polytopes).
-    triangles, triangle_start
-        Hull triangles of the polytopes, as indices into the piece's own points.
-    inner_center, inner_factor, outer_center, outer_factor
-        The ellipsoids, shapes (P, 3) and (P, 3, 3).
-    gaps : ndarray, shape (P, 2)
-        Certified log-volume gaps of the inner and the outer fit.
-    maps
-        What `directions.direction_map` makes of the large polytopes, by number of the piece; None: still to be made.
-    """
-
-    layout: Ints
-    points: Floats
-    planes: Floats
-    piece_start: Ints
-    frames: Floats
-    triangles: Ints
-    triangle_start: Ints
-    inner_center: Floats
-    inner_factor: Floats
-    outer_center: Floats
-    outer_factor: Floats
-    gaps: Floats
-    maps: dict[int, tuple[Ints, Floats]] | None = None
-
-    def __post_init__(self) -> None:
-        for name in ARRAYS:
-            getattr(self, name).setflags(write=False)
-        if self.maps is None:
-            object.__setattr__(self, "maps", _direction_maps(self))
-        table = _table(self)
-        layout, points = _kernel_points(self)
-        hot = np.ascontiguousarray(table[:, : shapes.HOT])
-        start = self.piece_start.copy()
-        single = _single(hot)
-        vertices = blocks.aligned(len(points) if len(single) else 0, np.float32)
-        vertices[:] = points[: len(vertices)]
-        kernel = (table, layout, points, start, hot, single, *_trees(table, start), vertices)
-        # Not made read-only: to Numba that would be another type, and everything compiled twice.
-        object.__setattr__(self, "kernel", kernel)
-        object.__setattr__(self, "handle_table", handles.table_of(kernel))
-        object.__setattr__(self, "handle", self.handle_table.ctypes.data)
-
-    def __reduce__(self) -> Any:
-        """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
-        return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
-
-    # Set in __post_init__: the arrays of `loewner._kernels.shapes`, in order, and their handle.
-    kernel: Any = field(init=False)
-    handle_table: Any = field(init=False)
-    handle: int = field(init=False)
-
-
-ARRAYS = tuple(f.name for f in fields(Packed) if f.init and f.name != "maps")
-
-
-def _direction_maps(p: Packed) -> dict[int, tuple[Ints, Floats]]:
-    first, last = p.layout[:, shapes.POINTS_FROM], p.layout[:, shapes.POINTS_TO]
-    return {
-        int(i): directions.direction_map(np.ascontiguousarray(p.points[first[i] : last[i]]))
-        for i in np.flatnonzero(last - first > shapes.LARGE)
-    }
-
-
-def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
-    """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
-    maps = p.maps or {}
-    first = p.layout[:, shapes.POINTS_FROM]
-    lengths = p.layout[:, shapes.POINTS_TO] - first
-    columns = -(-lengths // blocks.BLOCK) * blocks.BLOCK
-    room = columns.copy()
-    for i, (chosen, nodes) in maps.items():
-        columns[i] = len(chosen)
-        room[i] = len(chosen) + -(-nodes.size // (3 * blocks.BLOCK)) * blocks.BLOCK
-    begin = _starts(room)
-    # A block is filled up with repeats of the last point: they change no maximum.
-    vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
-    for i, (chosen, _) in maps.items():
-        vertex[begin[i] : begin[i] + len(chosen)] = chosen
-    points = blocks.aligned(3 * len(vertex))
-    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, blocks.BLOCK, 3)
-    points.reshape(-1, 3, blocks.BLOCK)[:] = by_block.transpose(0, 2, 1)
-    for i, (chosen, nodes) in maps.items():
-        at = 3 * (begin[i] + len(chosen))
-        points[at : at + nodes.size] = nodes.ravel()
-    kind = p.layout[:, shapes.KIND].copy()
-    kind[list(maps)] = shapes.MAPPED
-    return np.column_stack([kind, begin[:-1], begin[:-1] + columns]), points
-
-
-def _table(p: Packed) -> Floats:
-    """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
-    table = np.zeros((len(p.layout), shapes.COLUMNS))
-    # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
-    largest = np.abs(p.outer_factor).max(axis=(1, 2), initial=0.0)
-    if not (largest < LARGEST).all():
-        raise _wrong_sizes(largest, largest)
-    upper = np.triu_indices(3)
-    for center, factor, at_center, at_shape in (
-        (p.outer_center, p.outer_factor, shapes.OUTER_CENTER, shapes.OUTER_SHAPE),
-        (p.inner_center, p.inner_factor, shapes.INNER_CENTER, shapes.INNER_SHAPE),
-    ):
-        table[:, at_center : at_center + 3] = center
-        Q = factor @ factor.transpose(0, 2, 1)
-        table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
-    table[:, shapes.ROUNDING] = p.frames[:, 0]
-    table[:, shapes.FRAME_CENTER : shapes.FRAME_CENTER + 12] = p.frames[:, 1:]
-    if len(table) == 0:
-        return table
-    # Singular values are computed with a backward error of a few roundings of the largest.
-    outer = np.linalg.svd(p.outer_factor, compute_uv=False)
-    inner = np.linalg.svd(p.inner_factor, compute_uv=False)
-    slack = 32 * 2.0**-53
-    # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
-    bend = 2 * rigid.ROTATION_TOLERANCE
-    table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
-    table[:, shapes.INNER_GRIP] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
-    table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
-    table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
-    # The inner ellipsoid lies in the piece and the piece in the outer one.
-    table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
-    reach = table[:, shapes.REACH]
-    if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
-        raise _wrong_sizes(outer[:, 0], reach)
-    return table
-
-
-def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
-    """Make the error about pieces too small or too large for the kernels."""
-    return GeometryError(
-        f"pieces: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {least.min():g} .. {most.max():g}"
-    )
-
-
-def _single(hot: Floats) -> NDArray[np.float32]:
-    """The kernels' hot columns in single precision, if all sizes suit it; otherwise no rows."""
-    least, most = SINGLE_SIZES
-    if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
-        return np.empty((0, shapes.HOT), dtype=np.float32)
-    rounded = hot.copy()
-    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= 1 + 2.0**-22
-    return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
-
-
-def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
-    """Trees over the pieces of the bodies that have many."""
-    n = len(piece_start) - 1
-    if np.diff(piece_start).max(initial=0) < trees.FEW:
-        return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
-    center = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
-    # The widths along the axes are the roots of the diagonal; all of it rounds outward.
-    half = np.sqrt(table[:, [shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]])
-    half += 2.0**-53 * 64 * table[:, shapes.REACH, None]
-    grown: tuple[Floats, Ints, Ints] = trees.planted(piece_start, center - half, center + half)
-    return grown
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +90,7 @@ class _Bodies:
         """Memory held by all arrays, in bytes."""
         p = self._packed
         maps = [array for made in (p.maps or {}).values() for array in made]
-        return sum(int(array.nbytes) for array in (*_arrays(p).values(), *maps, *p.kernel))
+        return sum(int(array.nbytes) for array in (*arrays_of(p).values(), *maps, *p.kernel))
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -586,9 +399,9 @@ class Body(_Bodies):
         listed = list(bodies)
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
-        packed = _concatenate([_expect_body(b, "bodies")._packed for b in listed])
+        packed = join([_expect_body(b, "bodies")._packed for b in listed])
         start = np.array([0, len(packed.layout)])
-        return cls(Packed(**{**_arrays(packed), "piece_start": start}, maps=packed.maps))
+        return cls(Packed(**{**arrays_of(packed), "piece_start": start}, maps=packed.maps))
 
     def transformed(self, T: ArrayLike) -> Body:
         """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
@@ -619,7 +432,7 @@ class Body(_Bodies):
         >>> Body.sphere(1.0).transformed(T).outer.center
         array([[5., 0., 0.]])
         """
-        return Body(_moved(self._packed, _check.pose(T, "T")), self.covering)
+        return Body(moved(self._packed, _check.pose(T, "T")), self.covering)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
@@ -642,7 +455,7 @@ class Body(_Bodies):
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
-        _save(self._packed, path, self.covering)
+        files.save(self._packed, path, self.covering)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
@@ -664,7 +477,7 @@ class Body(_Bodies):
             ...
         loewner.errors.FileError: none.npz: expected a file, found none
         """
-        packed, covering = _load(path)
+        packed, covering = files.load(path)
         if len(packed.piece_start) != 2:
             raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
         return cls(packed, covering)
@@ -686,7 +499,7 @@ class Bodies(_Bodies):
 
     def __init__(self, bodies: Iterable[Body]) -> None:
         listed = [_expect_body(b, "bodies")._packed for b in bodies]
-        self._packed = _concatenate(listed) if listed else _empty()
+        self._packed = join(listed) if listed else empty()
 
     @classmethod
     def _wrap(cls, packed: Packed) -> Bodies:
@@ -791,7 +604,7 @@ class Bodies(_Bodies):
         >>> Bodies.load("balls.npz")
         Bodies(2 bodies, 2 pieces)
         """
-        _save(self._packed, path, None)
+        files.save(self._packed, path, None)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
@@ -806,7 +619,7 @@ class Bodies(_Bodies):
         FileError
             If the file is missing, broken, altered or newer.
         """
-        return cls._wrap(_load(path)[0])
+        return cls._wrap(files.load(path)[0])
 
 
 # -- making -----------------------------------------------------------------------------------
@@ -821,7 +634,7 @@ def _expect_body(body: Any, name: str) -> Body:
 def _from_point_sets(sets: list[ArrayLike], piece_start: Ints, tol: float, progress: Progress | None) -> Packed:
     """Hulls, fits, packing."""
     if not sets:
-        return _empty()
+        return empty()
     hull = polytopes.hulls(sets)
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
         hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
@@ -860,23 +673,6 @@ def _assemble_polytopes(
     )
 
 
-def _empty() -> Packed:
-    return Packed(
-        layout=np.zeros((0, 5), dtype=np.int64),
-        points=np.zeros((0, 3)),
-        planes=np.zeros((0, 4)),
-        piece_start=np.zeros(1, dtype=np.int64),
-        frames=np.zeros((0, 13)),
-        triangles=np.zeros((0, 3), dtype=np.int64),
-        triangle_start=np.zeros(1, dtype=np.int64),
-        inner_center=np.zeros((0, 3)),
-        inner_factor=np.zeros((0, 3, 3)),
-        outer_center=np.zeros((0, 3)),
-        outer_factor=np.zeros((0, 3, 3)),
-        gaps=np.zeros((0, 2)),
-    )
-
-
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
     """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
     image, smaller, larger = (np.array([axes], dtype=float) for axes in (frame, inner, outer))
@@ -912,112 +708,6 @@ def _diagonal(axes: Floats) -> Floats:
     return axes[:, :, None] * np.eye(3)
 
 
-# -- rearranging ------------------------------------------------------------------------------
-
-
-def _arrays(packed: Packed) -> dict[str, Any]:
-    return {name: getattr(packed, name) for name in ARRAYS}
-
-
-def _concatenate(parts: list[Packed]) -> Packed:
-    """All bodies of several packs, in order."""
-    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
-    sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
-    shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
-    layouts = []
-    for part, (points, planes, _, _) in zip(parts, shift, strict=True):
-        layouts.append(part.layout + np.array([0, points, points, planes, planes]))
-    joined["layout"] = np.concatenate(layouts)
-    for name, column in (("piece_start", 2), ("triangle_start", 3)):
-        tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
-        joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
-    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in (p.maps or {}).items()}
-    return Packed(**joined, maps=maps)
-
-
-def _ranges(starts: Ints, stops: Ints) -> Ints:
-    """Concatenate the index ranges starts[i] .. stops[i]."""
-    lengths = stops - starts
-    if lengths.sum() == 0:
-        return np.zeros(0, dtype=np.int64)
-    offsets = np.repeat(starts - np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
-    return np.asarray(np.arange(lengths.sum()) + offsets)
-
-
-def _starts(lengths: Ints) -> Ints:
-    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-
-
-def take(p: Packed, bodies: Ints) -> Packed:
-    """Pack of some of the bodies, repeats allowed."""
-    first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
-    pieces = _ranges(first, last)
-    layout = p.layout[pieces]
-    points = _ranges(layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO])
-    planes = _ranges(layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO])
-    triangles = _ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
-    point_start = _starts(layout[:, shapes.POINTS_TO] - layout[:, shapes.POINTS_FROM])
-    plane_start = _starts(layout[:, shapes.PLANES_TO] - layout[:, shapes.PLANES_FROM])
-    moved = np.column_stack(
-        [layout[:, shapes.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
-    ).astype(np.int64)
-    return Packed(
-        layout=np.ascontiguousarray(moved),
-        points=p.points[points],
-        planes=p.planes[planes],
-        piece_start=_starts(last - first),
-        frames=p.frames[pieces],
-        triangles=p.triangles[triangles],
-        triangle_start=_starts(p.triangle_start[pieces + 1] - p.triangle_start[pieces]),
-        inner_center=p.inner_center[pieces],
-        inner_factor=p.inner_factor[pieces],
-        outer_center=p.outer_center[pieces],
-        outer_factor=p.outer_factor[pieces],
-        gaps=p.gaps[pieces],
-        maps={new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {},
-    )
-
-
-def _moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, keeping containment through the rounding."""
-    R, t = T[:3, :3], T[:3, 3]
-    points = p.points @ R.T + t
-    normals = p.planes[:, :3] @ R.T
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = np.empty(len(normals))
-    for row in p.layout:
-        faces = slice(row[shapes.PLANES_FROM], row[shapes.PLANES_TO])
-        if row[shapes.KIND] == shapes.POLYTOPE:
-            offsets[faces] = (normals[faces] @ points[row[shapes.POINTS_FROM] : row[shapes.POINTS_TO]].T).max(axis=1)
-    frames = p.frames.copy()
-    curved = p.layout[:, shapes.KIND] != shapes.POLYTOPE
-    frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
-    frames[:, 4:] = (R @ p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
-    # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
-    # center and factor likewise, and R stretches by its departure from orthonormality.
-    table = p.kernel[0]
-    shift = 2.0**-53 * 32 * (table[:, shapes.REACH] + np.abs(t).sum())
-    shrink = 1 - shift / table[:, shapes.INNER_SIGMA]
-    grow = 1 + shift / table[:, shapes.OUTER_SIGMA]
-    if not (shrink > 0.5).all():
-        raise GeometryError(
-            f"T: a translation of {np.abs(t).max():g} m leaves no digits for a piece this thin; "
-            "pass the pose to the query instead"
-        )
-    arrays = _arrays(p)
-    arrays.update(
-        points=points,
-        planes=np.column_stack([normals, offsets]),
-        frames=frames,
-        inner_center=p.inner_center @ R.T + t,
-        inner_factor=(R @ p.inner_factor) * shrink[:, None, None],
-        outer_center=p.outer_center @ R.T + t,
-        outer_factor=(R @ p.outer_factor) * grow[:, None, None],
-        gaps=p.gaps + 3 * np.column_stack([-np.log(shrink), np.log(grow)]),
-    )
-    return Packed(**arrays)
-
-
 def _piece(p: Packed, i: int) -> Piece:
     kind = int(p.layout[i, shapes.KIND])
     polytope = kind == shapes.POLYTOPE
@@ -1034,67 +724,3 @@ def _piece(p: Packed, i: int) -> Piece:
         inner_gap=float(p.gaps[i, 0]),
         outer_gap=float(p.gaps[i, 1]),
     )
-
-
-# -- files ------------------------------------------------------------------------------------
-
-
-def _digest(arrays: dict[str, Any]) -> str:
-    """Checksum over all arrays, so that a damaged or altered file never turns into a verdict."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
-
-
-def _save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Covering | None) -> None:
-    arrays = _arrays(packed)
-    if covering is not None:
-        arrays["covering"] = np.array([str(value) for value in astuple(covering)])
-    target = Path(path)
-    if target.suffix != ".npz":
-        raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "digest": _digest(arrays), **arrays}
-    with replacing(target) as temporary, open(temporary, "xb") as stream:
-        np.savez_compressed(stream, **content)
-
-
-def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:
-    if os.path.isfile(path) and not zipfile.is_zipfile(path):
-        raise FileError(
-            f"{path}: expected a body saved as .npz, found another kind of file or a damaged one; "
-            "for a mesh use loewner.Body.from_mesh"
-        )
-    try:
-        stored = np.load(path, allow_pickle=False)
-        if not isinstance(stored, np.lib.npyio.NpzFile):
-            raise FileError(f"{path}: expected a loewner .npz, found a single array")
-        with stored:
-            content = {name: stored[name] for name in stored.files}
-    except FileNotFoundError:
-        raise FileError(f"{path}: expected a file, found none") from None
-    except FileError:
-        raise
-    except Exception as error:  # a damaged zip or array header ends in any of a dozen exceptions, zlib's among them
-        raise FileError(f"{path}: expected a loewner .npz, found something unreadable ({error})") from None
-    if str(content.get("format")) != FORMAT:
-        raise FileError(f"{path}: expected a loewner .npz, found another kind of .npz")
-    version = content.get("version")
-    if version is None or version.shape != () or int(version) != VERSION:
-        raise FileError(
-            f"{path}: expected format version {VERSION}, found {version}; a newer loewner may have written it"
-        )
-    missing = [name for name in ARRAYS if name not in content]
-    if missing:
-        raise FileError(f"{path}: expected the arrays of a body, found none called {', '.join(missing)}")
-    arrays: dict[str, Any] = {name: content[name] for name in ARRAYS}
-    checked = arrays | ({"covering": content["covering"]} if "covering" in content else {})
-    if str(content.get("digest")) != _digest(checked):
-        raise FileError(f"{path}: the content does not match its checksum; the file is damaged or was altered")
-    covering = None
-    if "covering" in content:
-        kind, exact, uncovered, excess, samples = (str(entry) for entry in content["covering"])
-        covering = meshes.Covering(kind, exact == "True", float(uncovered), float(excess), int(samples))
-    return Packed(**arrays), covering
