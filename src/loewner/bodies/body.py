@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,7 +144,7 @@ class Body(_Bodies):
         >>> Body.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.1, 0.1, 0.1]])
         Body(polytope, 4 vertices)
         """
-        return cls.from_pieces([points], tol=tol)
+        return cls(_from_point_sets([points], np.array([0, 1]), tol, names=["points"]))
 
     @classmethod
     def from_pieces(cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4) -> Body:
@@ -172,23 +171,42 @@ class Body(_Bodies):
         sets = list(point_sets)
         if not sets:
             raise GeometryError("point_sets: expected at least one piece, found none")
-        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol, None))
+        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol))
 
     @classmethod
-    def from_mesh(cls, source: Any, *, decompose: bool = True, tol: float = 1e-4, **options: Any) -> Body:
+    def from_mesh(
+        cls,
+        source: Any,
+        *,
+        decompose: bool = True,
+        tol: float = 1e-4,
+        scale: ArrayLike = 1.0,
+        cover: bool = True,
+        threshold: float = 0.05,
+        max_pieces: int | None = None,
+        seed: int = 0,
+    ) -> Body:
         """Body of a triangle mesh.
 
         Parameters
         ----------
-        source : path or trimesh.Trimesh
+        source : path, trimesh.Trimesh or trimesh.Scene
             STL, OBJ, PLY, GLB or DAE, in metres.
         decompose : bool
             True: split a non-convex mesh into convex pieces (CoACD); the pieces approximate the
             mesh, and `body.covering` says how well. False: the convex hull, which contains it.
         tol : float
             Certified log-volume gap of all fits.
-        **options
-            Passed on to `loewner.meshes.convex_pieces`.
+        scale : float, or array_like of shape (3,)
+            Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+        cover : bool
+            Grow the pieces of a decomposition until they hold the mesh's whole surface.
+        threshold : float
+            CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
+        max_pieces : int, optional
+            Limit on the number of pieces of a decomposition.
+        seed : int
+            Seed of CoACD's search.
 
         Raises
         ------
@@ -197,6 +215,10 @@ class Body(_Bodies):
         MissingExtraError
             If a package of the extra "meshes" is needed and missing.
 
+        See Also
+        --------
+        loewner.meshes.convex_pieces : The pieces alone, and how they are made.
+
         Examples
         --------
         >>> import trimesh
@@ -204,14 +226,17 @@ class Body(_Bodies):
         >>> body, body.covering.kind
         (Body(polytope, 8 vertices), 'convex')
         """
-        known = inspect.signature(meshes.convex_pieces).parameters
-        for name in options:
-            if name not in known:
-                raise InputError(f"from_mesh: expected options among {', '.join(known)}, found {name!r}")
-        pieces, covering = meshes.convex_pieces(source, decompose=decompose, **options)
-        body = cls.from_pieces(pieces, tol=tol)
-        body.covering = covering
-        return body
+        sets, covering = meshes.convex_pieces(
+            source,
+            scale=cast(Floats, scale),  # checked there
+            decompose=decompose,
+            cover=cover,
+            threshold=threshold,
+            max_pieces=max_pieces,
+            seed=seed,
+        )
+        names = [f"piece {i} of the mesh" for i in range(len(sets))]
+        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol, names=names), covering)
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
@@ -532,7 +557,7 @@ class Bodies(_Bodies):
         Bodies(100 bodies, 100 pieces)
         """
         sets = list(point_sets)
-        return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress))
+        return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress=progress))
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
@@ -631,11 +656,18 @@ def _expect_body(body: Any, name: str) -> Body:
     return body
 
 
-def _from_point_sets(sets: list[ArrayLike], piece_start: Ints, tol: float, progress: Progress | None) -> Packed:
-    """Hulls, fits, packing."""
+def _from_point_sets(
+    sets: Sequence[ArrayLike],
+    piece_start: Ints,
+    tol: float,
+    *,
+    names: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Packed:
+    """Hulls, fits, packing; `names` as for `polytopes.hulls`."""
     if not sets:
         return empty()
-    hull = polytopes.hulls(sets)
+    hull = polytopes.hulls(sets, names=names)
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
         hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
     )
