@@ -16,13 +16,11 @@ from loewner._kernels import shapes
 from loewner.bodies import files
 from loewner.bodies.layout import Ints
 from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
+from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 
 Progress = Callable[[int, int], None]
-
-# Relative allowance for the rounding of a closed form and of a stored factor.
-CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,15 +385,7 @@ class Body(_Bodies):
         """
         r = _check.positive_scalar(radius, "radius")
         h = _check.positive_scalar(length, "length") / 2
-        # Smallest (a, a, b) around: its support must exceed h|cos| + r, that is
-        # a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b² - a² - h²; the volume is least at
-        # k² - 2h²k - 3h²r² = 0. The largest inside is (r, r, h + r).
-        # In units of the greater length, that no square over- or underflows.
-        unit = max(r, h)
-        x, y = r / unit, h / unit
-        k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
-        grow = np.sqrt(1 + y * y / k)
-        a, b = r * grow, unit * grow * np.sqrt(x * x + k)
+        a, b = around_capsules(np.array(r), np.array(h))
         return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
 
     @classmethod
@@ -575,7 +565,7 @@ class Bodies(_Bodies):
         """
         r = _check.positive_vector(radii, "radii", None)
         axes = np.repeat(r[:, None], 3, axis=1)
-        return cls._wrap(_primitives(shapes.POINT, r, axes, axes, axes, 0.0))
+        return cls._wrap(primitives(shapes.POINT, r, axes, axes, axes, 0.0))
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
@@ -592,7 +582,7 @@ class Bodies(_Bodies):
         Bodies(2 bodies, 2 pieces)
         """
         s = _check.positive_array(semi_axes, "semi_axes", (None, 3))
-        return cls._wrap(_primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
+        return cls._wrap(primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
 
     def __len__(self) -> int:
         return len(self._packed.piece_start) - 1
@@ -708,36 +698,7 @@ def _assemble_polytopes(
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
     """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
     image, smaller, larger = (np.array([axes], dtype=float) for axes in (frame, inner, outer))
-    return Body(_primitives(kind, np.array([rounding]), image, smaller, larger, lift))
-
-
-def _primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer: Floats, lift: float) -> Packed:
-    """Bodies of one curved piece each; `frame`, `inner` and `outer` are semi-axes, one row per body."""
-    n = len(frame)
-    # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
-    slack = 0.0 if kind in (shapes.ELLIPSOID, shapes.POINT) else CLOSED_FORM_ROUNDING
-    layout = np.zeros((n, 5), dtype=np.int64)
-    layout[:, shapes.KIND] = kind
-    center = np.tile([0.0, 0.0, lift], (n, 1))
-    return Packed(
-        layout=layout,
-        points=np.zeros((0, 3)),
-        planes=np.zeros((0, 4)),
-        piece_start=np.arange(n + 1),
-        frames=np.column_stack([rounding, np.zeros((n, 3)), _diagonal(frame).reshape(n, 9)]),
-        triangles=np.zeros((0, 3), dtype=np.int64),
-        triangle_start=np.zeros(n + 1, dtype=np.int64),
-        inner_center=center,
-        inner_factor=_diagonal(inner) * (1 - slack),
-        outer_center=center.copy(),
-        outer_factor=_diagonal(outer) * (1 + slack),
-        gaps=np.full((n, 2), 6 * slack),
-    )
-
-
-def _diagonal(axes: Floats) -> Floats:
-    """Diagonal matrices (n, 3, 3) of the rows of an (n, 3) array."""
-    return axes[:, :, None] * np.eye(3)
+    return Body(primitives(kind, np.array([rounding]), image, smaller, larger, lift))
 
 
 def _piece(p: Packed, i: int) -> Piece:
