@@ -66,11 +66,11 @@ class KernelArrays:
         return cls(arrays, addresses, addresses.ctypes.data)
 
 
-def direction_maps(p: Packed) -> Maps:
+def direction_maps(layout: Ints, points: Floats) -> Maps:
     """Direction maps of the large polytopes, by number of the piece."""
-    first, last = p.layout[:, shapes.POINTS_FROM], p.layout[:, shapes.POINTS_TO]
+    first, last = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
     return {
-        int(i): directions.direction_map(np.ascontiguousarray(p.points[first[i] : last[i]]))
+        int(i): directions.direction_map(np.ascontiguousarray(points[first[i] : last[i]]))
         for i in np.flatnonzero(last - first > shapes.LARGE)
     }
 

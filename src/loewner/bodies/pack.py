@@ -58,7 +58,7 @@ class Packed:
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
         if self.maps is None:
-            object.__setattr__(self, "maps", direction_maps(self))
+            object.__setattr__(self, "maps", direction_maps(self.layout, self.points))
         made = KernelArrays.of(self)
         object.__setattr__(self, "kernel_arrays", made)
         object.__setattr__(self, "kernel", made.arrays)
