@@ -167,6 +167,20 @@ def test_moved_piece_still_nests():
         assert (reach <= piece.offsets + 1e-13).all()
 
 
+def test_moved_by_a_pose_that_stretches():
+    """A pose that is just accepted as rigid leaves a ball or a capsule between its inner and its outer ellipsoid."""
+    rng = np.random.default_rng(3)
+    for stretch in (1 - 4e-7, 1 + 4e-7):
+        T = random_poses(rng, 1)[0]
+        T[:3, :3] *= stretch
+        ball, capsule = Body.sphere(2.0).transformed(T), Body.capsule(1.0, 2.0).transformed(T)
+        assert ball.inner.semi_axes.max() <= 2.0 <= ball.outer.semi_axes.min()
+        # Across its axis a capsule is as thick as its radius says.
+        assert capsule.inner.semi_axes[0, 1:].max() <= 1.0
+        across = np.linalg.svd(capsule.outer.factor[0])[0][:, 1]
+        assert np.linalg.norm(across @ capsule.outer.factor[0]) >= 1.0
+
+
 def test_packing():
     """Bodies are their bodies: pieces counted, rows in order, slices and single ones equal what went in."""
     each = [make() for make in ALL_KINDS.values()]

@@ -339,7 +339,7 @@ def forged(bases: dict[str, Arrays], seed: int) -> bytes:
     change(rng, arrays, name)
     if rng.uniform() < 0.25:
         here = [name for name in files.ARRAYS if name in arrays]
-        with suppress(IndexError, ValueError, TypeError):  # it no longer has the shape that this change expects
+        with suppress(LookupError, ValueError, TypeError):  # it no longer has the shape that this change expects
             FORGERIES[rng.integers(len(FORGERIES))](rng, arrays, here[rng.integers(len(here))])
     return packed(arrays)
 

@@ -176,6 +176,13 @@ def moved(p: Packed, T: Floats) -> Packed:
     shift = 2.0**-53 * 32 * (table[:, shapes.REACH] + np.abs(t).sum())
     shrink = 1 - shift / table[:, shapes.INNER_SIGMA]
     grow = 1 + shift / table[:, shapes.OUTER_SIGMA]
+    # A radius stays what it is while ellipsoids stretch with R. Scaled by the stretch about its center, a core and a
+    # ball that stretched as well are back inside (or around) the core and the ball that did not.
+    stretched = np.linalg.svd(R, compute_uv=False)
+    stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2.0**-50)
+    rounded = p.frames[:, 0] > 0
+    shrink[rounded] /= stretch
+    grow[rounded] *= stretch
     if not (shrink > 0.5).all():
         raise GeometryError(
             f"T: a translation of {np.abs(t).max():g} m leaves no digits for a piece this thin; "
