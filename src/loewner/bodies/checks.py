@@ -34,7 +34,7 @@ MOST_ASPECT = 1e15
 BEND = 4 * rigid.ROTATION_TOLERANCE
 
 # Points and planes of a block of polytopes, about, and products formed at a time.
-BLOCK, AT_ONCE = 1 << 13, 1 << 16
+BLOCK, AT_ONCE = 1 << 14, 1 << 16
 
 # Axes of curved pieces are at right angles to this: a hundred moves by poses that are just accepted as rigid.
 MOST_SKEW = 1e-4
@@ -217,12 +217,15 @@ def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floa
     """Points in the coordinates of their piece's ellipsoid, shape (3, V): that is the order that NumPy is quick in."""
     away = np.ascontiguousarray((points - center[owner]).T)
     columns = np.ascontiguousarray(inverse.transpose(1, 2, 0))
-    return np.stack([_dot(columns[k][:, owner], away) for k in range(3)])
+    return np.stack([_dot(columns[k].take(owner, axis=1), away) for k in range(3)])
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
     """Products of vectors that are columns."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    total = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return np.asarray(total)
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
@@ -251,7 +254,7 @@ def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Float
         np.add.reduceat(rest, first) != 0, "triangles: expected a closed surface, each edge run both ways", rows=rows
     )
 
-    a, b, c = (local[:, corner] for corner in corners)
+    a, b, c = (local.take(corner, axis=1) for corner in corners)
     ab, ac = b - a, c - a
     normal = _cross(ab, ac)
     height, length = _dot(normal, a), np.sqrt(_dot(normal, normal))
