@@ -18,7 +18,7 @@ from loewner._check import Floats
 from loewner._kernels import near_points as _near
 from loewner._kernels import pair_contact as _contact
 from loewner.ellipsoids import Ellipsoids
-from loewner.errors import ConvergenceError, InputError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError
 
 OVERLAP_METHODS = ("perram-wertheim", "eigenvalue")
 NEAR_POINT_METHODS = {"rimon-boyd": _near.RIMON_BOYD, "lin-han": _near.LIN_HAN, "center-line": _near.CENTER_LINE}
@@ -93,9 +93,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     >>> bool(overlap(a, b))
     True
     """
-    if method not in OVERLAP_METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(OVERLAP_METHODS)}, found {method!r}")
-    if method == "eigenvalue":
+    if _check.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
         return _overlap_by_eigenvalue(_Pair(E1, E2, "overlap", dim=None))
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
@@ -177,16 +175,13 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     >>> near_points(a, b).distance.round(12).item()
     2.0
     """
-    if method not in NEAR_POINT_METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(NEAR_POINT_METHODS)}, found {method!r}")
+    code = NEAR_POINT_METHODS[_check.choice(method, "method", NEAR_POINT_METHODS)]
     tolerance = _check.positive_scalar(angle, "angle")
     pair = _Pair(E1, E2, "near_points")
     n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
-    _near.near_points_of_pairs(
-        NEAR_POINT_METHODS[method], pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status
-    )
+    _near.near_points_of_pairs(code, pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status)
     failed = np.flatnonzero(status == _near.UNCONVERGED)
     if failed.size:
         raise ConvergenceError(

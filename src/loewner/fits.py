@@ -109,10 +109,10 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     check_enough(x, "points")
     tolerance = _tolerance(tol)
     n = x.shape[1]
+    if not isinstance(method, str) or method not in ("direct", "lifted-mvie"):
+        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_check.short(method)}")
     if method == "lifted-mvie":
         return _mvce_lifted(x, tolerance)
-    if method != "direct":
-        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {method!r}")
     center, factor = np.empty(n), np.empty((n, n))
     code, gap, iterations, axis, width, size = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
     if code == mvce_kernel.FLAT:
@@ -293,9 +293,9 @@ def _tolerance(tol: float) -> float:
 
 
 def _starts(x: Ints, name: str, total: int) -> Ints:
-    starts = writeable(np.ascontiguousarray(x, dtype=np.int64))
+    starts = writeable(_check.integer_array(x, name))
     if starts.ndim != 1 or len(starts) < 1 or starts[0] != 0 or starts[-1] != total or (np.diff(starts) < 0).any():
-        raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {np.asarray(x).tolist()[:8]}")
+        raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {starts.ravel()[:8].tolist()}")
     return starts
 
 

@@ -190,8 +190,10 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
         raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
-    check_size(float(np.abs(np.ldexp(bounds[~nothing], scale)).max(initial=0.0)), "b")
-    return np.ldexp(rows[~nothing], scale[:, None]), np.ldexp(bounds[~nothing], scale)
+    with np.errstate(over="ignore"):  # infinite is too large, and told so
+        scaled = np.ldexp(bounds[~nothing], scale)
+    check_size(float(np.abs(scaled).max(initial=0.0)), "b")
+    return np.ldexp(rows[~nothing], scale[:, None]), scaled
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
@@ -211,7 +213,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     x = np.zeros(n)
     if (b > 0).all():
         return x
-    magnify = 1.0 / np.abs(b).max()
+    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # of a cone, or of one point, every scale is its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
         slack = b - A @ x
@@ -228,7 +230,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
         slack = b - A @ x
         least = float(slack.min())
         noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
-        if least > noise or least < -1e-3 / magnify:
+        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: flat, and without rounding
             break
         magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
     distance = (b - A @ x) / np.linalg.norm(A, axis=1)
