@@ -94,7 +94,14 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     True
     """
     if _check.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
-        return _overlap_by_eigenvalue(_Pair(E1, E2, "overlap", dim=None))
+        pair = _Pair(E1, E2, "overlap", dim=None)
+        try:
+            with np.errstate(all="ignore"):  # what leaves the floats misses the second ellipsoid, and is told so
+                return _overlap_by_eigenvalue(pair)
+        except np.linalg.LinAlgError as error:
+            raise ConvergenceError(
+                f'overlap: the eigenproblem has no solution in floats ({error}); use method="perram-wertheim"'
+            ) from None
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
 
@@ -226,18 +233,12 @@ class _Pair:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
         if dim is not None and E1.dim != dim:
             raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
-        try:
-            self.batch = np.broadcast_shapes(E1.batch_shape, E2.batch_shape)
-        except ValueError:
-            raise InputError(
-                f"{caller}: expected batch shapes that broadcast, found "
-                f"{_check.shape_text(E1.batch_shape)} and {_check.shape_text(E2.batch_shape)}"
-            ) from None
+        self.batch = _check.broadcast({"E1": E1.batch_shape, "E2": E2.batch_shape})
         n = E1.dim
         self.c1 = self._flat(E1.center, n)
         F1, F2 = self._flat(E1.factor, n, n), self._flat(E2.factor, n, n)
         largest = np.maximum(np.abs(F1).max(axis=(1, 2), initial=0.0), np.abs(F2).max(axis=(1, 2), initial=0.0))
-        self.scale = np.ldexp(1.0, np.frexp(largest)[1])
+        self.scale = np.ldexp(1.0, np.minimum(np.frexp(largest)[1], 1023))  # 2^1024 is beyond the floats
         with np.errstate(over="ignore"):
             self.offset = (self._flat(E2.center, n) - self.c1) / self.scale[:, None]
         if not np.isfinite(self.offset).all():
@@ -293,11 +294,10 @@ def _overlap_by_eigenvalue(pair: _Pair) -> NDArray[np.bool_]:
 
     # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar; the inverse by the singular values already at hand. A point off
     # E2 (or NaN) tells that the eigenvalue lost its digits, and then it decides nothing.
-    with np.errstate(all="ignore"):
-        coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
-        y = np.einsum("kij,kj->ki", V, coordinates)
-        miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
-        touches = (y**2).sum(axis=-1) <= 1.0
+    coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
+    y = np.einsum("kij,kj->ki", V, coordinates)
+    miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
+    touches = (y**2).sum(axis=-1) <= 1.0
     lost = np.flatnonzero(~inside & ~(miss <= EIGENVALUE_MISS))
     if lost.size:
         raise ConvergenceError(

@@ -237,7 +237,9 @@ class Ellipsoids:
         if d.size and not d.any(axis=-1).all():
             raise InputError("direction: expected a non-zero vector, found zero")
         w = np.einsum("...ji,...j->...i", _near_one(self.factor, (-2, -1))[0], _near_one(d, (-1,))[0])
+        w = _near_one(w, (-1,))[0]
         length = np.linalg.norm(w, axis=-1, keepdims=True)
+        length[length == 0] = 1.0  # no float is as short as the way from the center to the support
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -278,7 +280,7 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).bounding_box()
         (array([-2., -2.]), array([4., 2.]))
         """
-        F, exponent = _near_one(self.factor, (-2, -1))
+        F, exponent = _near_one(self.factor, (-1,))
         half = np.ldexp(np.sqrt((F**2).sum(axis=-1)), exponent[..., 0])
         return self.center - half, self.center + half
 
