@@ -26,6 +26,8 @@ LISTED = 30
 
 # What a count may be at most: more fits into no array.
 LARGEST_INTEGER = 2**63 - 1
+# Of random numbers: as many bits as NumPy's own seeds have.
+LARGEST_SEED = 2**128 - 1
 
 # Characters of a value that a message shows at most.
 LONGEST = 120
@@ -39,7 +41,7 @@ def float_array(x: ArrayLike, name: str) -> Floats:
     Numbers are integers and floats of any size and byte order, and objects that `real` takes; not booleans, complex
     numbers, text, dates or masked entries.
     """
-    array = _array(x, name)
+    array = plain_array(x, name)
     if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.aligned:
         return array
     if array.dtype == np.object_:
@@ -52,7 +54,7 @@ def float_array(x: ArrayLike, name: str) -> Floats:
 
 def integer_array(x: ArrayLike, name: str) -> NDArray[np.int64]:
     """Return `x` as a C-order int64 array; anything that is not integers of at most 63 bits is an error."""
-    array = _array(x, name)
+    array = plain_array(x, name)
     if array.dtype.kind not in "iu" and array.size:
         raise InputError(f"{name}: expected integers, found dtype {array.dtype}")
     if array.dtype == np.uint64 and array.size and array.max() > LARGEST_INTEGER:
@@ -60,7 +62,7 @@ def integer_array(x: ArrayLike, name: str) -> NDArray[np.int64]:
     return array.astype(np.int64, order="C")
 
 
-def _array(x: ArrayLike, name: str) -> NDArray[Any]:
+def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
     """An array of whatever `x` holds, unless entries are masked: those say that there is no number."""
     if isinstance(x, (np.ma.MaskedArray, list, tuple)):
         for part in x if isinstance(x, (list, tuple)) else (x,):
@@ -199,6 +201,18 @@ def choice(x: Any, name: str, known: Collection[str]) -> str:
     if isinstance(x, str) and x in known:  # first, since an array compares by entries, and a list has no hash
         return x
     raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
+
+
+def listed(x: Any, name: str) -> list[Any]:
+    """Check something to go through, once, and go through it; text is no list of its letters."""
+    if isinstance(x, (str, bytes, bytearray)):
+        raise InputError(f"{name}: expected a list, found {short(x)}")
+    try:
+        return list(x)
+    except MemoryError:
+        raise
+    except Exception:  # no iterable, or what an object of the caller's raises
+        raise InputError(f"{name}: expected a list, found {short(x)}") from None
 
 
 def callback(x: Any, name: str) -> Any:

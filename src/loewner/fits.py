@@ -244,7 +244,7 @@ def fit_pieces(
     GeometryError, ConvergenceError
         With the index of the piece.
     """
-    tolerance = _tolerance(tol)
+    tolerance, progress = _tolerance(tol), _check.callback(progress, "progress")
     V = _check.finite_array(vertices, "vertices", (None, 3))
     A = _check.finite_array(normals, "normals", (None, 3))
     _check.finite_array(offsets, "offsets", (len(A),))
