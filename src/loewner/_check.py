@@ -55,6 +55,9 @@ def float_array(x: ArrayLike, name: str) -> Floats:
 def integer_array(x: ArrayLike, name: str) -> NDArray[np.int64]:
     """Return `x` as a C-order int64 array; anything that is not integers of at most 63 bits is an error."""
     array = plain_array(x, name)
+    if array.dtype == np.object_ and array.size:
+        entries = [whole_number(entry, name, -LARGEST_INTEGER) for entry in array.flat]
+        return np.array(entries, dtype=np.int64).reshape(array.shape)
     if array.dtype.kind not in "iu" and array.size:
         raise InputError(f"{name}: expected integers, found dtype {array.dtype}")
     if array.dtype == np.uint64 and array.size and array.max() > LARGEST_INTEGER:
@@ -68,6 +71,8 @@ def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
                 raise InputError(f"{name}: expected numbers only, found masked entries")
+    if isinstance(x, (str, bytes, bytearray)):  # of the last, NumPy would make an array of its bytes
+        raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
     try:
         return np.asarray(x)
     except MemoryError:

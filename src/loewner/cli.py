@@ -112,8 +112,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     FREE...
     0
     """
-    options = _parser().parse_args(arguments)
     try:
+        options = _parser().parse_args(None if arguments is None else _words(arguments))
         status = int(options.run(options))
         sys.stdout.flush()
         return status
@@ -126,6 +126,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python's own status for a crash is 1, which here says "colliding".
         traceback.print_exc()
     return ERROR
+
+
+def _words(arguments: Any) -> list[str]:
+    words = border.listed(arguments, "arguments")
+    for word in words:
+        if not isinstance(word, str):
+            raise InputError(f"arguments: expected text only, found {border.short(word)}")
+    return words
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -337,6 +345,7 @@ def _covering_text(covering: loewner.Covering | None) -> str:
 
 
 def _make_folder(folder: Path) -> None:
+    border.path(folder, "--out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -316,17 +316,18 @@ def costs(
     from matplotlib.ticker import EngFormatter
 
     styles = 0
-    for name, times in curves.items():
-        if times.ndim == 0:
-            ax.axhline(float(times), color=LEVEL, linestyle="--", label=name)
-            continue
-        colour, marker = CURVES[styles % len(CURVES)]
-        ax.plot(x, times, color=colour, marker=marker, markersize=4, label=name)
-        styles += 1
-    ax.set(xscale="log", yscale="log", xlabel=size, ylabel=f"time per {item}")
-    ax.yaxis.set_major_formatter(EngFormatter("s"))
-    ax.grid(alpha=0.3)
-    ax.legend(frameon=False)
+    with np.errstate(over="ignore"):  # near the largest floats the axis ends at infinity
+        for name, times in curves.items():
+            if times.ndim == 0:
+                ax.axhline(float(times), color=LEVEL, linestyle="--", label=name)
+                continue
+            colour, marker = CURVES[styles % len(CURVES)]
+            ax.plot(x, times, color=colour, marker=marker, markersize=4, label=name)
+            styles += 1
+        ax.set(xscale="log", yscale="log", xlabel=size, ylabel=f"time per {item}")
+        ax.yaxis.set_major_formatter(EngFormatter("s"))
+        ax.grid(alpha=0.3)
+        ax.legend(frameon=False)
     return ax
 
 
@@ -464,7 +465,7 @@ def _colour(x: Any) -> Any:
     from matplotlib.colors import is_color_like
 
     try:
-        known = is_color_like(x)
+        known = isinstance(x, (str, tuple)) and is_color_like(x)
     except Exception:  # what an object of the caller's raises
         known = False
     if not known:

@@ -136,10 +136,13 @@ class Polytope:
         code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
-        from scipy.spatial import ConvexHull
+        from scipy.spatial import ConvexHull, QhullError
 
         # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
-        dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        try:
+            dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        except QhullError as error:
+            raise GeometryError(f"A, b: no vertices found: {str(error).strip().splitlines()[0]}") from None
         equations = np.unique(dual.equations, axis=0)
         return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
 

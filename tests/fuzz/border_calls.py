@@ -187,9 +187,7 @@ SPOILT_FLOATS: dict[str, Callable[[np.ndarray], Any]] = {
 
 
 def _with(x: np.ndarray, value: Any) -> np.ndarray:
-    if x.dtype.kind != "O" and (x.dtype.kind != "i" or value != int(np.nan_to_num(value, posinf=0.5, nan=0.5))):
-        x = x.astype(float)
-    x = x.copy()
+    x = x.copy() if x.dtype.kind in "fO" else x.astype(float)
     x.flat[0] = value
     return x
 
@@ -228,7 +226,10 @@ ZERO = frozenset({"0", "-0.0"})
 NEGATIVE = frozenset({"-1"})
 NONE = frozenset({"None"})
 TEXTS = frozenset({"text of a number", "text nan", "text", "NUL", "surrogate", "long text"})
-NOTHING = frozenset({"empty list", "empty tuple", "empty dict", "empty set", "empty generator"})
+# A scene without bodies is a sequence of no names.
+NOTHING = frozenset(
+    {"empty list", "empty tuple", "empty dict", "empty set", "empty generator", "empty (0, 3)", "Scene"}
+)
 FLAGS = frozenset({"True", "False", "NumPy True"})
 # Numbers that a spoilt array may hold, and shapes that a batch may have.
 FINITE = frozenset({"one 1e308", "one 5e-324"})
@@ -476,6 +477,7 @@ def _ellipsoids() -> Ellipsoids:
 
 
 POINTS = array(CUBE, FINITE, "without the first row")
+FLAT_POINTS = array(CUBE, FINITE, "without the first row", "without the last column")  # in the plane
 TOL = arg(1e-4, "5e-324", "Fraction")
 PATH_OUT = arg("out.npz", TEXTS)
 VECTORS = array([[1.0, 0.5, 0.25], [0.5, -0.25, 0.125]], FINITE, BATCHES, "empty (0, 3)")
@@ -511,21 +513,24 @@ CALLS: dict[str, Call] = {
     "Ellipsoids.bounding_box": Call(on(_ellipsoids, "bounding_box"), {}),
     "Ellipsoids.__getitem__": Call(
         item(_ellipsoids),
-        {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple")},
+        {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple", "Scene")},
     ),
-    "mvce": Call(loewner.mvce, {"points": POINTS, "tol": TOL, "method": choice("direct")}),
+    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL, "method": choice("direct")}),
     "mvie": Call(
         loewner.mvie,
         {
-            "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE),
+            "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
             "b": array(np.ones(6), NONE, FINITE),
             "tol": TOL,
         },
     ),
-    "Polytope.from_points": Call(loewner.Polytope.from_points, {"points": POINTS}),
+    "Polytope.from_points": Call(loewner.Polytope.from_points, {"points": FLAT_POINTS}),
     "Polytope.from_halfspaces": Call(
         loewner.Polytope.from_halfspaces,
-        {"A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE), "b": array(np.ones(6), FINITE)},
+        {
+            "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
+            "b": array(np.ones(6), FINITE),
+        },
     ),
     "overlap": Call(loewner.overlap, {**E3, "method": choice("perram-wertheim")}),
     "contact_function": Call(loewner.contact_function, E3),
@@ -582,6 +587,7 @@ CALLS: dict[str, Call] = {
                 "turned over",
                 "empty list",
                 "empty tuple",
+                "Scene",
             )
         },
     ),
@@ -612,7 +618,12 @@ CALLS: dict[str, Call] = {
     ),
     "overlapping_pairs": Call(
         loewner.overlapping_pairs,
-        {"bodies": arg(pair_of_cubes, "Bodies"), "T_world": poses(), "margin": margin(), "method": choice("exact")},
+        {
+            "bodies": arg(pair_of_cubes, "Body", "Bodies"),
+            "T_world": poses(),
+            "margin": margin(),
+            "method": choice("exact"),
+        },
     ),
     # -- scenes
     "Scene": Call(Scene, {"margin": margin()}),
@@ -832,7 +843,7 @@ CALLS: dict[str, Call] = {
             "pairs": count(5),
             "seed": count(1, "0", "2**70"),
             "dataset": choice("radius"),
-            "out": arg(None, NONE, TEXTS, "folder", "missing file"),
+            "out": arg(None, NONE, TEXTS, "folder", "missing file", skips=frozenset({"text nan", "text"})),
             "json": arg("out.json", NONE, TEXTS),
             "progress": callback(),
         },
@@ -858,6 +869,7 @@ CALLS: dict[str, Call] = {
                 "turned over",
                 "empty list",
                 "empty tuple",
+                "Scene",
             )
         },
     ),
