@@ -90,6 +90,7 @@ def test_bad_half_spaces():
         (np.eye(3), np.zeros(3)),  # a cone
         (box, np.full(6, 5e-324)),  # lost in scaling
         (np.zeros((6, 3)), np.zeros(6)),  # all of space
+        (np.r_[np.diag([1e308, 1, 1]), -np.eye(3)], np.ones(6)),  # a corner cut by a plane nearly through the middle
     ]:
         for make in (loewner.Polytope.from_halfspaces, loewner.mvie):
             with pytest.raises(GeometryError):
