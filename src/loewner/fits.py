@@ -114,18 +114,18 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     if method == "lifted-mvie":
         return _mvce_lifted(x, tolerance)
     center, factor = np.empty(n), np.empty((n, n))
-    code, gap, iterations, axis, width, size = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
+    code, gap, iterations, _, _, _ = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
     if code == mvce_kernel.FLAT:
-        raise flat_error("points", n, axis, width, size)
+        raise flat_error("points", x)
     return _finished("mvce", center, factor, gap, iterations, tolerance)
 
 
 def _mvce_lifted(points: Floats, tol: float) -> Fit:
     """The paper's Appendix B: the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
     m, n = points.shape
-    code, axis, width, size, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
+    code, _, _, _, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
     if code == mvce_kernel.FLAT:
-        raise flat_error("points", n, axis, width, size)
+        raise flat_error("points", points)
     lifted = np.column_stack([local, np.ones(m)])
     z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
     gap, iterations = mvie_kernel.solve_primal_dual(

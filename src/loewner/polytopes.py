@@ -171,13 +171,26 @@ def writeable(array: NDArray[Any]) -> NDArray[Any]:
     return array if array.flags.writeable else array.copy()
 
 
-def flat_error(name: str, n: int, axis: int, width: float, size: float) -> GeometryError:
-    """Say how flat the points are, and in how many directions they do extend."""
-    what = {0: "in one place", 1: "on a line", 2: "in a plane"}.get(axis, f"in a flat of dimension {axis}")
+def flat_error(name: str, points: Floats) -> GeometryError:
+    """Say how flat the points are, and in how many directions they do extend.
+
+    The kernels stop at the first direction without a width, which need not be the last: a sheet across the first
+    direction tried has none there. So the directions are found anew, the widest first.
+    """
+    n = points.shape[1]
+    offsets = points - points[0]
+    length = float(np.abs(offsets).max())
+    widths = np.zeros(n)
+    if length > 0:
+        directions = np.linalg.svd(offsets / length, full_matrices=len(points) < n)[2]
+        widths = np.sort(np.ptp(offsets @ directions.T, axis=0))[::-1]
+    noise = 2 * n * EPS * float(np.abs(points).max())
+    rank = min(int((widths > max(FLATNESS * widths[0], noise)).sum()), n - 1)
+    what = {0: "in one place", 1: "on a line", 2: "in a plane"}.get(rank, f"in a flat of dimension {rank}")
     return GeometryError(
         f"{name}: expected points that span all {n} dimensions, found all of them {what}: "
-        f"the next width is {width:.3g} m against a length of {size:.3g} m (flat means at most {FLATNESS:g} of it, "
-        "or lost in the rounding of the coordinates)"
+        f"the next width is {widths[rank]:.3g} m against a length of {widths[0]:.3g} m (flat means at most "
+        f"{FLATNESS:g} of it, or lost in the rounding of the coordinates)"
     )
 
 
@@ -266,9 +279,9 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
     check_enough(points, name, least_dim=2)
     points = writeable(points)
-    code, axis, width, size, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
+    code, _, _, _, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
     if code == FLAT:
-        raise flat_error(name, points.shape[1], axis, width, size)
+        raise flat_error(name, points)
     try:
         qhull = ConvexHull(coordinates)
     except QhullError as error:
@@ -316,7 +329,7 @@ class Hulls:
         return len(self.vert_start) - 1
 
 
-def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
+def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names: Sequence[str] | None = None) -> Hulls:
     """Convex hulls of many sets of points in 3-D, packed into flat arrays.
 
     Parameters
@@ -325,18 +338,22 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
         In metres.
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
+    names : sequence of str, optional
+        What the caller calls each set, for messages; otherwise ``point_sets[i]``.
 
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points`; the message begins with the index of the set.
+        As `Polytope.from_points`; the message begins with the name of the set.
     """
     parts: list[tuple[Floats, Floats, Floats, Ints, Ints]] = []
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints, Ints]]:
-        names = [f"point_sets[{i}]" for i in range(first, last)]
-        sets = point_sets[first:last]
-        return [_hull(_check.finite_array(x, name, (None, 3)), name) for x, name in zip(sets, names, strict=True)]
+        made = []
+        for i in range(first, last):
+            name = f"point_sets[{i}]" if names is None else names[i]
+            made.append(_hull(_check.finite_array(point_sets[i], name, (None, 3)), name))
+        return made
 
     for block in over_blocks(run, len(point_sets), BLOCK, progress):
         parts.extend(block)
