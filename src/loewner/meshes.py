@@ -7,7 +7,6 @@ surface (`cover`), because the decomposition itself cuts corners and those corne
 
 from __future__ import annotations
 
-import struct
 import warnings
 from dataclasses import dataclass
 from os import PathLike
@@ -17,17 +16,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
+from loewner import _check, mesh_files
 from loewner._check import Floats
-from loewner.errors import FileError, GeometryError, InputError, MissingExtraError, installing
+from loewner._files import shown
+from loewner.errors import GeometryError, InputError, MissingExtraError, installing
+from loewner.mesh_files.parts import Triangles
 from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
     import trimesh
 
-Triangles = NDArray[np.int64]
-
-SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".gltf", ".dae")
+SUFFIXES = mesh_files.SUFFIXES
 
 # A closed mesh this close to its convex hull, in volume, is taken for its hull. Collision meshes
 # that are hulls, then simplified and stored in float32, are off by up to 1e-3.
@@ -117,14 +116,11 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        mesh = _read(Path(source))
-        name = str(source)
+        name = shown(source)
+        vertices, triangles = mesh_files.read(Path(source))
     else:
-        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
         name = "mesh"
-    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
-    vertices, triangles = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+        vertices, triangles = _in_memory(source)
     if len(triangles) == 0:
         raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -132,10 +128,34 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
             f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
             f"found indices {triangles.min()}..{triangles.max()}"
         )
+    _expect_finite(vertices, name)
+    return vertices, triangles
+
+
+def _in_memory(source: Any) -> tuple[Floats, Triangles]:
+    """Vertices in metres and triangles of a trimesh.Trimesh or trimesh.Scene."""
+    try:
+        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
+    except Exception as error:  # of a scene that somebody put together; trimesh has no errors of its own
+        raise GeometryError(
+            f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
+        ) from None
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
+    vertices = _check.float_array(mesh.vertices, "mesh.vertices")
+    triangles = np.asarray(mesh.faces)
+    for array, what in ((vertices, "vertices"), (triangles, "faces")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_check.shape_text(array.shape)}")
+    if len(triangles) and triangles.dtype.kind not in "iu":
+        raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
+    return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
+
+
+def _expect_finite(vertices: Floats, name: str) -> None:
     if not np.isfinite(vertices).all():
         bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
         raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
-    return vertices * _metres(mesh), triangles
 
 
 def convex_pieces(
@@ -251,63 +271,6 @@ def _result(hulls: list[Polytope], covering: Covering, volume: float) -> tuple[l
 
 
 # -- files --------------------------------------------------------------------------------------
-
-
-def _read(path: Path) -> Any:
-    """Read a file through trimesh, refusing what trimesh would read in part."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"{path}: expected a mesh file, found {(error.strerror or str(error)).lower()}") from None
-    if path.suffix.lower() not in SUFFIXES:
-        raise FileError(f"{path}: expected one of {', '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
-    if not data:
-        raise FileError(f"{path}: expected a mesh file, found an empty one")
-    trimesh = _import("trimesh")
-    _refuse_cut_file(path, data)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about colours and materials
-            scene = trimesh.load_scene(path, process=False)
-    except ImportError as error:
-        if error.name in {"collada", "lxml", "networkx"}:
-            raise MissingExtraError(_install_hint(error.name)) from None
-        raise FileError(f"{path}: expected a {path.suffix} mesh, found something else") from None
-    except Exception as error:  # each format's reader has its own exceptions; all mean the same here
-        what = " ".join(str(error).split())[:200]
-        raise FileError(
-            f"{path}: expected a {path.suffix} mesh, found a file that cannot be read ({type(error).__name__}: {what})"
-        ) from None
-    if not scene.geometry:
-        raise FileError(f"{path}: expected a {path.suffix} mesh, found none in it")
-    return scene.to_mesh()
-
-
-def _refuse_cut_file(path: Path, data: bytes) -> None:
-    """Notice the cut files that trimesh reads without complaint, as the triangles before the cut."""
-    suffix = path.suffix.lower()
-    if suffix == ".stl":
-        count = struct.unpack("<I", data[80:84])[0] if len(data) >= 84 else 0
-        if len(data) >= 84 and len(data) >= 84 + 50 * count and not _is_text_stl(data):
-            return
-        if not _is_text_stl(data):
-            found = f"{len(data)} bytes where its header asks for {84 + 50 * count}" if len(data) >= 84 else "no header"
-            raise FileError(f"{path}: expected an STL mesh, found {found}")
-        if data.count(b"endfacet") * 2 != data.count(b"facet") or b"endsolid" not in data:
-            raise FileError(f"{path}: expected a whole text STL, found one cut before its endsolid")
-    elif suffix == ".obj":
-        last = data.rsplit(b"\n", 1)[-1].split()
-        if last and last[0] in (b"v", b"f") and len(last) < 4:
-            raise FileError(f"{path}: expected a whole OBJ file, found one cut within its last line")
-    elif suffix == ".glb" and len(data) >= 12 and data[:4] == b"glTF":
-        length = struct.unpack("<I", data[8:12])[0]
-        if len(data) < length:
-            raise FileError(f"{path}: expected {length} bytes as its header says, found {len(data)}")
-
-
-def _is_text_stl(data: bytes) -> bool:
-    # Binary headers may begin with "solid" too; a text file names its first facet soon after.
-    return data[:512].lstrip().startswith(b"solid") and (b"facet" in data[:1024] or b"endsolid" in data[:1024])
 
 
 def _import(package: str) -> Any:
