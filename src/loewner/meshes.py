@@ -20,7 +20,7 @@ from loewner import _check, mesh_files
 from loewner._check import Floats
 from loewner._files import shown
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
-from loewner.mesh_files.parts import Triangles
+from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
@@ -31,6 +31,10 @@ SUFFIXES = mesh_files.SUFFIXES
 # A closed mesh this close to its convex hull, in volume, is taken for its hull. Collision meshes
 # that are hulls, then simplified and stored in float32, are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
+
+# A mesh smaller or larger than that across [m] is asked about: hardly any body is, but for one in another unit. Meshes
+# of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
+USUAL_SIZES = (1e-4, 1e3)
 
 # What sticks out of the nearest piece by more than GROWTH is cut into cells, down to CELL_SIZE; both
 # are relative to the diagonal of the mesh's box. So a piece grows by 0.1 % of it over a face and by
@@ -86,7 +90,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     Parameters
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene
-        A file in STL, OBJ, PLY, GLB, glTF or Collada (DAE) format. The meshes of a scene are
+        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are
         placed by their transforms and joined. Where a file states its unit of length, it is
         converted; all others are taken to be in metres.
 
@@ -99,12 +103,11 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     Raises
     ------
     FileError
-        If the file is missing, empty, cut short or no mesh. (An OBJ file does not say how long
-        it is: one that was cut between two lines cannot be told from a whole one.)
+        If the file is missing, empty, cut short, larger than 2 GiB, no regular file or no mesh, or if it holds
+        anything else than what it says of itself; the message names the line or element. (An OBJ file does not say
+        how long it is: one that was cut between two lines cannot be told from a whole one.)
     GeometryError
         If a vertex is not finite, or there is no triangle.
-    MissingExtraError
-        If trimesh, or a package that it needs for this format, is not installed.
 
     Examples
     --------
@@ -150,6 +153,18 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
     if len(triangles) and triangles.dtype.kind not in "iu":
         raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
     return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
+
+
+def _ask_about_units(vertices: Floats, name: str) -> None:
+    """Warn of a size that looks like another unit of length; `vertices` are scaled already."""
+    size = float(np.ptp(vertices, axis=0).max())
+    if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
+        guess = "in millimetres (then give scale=0.001)" if size > 1 else "scaled to metres twice, or in kilometres"
+        warnings.warn(
+            f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess}? scale= is the factor to metres",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def _expect_finite(vertices: Floats, name: str) -> None:
@@ -201,7 +216,8 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to decompose has holes: its inside is not solid then.
+        If a mesh to decompose has holes: its inside is not solid then. If the mesh, scaled, is more than 1000 m or less
+        than 0.1 mm across: it may be in another unit than metres.
 
     Notes
     -----
@@ -235,7 +251,12 @@ def convex_pieces(
     if not factors.all():
         raise InputError(f"scale: expected factors other than 0, found {scale}")
     vertices, triangles = load(source)
-    vertices, triangles = _welded(vertices * factors, triangles)
+    name = shown(source) if isinstance(source, str | PathLike) else "mesh"
+    with np.errstate(over="ignore"):
+        vertices = vertices * factors
+    _expect_finite(vertices, name)
+    _ask_about_units(vertices[triangles].reshape(-1, 3), name)
+    vertices, triangles = _welded(vertices, triangles)
     volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
     if volume < 0:  # turned inside out
         triangles, volume = triangles[:, ::-1], -volume

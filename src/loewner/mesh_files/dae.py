@@ -164,6 +164,7 @@ class _Scene:
                 self.named.setdefault((element.tag, name), []).append(element)
             waiting += element.children
         self.made: dict[str, tuple[Floats, Triangles]] = {}
+        self.points: dict[str, Floats] = {}
 
     def find(self, tag: str, name: str, line: int) -> _Element:
         found = self.named.get((tag, name), [])
@@ -239,7 +240,9 @@ class _Scene:
         return points, assemble(element, runs)
 
     def source(self, name: str, line: int) -> Floats:
-        """Points of a source, shape (n, 3)."""
+        """Points of a source, shape (n, 3); the same array each time."""
+        if name in self.points:
+            return self.points[name]
         source = self.find("source", name, line)
         accessor = source.one("technique_common").one("accessor")
         array = source.one("float_array")
@@ -251,7 +254,8 @@ class _Scene:
         expect(len(accessor.all("param")) == 3 <= stride, "<accessor>: expected three params and stride", accessor.line)
         needed = offset + count * stride
         expect(needed <= len(numbers), f"<accessor>: expected {needed} numbers, found {len(numbers)}", accessor.line)
-        return numbers[offset:needed].reshape(count, stride)[:, :3]
+        self.points[name] = numbers[offset:needed].reshape(count, stride)[:, :3]
+        return self.points[name]
 
 
 # -- primitives ---------------------------------------------------------------------------------

@@ -94,6 +94,7 @@ class _Reader:
         self.tree, self.body, self.folder, self.limit = tree, body, folder, limit
         self.buffers: dict[int, bytes] = {}
         self.files: dict[str, bytes] = {}
+        self.points: dict[int, Floats] = {}
         self.made: dict[int, tuple[Floats, Triangles]] = {}
         version = tree.get("asset", {}).get("version") if isinstance(tree.get("asset"), dict) else None
         expect(isinstance(version, str) and version.startswith("2."), "expected an asset of version 2")
@@ -210,8 +211,10 @@ class _Reader:
         attributes = primitive.get("attributes")
         if not isinstance(attributes, dict):
             raise Refusal(f"{where}: expected attributes, an object")
-        points, _ = self.accessor(self.integer(attributes, where, "POSITION"), "VEC3")
-        vertices = points.astype(np.float64)
+        number = self.integer(attributes, where, "POSITION")
+        if number not in self.points:
+            self.points[number] = self.accessor(number, "VEC3")[0].astype(np.float64)
+        vertices = self.points[number]
         if "indices" in primitive:
             indices, kind = self.accessor(self.integer(primitive, where, "indices"), "SCALAR")
             expect(kind in _INDICES, f"{where}: expected indices of unsigned whole numbers, found type {kind}")

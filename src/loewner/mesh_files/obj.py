@@ -74,13 +74,13 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     all_corners, all_sizes = np.concatenate(corners), np.concatenate(sizes)
     if all_corners.max() >= total:
         k = int(np.flatnonzero(all_corners >= total)[0])
-        line = int(np.repeat(np.concatenate(lines), all_sizes)[k])
-        raise Refusal(f"expected a face of vertices 1..{total}, found {all_corners[k] + 1}", line)
+        where = int(np.repeat(np.concatenate(lines), all_sizes)[k])
+        raise Refusal(f"expected a face of vertices 1..{total}, found {all_corners[k] + 1}", where)
     return vertices, fans(all_corners, all_sizes)
 
 
 def _plain(data: bytes) -> bytes:
-    """The same text with plain line ends and without continued lines or comments' sake; lines keep their numbers."""
+    """The same text with plain line ends and continued lines joined; all other lines keep their numbers."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -139,6 +139,6 @@ def _corners(face_lines: list[list[bytes]], numbers: list[int], seen: Integers) 
     wrong = (given == 0) | (corners < 0)
     if wrong.any():
         k = int(np.flatnonzero(wrong)[0])
-        line = int(np.repeat(numbers, [len(line) - 1 for line in face_lines])[k])
-        raise Refusal(f"expected a vertex counted from 1, or back from -1, found {given[k]} of {seen[k]}", line)
+        where = int(np.repeat(numbers, [len(line) - 1 for line in face_lines])[k])
+        raise Refusal(f"expected a vertex counted from 1, or back from -1, found {given[k]} of {seen[k]}", where)
     return corners

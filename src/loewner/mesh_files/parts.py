@@ -90,16 +90,20 @@ def strip(corners: Integers) -> Triangles:
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """One mesh of several; refused before it would be too large."""
+    """One mesh of several, those of the same vertices (the same array) sharing them; refused before it is too large."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
+    starts: dict[int, int] = {}  # of the arrays in `vertices`
     v = t = 0
     for points, corners in parts:
-        expect(v + len(points) <= MOST, f"expected at most {MOST} vertices, found more")
-        expect(t + len(corners) <= MOST, f"expected at most {MOST} triangles, found more")
-        vertices.append(points)
-        triangles.append(corners + v)
-        v, t = v + len(points), t + len(corners)
+        if id(points) not in starts:
+            starts[id(points)] = v
+            vertices.append(points)
+            v += len(points)
+        triangles.append(corners + starts[id(points)])
+        t += len(corners)
+        expect(v <= MOST, f"expected at most {MOST} vertices, found more")
+        expect(t <= MOST, f"expected at most {MOST} triangles, found more")
     if not vertices:
         return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     return np.concatenate(vertices), np.concatenate(triangles)
