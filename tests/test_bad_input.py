@@ -1,5 +1,6 @@
 """Bad input gets a clear error that is a LoewnerError, never an answer, a crash or half a file."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -562,6 +563,26 @@ def test_a_flat_mesh_is_an_error(tmp_path: Path):
     path = write(tmp_path / "flat.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
     with pytest.raises(LoewnerError):
         Body.from_mesh(path, decompose=False)
+
+
+class Unfit(os.PathLike[str]):
+    """A path-like object that is none."""
+
+    def __fspath__(self) -> str:
+        raise RuntimeError("no path today")
+
+
+@pytest.mark.parametrize("bad", [None, 3, b"part.stl", "", "a\0b", "\ud800", [], Unfit(), CUBE], ids=repr)
+def test_what_is_no_path(bad: object):
+    """A path is text that the file system can hold; anything else is an InputError that names the argument."""
+    with pytest.raises(InputError, match="file: expected the path of a file, found "):
+        _check.path(bad, "file")
+
+
+@pytest.mark.parametrize("good", ["a", "a b/ü", os.fsdecode(b"not\xffutf-8"), Path("a/b"), np.str_("a")], ids=ascii)
+def test_what_is_a_path(good: os.PathLike[str]):
+    """Also names that are not UTF-8, as `os.listdir` gives them."""
+    assert _check.path(good, "file") == Path(good)
 
 
 # -- what is not bad ------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Iterable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ Floats = NDArray[np.float64]
 
 # Names that the message about an unknown one lists at most.
 LISTED = 30
+
+# Characters of a value that a message shows at most.
+LONGEST = 120
 
 IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
@@ -177,6 +181,46 @@ _POSE_FAULTS = {
     rigid.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
     rigid.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
 }
+
+
+def path(x: Any, name: str) -> Path:
+    """Check the name of a file or folder, which need not exist.
+
+    Parameters
+    ----------
+    x : str or os.PathLike of str
+    name : str
+        What the caller calls it, for the message.
+
+    Raises
+    ------
+    InputError
+        If `x` is no text, is empty, or holds a NUL or what the file system cannot encode (lone surrogates other
+        than those with which Python itself writes names that are not UTF-8).
+    """
+    try:
+        text = os.fspath(x)
+    except Exception as error:  # a path-like object of the caller's may raise anything
+        found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
+        raise InputError(f"{name}: expected the path of a file, found {short(x)}{found}") from None
+    if not isinstance(text, str) or not text:
+        raise InputError(f"{name}: expected the path of a file, found {short(text)}")
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError as error:
+        raise InputError(f"{name}: expected the path of a file, found {short(text)} ({error.reason})") from None
+    if "\0" in text:
+        raise InputError(f"{name}: expected the path of a file, found {short(text)}, which holds a NUL")
+    return Path(text)
+
+
+def short(x: Any) -> str:
+    """What a message shows of a value: its `repr`, cut where it is long, or its type if it has none."""
+    try:
+        text = repr(x)
+    except Exception:
+        text = f"a {type(x).__name__}"
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
 
 
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
