@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._plausible import FARTHEST_LIMIT
 from loewner.bodies import Ints
 from loewner.checkers import CollisionChecker
 from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
@@ -102,11 +103,12 @@ def plan(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_check.shape_text(np.shape(goal))}"
         )
     space = _Space.of(checker, joints, q, goals, resolution)
-    space.check_still(goals)
-    fault = space.fault(q)
-    if fault:
-        raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
-    goals = space.usable(goals)
+    # Limits before all else: to values in degrees, nothing else that could be said would be to the point.
+    _refuse_start(space.outside(q))
+    goals_inside = space.usable(goals, space.outside)
+    space.check_still(goals_inside)
+    _refuse_start(space.fault(q))
+    goals = space.usable(goals, space.fault)
     with _quietly():
         _ompl("util").RNG.setSeed(int(seed) + 1)  # 0 is none to OMPL
         found = _search(space, make, q, goals, timeout, simplify)
@@ -185,8 +187,10 @@ class _Space:
         robot = checker.robot
         columns = _columns(robot, joints)
         ends = np.vstack([q, goals])
-        lower = np.where(np.isfinite(robot.lower), robot.lower, ends.min(axis=0) - np.pi)[columns]
-        upper = np.where(np.isfinite(robot.upper), robot.upper, ends.max(axis=0) + np.pi)[columns]
+        # What some programs write for no limit, 1e16 or the largest number, is none to search within either.
+        below, above = robot.lower > -FARTHEST_LIMIT, robot.upper < FARTHEST_LIMIT
+        lower = np.where(below, robot.lower, np.maximum(ends.min(axis=0) - np.pi, robot.lower))[columns]
+        upper = np.where(above, robot.upper, np.minimum(ends.max(axis=0) + np.pi, robot.upper))[columns]
         moving = lower < upper
         if not moving.any():
             raise InputError("joints: expected one or more that can move, found none")
@@ -212,15 +216,21 @@ class _Space:
                 f"among the joints that move; found {goal:g}"
             )
 
-    def fault(self, q: Floats) -> str:
-        """Why a configuration cannot be on a path: it is outside the limits, or collides; "" if it can."""
+    def outside(self, q: Floats) -> str:
+        """Which joints that move are outside their limits; "" if none is."""
         values = q[self.columns]
         outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
-        if len(outside):
-            return ", ".join(
-                f"{self._name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
-                for k in outside
-            )
+        named = ", ".join(
+            f"{self._name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
+            for k in outside[:NAMED]
+        )
+        return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
+
+    def fault(self, q: Floats) -> str:
+        """Why a configuration cannot be on a path: it is outside the limits, or collides; "" if it can."""
+        outside = self.outside(q)
+        if outside:
+            return outside
         try:
             if not self.checker.collide(q):
                 return ""
@@ -230,9 +240,9 @@ class _Space:
         more = f", and {len(pairs) - NAMED} more pairs" if len(pairs) > NAMED else ""
         return f"a collision of {', '.join(pairs[:NAMED])}{more}"
 
-    def usable(self, goals: Floats) -> Floats:
-        """Those goals that have no fault."""
-        faults = [self.fault(q) for q in goals]
+    def usable(self, goals: Floats, fault: Callable[[Floats], str]) -> Floats:
+        """Those goals that have no fault of a kind."""
+        faults = [fault(q) for q in goals]
         good = goals[[not fault for fault in faults]]
         if len(good):
             return good
@@ -317,6 +327,11 @@ def _check_path(space: _Space, found: Floats, q: Floats, goals: Floats) -> None:
             "expected a path that is free at every step, found one that fails when it is checked again; "
             "another seed, or a finer resolution, may help"
         )
+
+
+def _refuse_start(fault: str) -> None:
+    if fault:
+        raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
 
 
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:

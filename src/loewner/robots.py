@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import kinematics
+from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
-from loewner.descriptions import VALUES, Description, Joint, Semantics, read_srdf, read_urdf
+from loewner.descriptions import MOST_PAIRS, VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
 from loewner.link_bodies import link_bodies
 
@@ -59,7 +60,7 @@ class Robot:
         "j/qw", "j/qx", "j/qy", "j/qz".
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
-        outside are allowed everywhere.
+        outside are allowed everywhere; one that is far outside is told once (see `checked`).
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry.
     groups : dict
@@ -108,6 +109,7 @@ class Robot:
     # For messages: which joint a mimicking one follows; links that have visual geometry only.
     _mimics: dict[str, str] = field(repr=False)
     _only_visual: tuple[str, ...] = field(repr=False)
+    _watch: Watch = field(repr=False)
 
     @classmethod
     def from_urdf(
@@ -163,7 +165,8 @@ class Robot:
         -----
         UserWarning
             If the SRDF names some links or joints that the robot does not have, or none that it has; if it is said to
-            be for a robot of another name, or has elements that no SRDF has.
+            be for a robot of another name, or has elements that no SRDF has. If a body seems not to be in metres, or
+            an origin not in radians.
 
         Examples
         --------
@@ -176,7 +179,7 @@ class Robot:
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         if not isinstance(folders, Iterable):
             raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
-        folders = list(folders)
+        folders = [_check.path(folder, "package_dirs") for folder in folders]
         bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
@@ -187,13 +190,15 @@ class Robot:
                 lower[column.start + 3 : column.stop], upper[column.start + 3 : column.stop] = -1.0, 1.0
         lower.setflags(write=False)
         upper.setflags(write=False)
+        entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
+        names = tuple(f"{name}/{value}" if value else name for name, value in entries)
+        turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
+        free = [kinds[name] in ("planar", "floating") for name, _ in entries]
         return cls(
             name=robot.name,
             link_names=tuple(robot.shapes),
             joint_names=tuple(columns),
-            configuration_names=tuple(
-                f"{name}/{value}" if value else name for name in columns for value in VALUES[kinds[name]]
-            ),
+            configuration_names=names,
             lower=lower,
             upper=upper,
             bodies=bodies,
@@ -204,10 +209,11 @@ class Robot:
             tree=_tree(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
-            package_dirs=tuple(Path(folder).absolute() for folder in folders),
+            package_dirs=tuple(folder.absolute() for folder in folders),
             _columns=columns,
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
+            _watch=Watch(robot.name, names, lower, upper, turns, free),
         )
 
     @property
@@ -218,7 +224,7 @@ class Robot:
     def __repr__(self) -> str:
         return (
             f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
-            f"{len(self.joint_names)} joints, dof {self.dof})"
+            f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''})"
         )
 
     def placed(self, T_world_base: ArrayLike) -> Robot:
@@ -306,13 +312,13 @@ class Robot:
         """
         if isinstance(pairs, str) or not isinstance(pairs, Iterable):
             raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
-        found = set()
+        found, known = set(), set(self.link_names)
         for pair in pairs:
             names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
             if len(names) != 2:
                 raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
             for link in names:
-                if link not in self.link_names:
+                if not isinstance(link, str) or link not in known:
                     raise _check.unknown_name("link", link, self.link_names)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
@@ -335,7 +341,12 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite, or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+
+        Warns
+        -----
+        UserWarning
+            As `checked`.
 
         Examples
         --------
@@ -355,6 +366,8 @@ class Robot:
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
         """Configurations as kernels take them: C-order float64, finite, quaternions of norm 1.
 
+        All that takes configurations has them checked by this.
+
         Parameters
         ----------
         Q : array_like, shape (..., dof)
@@ -365,10 +378,22 @@ class Robot:
         -------
         ndarray, shape (..., dof)
             `Q` itself where it can be.
+
+        Raises
+        ------
+        InputError
+            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+
+        Warns
+        -----
+        UserWarning
+            Once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn, a
+            length by more than a metre and ten times the way between the limits; or if a joint that turns without
+            limit is beyond ±50 rad. It names the joint, and asks about degrees or millimetres.
         """
         # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
-        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and all(map(math.isfinite, Q.tolist())):
+        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
         array = _check.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
@@ -376,11 +401,15 @@ class Robot:
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        if not np.isfinite(array).all():
-            *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            where = f"{name}[{', '.join(map(str, row))}]" if row else name
-            found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
-            raise InputError(f"{where}: expected finite numbers, found {found}")
+        if not self._watch.passes(array):
+            refused = self._watch.refused(array)
+            if refused is not None:
+                *row, column = refused
+                where = f"{name}[{', '.join(map(str, row))}]" if row else name
+                value = array[refused]
+                wanted = f"numbers within ±{LARGEST_VALUE:g}" if np.isfinite(value) else "finite numbers"
+                raise InputError(f"{where}: expected {wanted}, found {value} for {self.configuration_names[column]}")
+            self._watch.tell(array, name)
         for joint, quaternion in self._quaternions.items():
             norm = np.linalg.norm(array[..., quaternion], axis=-1)
             if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
@@ -465,7 +494,9 @@ class Robot:
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform.
+        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where it
+        has one limit only, from there to the far end of that range, or over a way of 2π if the limit lies beyond it. A
+        limit beyond ±1e6 counts as none, and holds all the same.
 
         Parameters
         ----------
@@ -492,13 +523,37 @@ class Robot:
         n = _check.whole_number(n, "n", 0)
         _check.fits_memory(n * self.dof * 8, f"{n} configurations")
         rng = np.random.default_rng(_check.whole_number(seed, "seed", 0))
-        lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
-        upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(np.pi, lower + 2 * np.pi))
-        Q = rng.uniform(lower, upper, (n, self.dof))
+        lower, upper = self.usual_range(np.pi)
+        Q = rng.uniform(lower, upper, (n, self.dof)).clip(lower, upper)
         for quaternion in self._quaternions.values():
             drawn = rng.normal(size=(n, 4))
             Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         return Q
+
+    def usual_range(self, reach: float) -> tuple[Floats, Floats]:
+        """Finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
+
+        Parameters
+        ----------
+        reach : float
+            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; as
+            far from the other limit if that lies beyond.
+
+        Returns
+        -------
+        lower, upper : ndarray, shape (dof,)
+            In radians or metres.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").usual_range(3.0)
+        (array([ 0., -3.]), array([2., 3.]))
+        """
+        reach = _check.positive_scalar(reach, "reach")
+        below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
+        lower = np.where(below, self.lower, np.minimum(-reach, np.where(above, self.upper, 0.0) - 2 * reach * above))
+        upper = np.where(above, self.upper, np.maximum(reach, lower + 2 * reach))
+        return np.maximum(lower, self.lower), np.minimum(upper, self.upper)
 
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
@@ -616,6 +671,11 @@ def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
             around.setdefault(top[parent], set()).add(link)
         else:
             pairs.add((min(link, parent), max(link, parent)))
+    if sum(math.comb(len(links), 2) for links in around.values()) > MOST_PAIRS:
+        raise InputError(
+            f"{robot.path}: expected at most {MOST_PAIRS} pairs of links that are joined through links without bodies, "
+            f"found more: {max(len(links) for links in around.values())} links around one place"
+        )
     for links in around.values():
         pairs.update(combinations(sorted(links), 2))
     return frozenset(pairs)
