@@ -62,9 +62,10 @@ def show_robot(
     Raises
     ------
     MissingExtraError
-        If viser is not installed.
+        If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If the configuration does not fit, there is nothing to check, or the port is taken.
+        If the configuration does not fit, there is nothing to check, the host is none of this machine's, or the port
+        is taken.
 
     Examples
     --------
