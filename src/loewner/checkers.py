@@ -200,6 +200,7 @@ class CollisionChecker:
         self._robot = robot
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
+        skip_adjacent = None if skip_adjacent is None else _check.flag(skip_adjacent, "skip_adjacent")
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
@@ -435,6 +436,7 @@ class CollisionChecker:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
         longest = max(map(len, ready.names))
+        exact = _check.flag(exact, "exact")
         row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
         _check.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
         each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
@@ -619,6 +621,8 @@ def pairs_by_sampling(
     samples = _check.whole_number(samples, "samples", 1)
     if not 0 < _check.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")

@@ -17,6 +17,7 @@ from xml.parsers import expat
 
 import numpy as np
 
+from loewner import _check
 from loewner._check import Floats
 from loewner._files import read_regular
 from loewner._plausible import FARTHEST_LIMIT, doubt_about_rpy, warn
@@ -230,10 +231,8 @@ def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
     """Root element of a robot description."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
-    if not isinstance(path, (str, os.PathLike)) or not isinstance(os.fspath(path), str):
-        raise InputError(f"expected a path to {what}, found {path!r}")
+    path = _check.path(path, f"path to {what}")
     data = read_regular(path, what, MOST_BYTES)
-    path = Path(path)
     parser = expat.ParserCreate()
     document = _Element("", {}, 1, path)
     open_elements = [document]

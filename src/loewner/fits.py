@@ -107,7 +107,7 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     """
     x = writeable(_check.finite_array(points, "points", (None, None)))
     check_enough(x, "points")
-    tolerance = _tolerance(tol)
+    tolerance = checked_tolerance(tol)
     n = x.shape[1]
     if not isinstance(method, str) or method not in ("direct", "lifted-mvie"):
         raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_check.short(method)}")
@@ -184,7 +184,7 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     >>> fit.ellipsoid.semi_axes.round(4)
     array([3., 1.])
     """
-    tolerance = _tolerance(tol)
+    tolerance = checked_tolerance(tol)
     if b is not None:
         return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
     points = _check.finite_array(A, "points", (None, None))
@@ -244,7 +244,7 @@ def fit_pieces(
     GeometryError, ConvergenceError
         With the index of the piece.
     """
-    tolerance, progress = _tolerance(tol), _check.callback(progress, "progress")
+    tolerance, progress = checked_tolerance(tol), _check.callback(progress, "progress")
     V = _check.finite_array(vertices, "vertices", (None, 3))
     A = _check.finite_array(normals, "normals", (None, 3))
     _check.finite_array(offsets, "offsets", (len(A),))
@@ -285,7 +285,8 @@ def _fit_all(
     return inner, outer, info
 
 
-def _tolerance(tol: float) -> float:
+def checked_tolerance(tol: float) -> float:
+    """Check a gap in log-volume; see `mvce`."""
     value = _check.positive_scalar(tol, "tol")
     if not SMALLEST_TOLERANCE <= value <= 1.0:
         raise InputError(f"tol: expected a gap in log-volume between {SMALLEST_TOLERANCE:g} and 1, found {value:g}")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +44,10 @@ CELL_SIZE = 0.0025
 # A sample this far outside a piece, relative to the same diagonal, is inside but for rounding:
 # far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
 COVER_TOLERANCE = 1e-10
+
+
+# CoACD takes numbers of pieces and seeds of 31 bits.
+LARGEST_NUMBER = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -119,8 +122,9 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        name = shown(source)
-        vertices, triangles = mesh_files.read(Path(source))
+        path = _check.path(source, "source")
+        name = shown(path)
+        vertices, triangles = mesh_files.read(path)
     else:
         name = "mesh"
         vertices, triangles = _in_memory(source)
@@ -245,11 +249,13 @@ def convex_pieces(
     threshold = _check.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
-    if max_pieces is not None and max_pieces < 1:
-        raise InputError(f"max_pieces: expected at least 1, found {max_pieces}")
-    factors = _check.finite_array(scale, "scale", (3,) if np.ndim(scale) else ())
+    most = None if max_pieces is None else _check.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
+    seed = _check.whole_number(seed, "seed", 0, LARGEST_NUMBER)
+    decompose, cover = _check.flag(decompose, "decompose"), _check.flag(cover, "cover")
+    factors = _check.float_array(scale, "scale")
+    factors = _check.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
-        raise InputError(f"scale: expected factors other than 0, found {scale}")
+        raise InputError(f"scale: expected factors other than 0, found {_check.short(scale)}")
     vertices, triangles = load(source)
     name = shown(source) if isinstance(source, str | PathLike) else "mesh"
     with np.errstate(over="ignore"):
@@ -273,7 +279,7 @@ def convex_pieces(
             "them, or take its convex hull (decompose=False). Decomposing may take minutes",
             stacklevel=2,
         )
-    hulls = _coacd(vertices, triangles, threshold, max_pieces, seed)
+    hulls = _coacd(vertices, triangles, threshold, most, seed)
     size = _size(vertices)
     cells, owner, samples = _outside(vertices[triangles], hulls, GROWTH * size, CELL_SIZE * size)
     if cover and len(cells):

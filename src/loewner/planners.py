@@ -25,6 +25,9 @@ from loewner.robots import Robot
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
+# OMPL takes shares of the extent strictly between 0 and 1.
+SMALLEST_SHARE = 1e-12
+
 # Configurations and pairs that a message names at most.
 NAMED = 5
 
@@ -93,8 +96,7 @@ def plan(
            [2., 0.]])
     """
     timeout = _check.positive_scalar(timeout, "timeout")
-    if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32 - 1:
-        raise InputError(f"seed: expected an integer from 0 to 2^32 - 2, found {seed!r}")
+    seed, simplify = _check.whole_number(seed, "seed", 0, 2**32 - 2), _check.flag(simplify, "simplify")
     make = _planner(planner)
     robot = _checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
@@ -281,7 +283,9 @@ class _Space:
         information.setStateValidityChecker(valid)
         information.setMotionValidator(_motion_validator()(information, self))
         # Planners that divide motions by themselves take a share of the space's extent.
-        information.setStateValidityCheckingResolution(min(1.0, self.resolution / information.getMaximumExtent()))
+        information.setStateValidityCheckingResolution(
+            float(np.clip(self.resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
+        )
         information.setup()
         return information
 
@@ -303,6 +307,8 @@ def _search(
         add(state)  # takes a copy
     problem.setGoal(region)
     planner = make(information)
+    if not isinstance(planner, base.Planner):
+        raise InputError(f"planner: expected a function that returns a planner of OMPL, found {_check.short(planner)}")
     planner.setProblemDefinition(problem)
     planner.setup()
     planner.solve(timeout)
@@ -339,13 +345,15 @@ def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
     if isinstance(joints, str):
         if joints not in robot.groups and joints not in robot.joint_names:
             raise _check.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
-        names = set(robot.groups.get(joints, (joints,)))
+        names = list(robot.groups.get(joints, (joints,)))
     else:
-        names = set(robot.joint_names if joints is None else joints)
+        names = list(robot.joint_names) if joints is None else _check.listed(joints, "joints")
     if not names:
-        raise InputError("joints: expected one or more, found none" + (f" in group {joints!r}" if joints else ""))
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
     for name in names:
-        if name not in robot.joint_names:
+        if not isinstance(name, str) or name not in robot.joint_names:
             raise _check.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
@@ -365,7 +373,7 @@ def _planner(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
         for name, each in sorted(vars(geometric).items())
         if isinstance(each, type) and issubclass(each, base.Planner)
     }
-    if planner not in known:
+    if not isinstance(planner, str) or planner not in known:
         raise _check.unknown_name("planner", planner, known)
     made: Callable[[Any], Any] = known[planner]
     return made

@@ -22,6 +22,7 @@ from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
 from loewner.descriptions import MOST_PAIRS, VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
+from loewner.fits import checked_tolerance
 from loewner.link_bodies import link_bodies
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
@@ -173,13 +174,12 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf")
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
-        tol = _check.positive_scalar(tol, "tol")
+        tol, cache, decompose = checked_tolerance(tol), _check.flag(cache, "cache"), _check.flag(decompose, "decompose")
+        _check.callback(progress, "progress")
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
-        folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        if not isinstance(folders, Iterable):
-            raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
-        folders = [_check.path(folder, "package_dirs") for folder in folders]
+        given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        folders = [_check.path(folder, "package_dirs") for folder in _check.listed(given, "package_dirs")]
         bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
@@ -310,13 +310,11 @@ class Robot:
         InputError
             If they are no pairs of two different links.
         """
-        if isinstance(pairs, str) or not isinstance(pairs, Iterable):
-            raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
         found, known = set(), set(self.link_names)
-        for pair in pairs:
-            names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+        for pair in _check.listed(pairs, name):
+            names = tuple(_check.listed(pair, f"{name}, one of them"))
             if len(names) != 2:
-                raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
+                raise InputError(f"{name}: expected pairs of names of links, found {_check.short(pair)} among them")
             for link in names:
                 if not isinstance(link, str) or link not in known:
                     raise _check.unknown_name("link", link, self.link_names)
@@ -472,7 +470,9 @@ class Robot:
                 raise _check.unknown_name("state", values, self.states)
             values = self.states[values][1]
         if values is not None and not isinstance(values, Mapping):
-            raise InputError(f"values: expected a dict by names of joints or the name of a state, found {values!r}")
+            raise InputError(
+                f"values: expected a dict by names of joints or the name of a state, found {_check.short(values)}"
+            )
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
             q[quaternion.start] = 1.0
@@ -572,7 +572,9 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf").distances([0, 0], [[3, 4], [0, 1]])
         array([5., 1.])
         """
-        return self._distances(self.checked(Q0, "Q0"), self.checked(Q1, "Q1"))
+        a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
+        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        return self._distances(a, b)
 
     def _distances(self, a: Floats, b: Floats) -> Any:
         if a.ndim == b.ndim == 1 and self.runs_straight:
@@ -614,6 +616,7 @@ class Robot:
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
+        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
             p, q = a[..., quaternion], b[..., quaternion]

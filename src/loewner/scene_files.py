@@ -77,7 +77,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     >>> load_scene("table.yaml")
     Scene(1 bodies, 0 of them attached)
     """
-    file = Path(path)
+    file = _check.path(path, "path")
     root = _Entry(file, "", _composed(file))
     top = root.mapping(TOP_KEYS, required=("bodies",))
     scene = Scene()
@@ -125,7 +125,9 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     0.01
     """
     yaml = _yaml()
-    file = Path(path)
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
+    file = _check.path(path, "path")
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -507,7 +509,7 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     >>> [(problem.group, problem.index) for problem in read_motion_bench_maker("problems.json")]
     [('shelf', 1)]
     """
-    file = Path(path)
+    file = _check.path(path, "path")
     try:
         content = json.loads(_bytes(file, "problems in JSON"), object_pairs_hook=functools.partial(_once, file))
     except json.JSONDecodeError as error:

@@ -81,8 +81,18 @@ class Contact:
         Returns
         -------
         tuple of Contact
+
+        Raises
+        ------
+        InputError
+            If there are not as many pairs of names as exact distances.
         """
-        rows = zip(names, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
+        if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
+            raise InputError(f"found: expected exact distances of a row of pairs, found {_check.short(found)}")
+        listed = [_pair_as_given(pair) for pair in _check.listed(names, "names")]
+        if len(listed) != len(found.normal):
+            raise InputError(f"names: expected {len(found.normal)} pairs, as found, found {len(listed)}")
+        rows = zip(listed, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
         return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
 
 
@@ -365,7 +375,7 @@ class Scene:
                 raise InputError("T_world_body: expected none beside a mapping from names to poses, found one")
             moves = name
         else:
-            moves = {name: T_world_body}
+            moves = {self._known(name): T_world_body}
         checked = {key: _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
         with _CHANGING:
             self._poses.update({self._placed(key): T for key, T in checked.items()})
@@ -397,11 +407,10 @@ class Scene:
         """
         self._known(name)
         _check_name(link, "link")
-        if isinstance(touch_links, str):
-            raise InputError(f"touch_links: expected several names of links, found one text, {touch_links!r}")
-        touching = {link, *touch_links}
-        for touched in touching:
-            _check_name(touched, "touch_links")
+        touching = {
+            link,
+            *(_check_name(touched, "touch_links") for touched in _check.listed(touch_links, "touch_links")),
+        }
         T = _check.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         with _CHANGING:
@@ -424,7 +433,7 @@ class Scene:
         InputError
             If the body is not attached.
         """
-        T = _check.pose(T_world_body, f"T_world_body of {name!r}")
+        T = _check.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
         with _CHANGING:
             if self._known(name) not in self._attachments:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
@@ -653,8 +662,16 @@ class Scene:
 
 def _check_name(name: Any, what: str) -> str:
     if not isinstance(name, str) or not name:
-        raise InputError(f"{what}: expected a name, found {name!r}")
+        raise InputError(f"{what}: expected a name, found {_check.short(name)}")
     return name
+
+
+def _pair_as_given(pair: Any) -> Pair:
+    try:
+        a, b = pair
+    except Exception:  # other than two, or what an object of the caller's raises
+        raise InputError(f"names: expected pairs of names, found {_check.short(pair)}") from None
+    return _check_name(a, "names"), _check_name(b, "names")
 
 
 def _pair(a: Any, b: Any) -> Pair:
