@@ -208,16 +208,16 @@ def choice(x: Any, name: str, known: Collection[str]) -> str:
     raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
 
 
-def listed(x: Any, name: str) -> list[Any]:
+def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
     """Check something to go through, once, and go through it; text is no list of its letters."""
     if isinstance(x, (str, bytes, bytearray)):
-        raise InputError(f"{name}: expected a list, found {short(x)}")
+        raise InputError(f"{name}: expected {wanted}, found one text, {short(x)}")
     try:
         return list(x)
     except MemoryError:
         raise
     except Exception:  # no iterable, or what an object of the caller's raises
-        raise InputError(f"{name}: expected a list, found {short(x)}") from None
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
 
 
 def callback(x: Any, name: str) -> Any:
@@ -317,7 +317,7 @@ _POSE_FAULTS = {
 }
 
 
-def path(x: Any, name: str) -> Path:
+def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
     """Check the name of a file or folder, which need not exist.
 
     Parameters
@@ -325,6 +325,8 @@ def path(x: Any, name: str) -> Path:
     x : str or os.PathLike of str
     name : str
         What the caller calls it, for the message.
+    wanted : str
+        What it is to be, for the message.
 
     Raises
     ------
@@ -336,15 +338,15 @@ def path(x: Any, name: str) -> Path:
         text = os.fspath(x)
     except Exception as error:  # a path-like object of the caller's may raise anything
         found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
-        raise InputError(f"{name}: expected the path of a file, found {short(x)}{found}") from None
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}{found}") from None
     if not isinstance(text, str) or not text:
-        raise InputError(f"{name}: expected the path of a file, found {short(text)}")
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}")
     try:
         os.fsencode(text)
     except UnicodeEncodeError as error:
-        raise InputError(f"{name}: expected the path of a file, found {short(text)} ({error.reason})") from None
+        raise InputError(f"{name}: expected {wanted}, found {short(text)} ({error.reason})") from None
     if "\0" in text:
-        raise InputError(f"{name}: expected the path of a file, found {short(text)}, which holds a NUL")
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}, which holds a NUL")
     return Path(text)
 
 
