@@ -179,8 +179,8 @@ class Robot:
         folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         if not isinstance(folders, Iterable):
             raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
-        folders = [_check.path(folder, "package_dirs") for folder in folders]
-        bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
+        places = [_check.path(folder, "package_dirs") for folder in folders]
+        bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
@@ -209,7 +209,7 @@ class Robot:
             tree=_tree(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
-            package_dirs=tuple(folder.absolute() for folder in folders),
+            package_dirs=tuple(place.absolute() for place in places),
             _columns=columns,
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
@@ -341,7 +341,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
 
         Warns
         -----
@@ -382,7 +382,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
 
         Warns
         -----
@@ -494,9 +494,9 @@ class Robot:
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where it
-        has one limit only, from there to the far end of that range, or over a way of 2π if the limit lies beyond it. A
-        limit beyond ±1e6 counts as none, and holds all the same.
+        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where
+        it has one limit only, from there to the far end of that range, or over a way of 2π if the limit lies beyond it.
+        A limit beyond ±1e6 counts as none, and holds all the same.
 
         Parameters
         ----------
