@@ -342,6 +342,17 @@ def test_motions_are_free_if_all_between_are(resolution, bodies, tmp_path):
     np.testing.assert_array_equal(checker.valid_edges(a[0], b[:, None][:3], resolution).shape, (3, 1))
 
 
+def test_tiers_count_what_the_careful_search_settled(tmp_path):
+    """All configurations are in the total, also where boxes touch to within a rounding."""
+    scene = Scene()
+    scene.add("o", Body.box([1.0, 1.0, 1.0]))
+    checker = CollisionChecker(slider(tmp_path), scene)
+    Q = np.array([[1.0], [0.9999999], [3.0]])
+    np.testing.assert_array_equal(checker.collide(Q), [True, True, False])
+    settled = checker.tiers(Q)
+    assert (settled.total, settled.colliding, settled.free) == (3, 2, 1)
+
+
 @far_outside
 def test_ends_of_a_motion_are_checked_exactly(tmp_path):
     """Not at a + (b - a), which may miss b by a rounding of a."""

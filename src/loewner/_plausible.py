@@ -99,8 +99,8 @@ class Watch:
         room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
         widest = np.where(turns, LARGEST_TURN, LARGEST_VALUE)
         # Where there is one limit only, it may lie beyond what a joint without any would be asked about.
-        least = np.where(from_below, lower, np.minimum(-widest, np.where(from_above, upper, 0.0))) - room
-        most = np.where(from_above, upper, np.maximum(widest, np.where(from_below, lower, 0.0))) + room
+        least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
+        most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
         self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
 
     def _look_for(self, least: Floats, most: Floats) -> None:

@@ -51,11 +51,11 @@ SRDF_TAGS = frozenset((
     "gripper", "handle", "contact", "position", "rotor_params", "specificities",
 ))  # fmt: skip
 
-# What a description may have at most: the largest robots known have a thousandth of it. Bytes of a file; elements, and
+# What a description may have at most: the largest robots known have a hundredth of it. Bytes of a file; elements, and
 # how deep they are nested; pairs of links that the rules of an SRDF, or links without shapes, may make; joints in all
 # groups together.
 MOST_BYTES = 2**25
-MOST_ELEMENTS = 1_000_000
+MOST_ELEMENTS = 250_000
 DEEPEST = 100
 MOST_PAIRS = 2**22
 MOST_MEMBERS = 2**22

@@ -495,8 +495,8 @@ class Robot:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
         Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where
-        it has one limit only, from there to the far end of that range, or over a way of 2π if the limit lies beyond it.
-        A limit beyond ±1e6 counts as none, and holds all the same.
+        it has one limit only, over a way of 2π from there, or to the far end of that range if that is farther. A limit
+        beyond ±1e6 counts as none, and holds all the same.
 
         Parameters
         ----------
@@ -536,8 +536,8 @@ class Robot:
         Parameters
         ----------
         reach : float
-            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; as
-            far from the other limit if that lies beyond.
+            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; twice
+            as far from the other limit if that is farther.
 
         Returns
         -------

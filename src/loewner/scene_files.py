@@ -373,7 +373,8 @@ def _recipe(shape: str, keys: dict[str, _Entry]) -> tuple[Any, Callable[[], Body
     if shape == "points":
         points = entry.rows(3)
         return (shape, *map(tuple, points)), functools.partial(Body.from_points, np.array(points).reshape(-1, 3))
-    file = entry.file.parent / entry.text()
+    with entry.blamed():
+        file = entry.file.parent / _check.path(entry.text(), shape)
     if shape == "saved":
         return (shape, file), functools.partial(Body.load, file)
     scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
