@@ -29,8 +29,9 @@ LARGEST_RPY = 4 * math.pi
 # Limits beyond these are written by programs for none [rad or m]: 1e16, or the largest number that there is.
 FARTHEST_LIMIT = 1e6
 
-# Values of joints beyond these are refused [rad or m]: products of two still are numbers, so that no pose is NaN.
-LARGEST_VALUE = 1e100
+# Values of joints beyond these are refused [rad or m]: times the largest factor of a description, and added up along
+# the longest chain, they are still numbers, so that no pose is NaN.
+LARGEST_VALUE = 1e200
 
 # Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
@@ -98,8 +99,8 @@ class Watch:
         room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
         widest = np.where(turns, LARGEST_TURN, LARGEST_VALUE)
         # Where there is one limit only, it may lie beyond what a joint without any would be asked about.
-        least = np.where(from_below, lower, np.minimum(-widest, np.where(from_above, upper, 0.0))) - room
-        most = np.where(from_above, upper, np.maximum(widest, np.where(from_below, lower, 0.0))) + room
+        least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
+        most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
         self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
 
     def _look_for(self, least: Floats, most: Floats) -> None:
@@ -114,7 +115,7 @@ class Watch:
     def passes(self, Q: Floats) -> bool:
         """Whether nothing is to be said about many configurations, shape (..., dof)."""
         least, most = self._range
-        return bool((Q >= least).all() and (Q <= most).all())
+        return bool((least <= Q).all() and (most >= Q).all())
 
     def refused(self, Q: Floats) -> tuple[int, ...] | None:
         """Where the first entry is that no computation can take."""
@@ -124,7 +125,7 @@ class Watch:
     def tell(self, Q: Floats, name: str) -> None:
         """Warn about the configurations that did not pass, and never again."""
         least, most = self._range
-        *row, k = (int(i) for i in np.argwhere((Q < least) | (Q > most))[0])
+        *row, k = (int(i) for i in np.argwhere((least > Q) | (most < Q))[0])
         value, (lower, upper) = Q[(*row, k)], self._limits
         self._look_for(np.full(len(least), -np.inf), np.full(len(least), np.inf))
         where = f"{name}[{', '.join(map(str, row))}]" if row else name

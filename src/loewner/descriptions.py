@@ -52,11 +52,11 @@ SRDF_TAGS = frozenset((
     "gripper", "handle", "contact", "position", "rotor_params", "specificities",
 ))  # fmt: skip
 
-# What a description may have at most: the largest robots known have a thousandth of it. Bytes of a file; elements, and
+# What a description may have at most: the largest robots known have a hundredth of it. Bytes of a file; elements, and
 # how deep they are nested; pairs of links that the rules of an SRDF, or links without shapes, may make; joints in all
 # groups together.
 MOST_BYTES = 2**25
-MOST_ELEMENTS = 1_000_000
+MOST_ELEMENTS = 250_000
 DEEPEST = 100
 MOST_PAIRS = 2**22
 MOST_MEMBERS = 2**22
@@ -231,7 +231,7 @@ def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
     """Root element of a robot description."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
-    path = _check.path(path, f"path to {what}")
+    path = _check.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES)
     parser = expat.ParserCreate()
     document = _Element("", {}, 1, path)

@@ -179,8 +179,9 @@ class Robot:
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        folders = [_check.path(folder, "package_dirs") for folder in _check.listed(given, "package_dirs")]
-        bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
+        listed = _check.listed(given, "package_dirs", wanted="a path or several")
+        places = [_check.path(folder, "package_dirs") for folder in listed]
+        bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
@@ -209,7 +210,7 @@ class Robot:
             tree=_tree(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
-            package_dirs=tuple(folder.absolute() for folder in folders),
+            package_dirs=tuple(place.absolute() for place in places),
             _columns=columns,
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
@@ -311,8 +312,8 @@ class Robot:
             If they are no pairs of two different links.
         """
         found, known = set(), set(self.link_names)
-        for pair in _check.listed(pairs, name):
-            names = tuple(_check.listed(pair, f"{name}, one of them"))
+        for pair in _check.listed(pairs, name, wanted="pairs of names of links"):
+            names = tuple(_check.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
                 raise InputError(f"{name}: expected pairs of names of links, found {_check.short(pair)} among them")
             for link in names:
@@ -339,7 +340,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
 
         Warns
         -----
@@ -380,7 +381,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e100), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
 
         Warns
         -----
@@ -494,9 +495,9 @@ class Robot:
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where it
-        has one limit only, from there to the far end of that range, or over a way of 2π if the limit lies beyond it. A
-        limit beyond ±1e6 counts as none, and holds all the same.
+        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where
+        it has one limit only, over a way of 2π from there, or to the far end of that range if that is farther. A limit
+        beyond ±1e6 counts as none, and holds all the same.
 
         Parameters
         ----------
@@ -536,8 +537,8 @@ class Robot:
         Parameters
         ----------
         reach : float
-            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; as
-            far from the other limit if that lies beyond.
+            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; twice
+            as far from the other limit if that is farther.
 
         Returns
         -------

@@ -30,9 +30,7 @@ Pair = tuple[str, str]
 # and pickles, and a process that forks meanwhile has one to see to.
 _CHANGING = threading.RLock()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING._at_fork_reinit
-    )
+    os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,7 +407,10 @@ class Scene:
         _check_name(link, "link")
         touching = {
             link,
-            *(_check_name(touched, "touch_links") for touched in _check.listed(touch_links, "touch_links")),
+            *(
+                _check_name(touched, "touch_links")
+                for touched in _check.listed(touch_links, "touch_links", wanted="several names of links")
+            ),
         }
         T = _check.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
