@@ -377,7 +377,7 @@ def _number(data, rng):
     if match is None:
         return data
     if rng.random() < 0.3:  # a little more or less
-        new = b"%d" % (int(float(match.group()[:15])) + int(rng.integers(-2, 3)))
+        new = b"%d" % (int(re.match(rb"[+-]?\d{1,15}", match.group()).group()) + int(rng.integers(-2, 3)))
     else:
         new = _WORSE[int(rng.integers(len(_WORSE)))]
     return data[: match.start()] + new + data[match.end() :]

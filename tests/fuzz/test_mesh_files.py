@@ -19,7 +19,7 @@ EXAMPLES = mesh_examples.examples()
 TOLERANCE = 1e-9
 
 # Accepted bodies whose hull is checked besides their triangles.
-BODIES = 0.03
+BODIES = 0.1
 
 
 def write(files, folder):
@@ -63,7 +63,9 @@ def check(case, folder):
         return f"accepted {len(found)} triangles; by the other reading: {refused}"
     wrong = differ(found, wanted)
     if wrong is None and np.random.default_rng(case[1]).random() < BODIES:
-        wrong = check_body(path, np.array(wanted, dtype=np.float64).reshape(-1, 3))
+        # Triangles that are lines or points are dropped, as docs/meshes.md says.
+        points = [p for triangle in wanted if len(set(triangle)) == 3 for p in triangle]
+        wrong = check_body(path, np.array(points, dtype=np.float64).reshape(-1, 3))
     return wrong
 
 
