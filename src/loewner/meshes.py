@@ -122,7 +122,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        path = _check.path(source, "source")
+        path = Path(source) if isinstance(source, str | Path) else _check.path(source, "source")
         name = shown(path)
         vertices, triangles = mesh_files.read(path)
     else:
