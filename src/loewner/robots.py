@@ -551,6 +551,8 @@ class Robot:
         (array([ 0., -3.]), array([2., 3.]))
         """
         reach = _check.positive_scalar(reach, "reach")
+        if reach > FARTHEST_LIMIT:
+            raise InputError(f"reach: expected at most {FARTHEST_LIMIT:g}, found {reach:g}")
         below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
         lower = np.where(below, self.lower, np.minimum(-reach, np.where(above, self.upper, 0.0) - 2 * reach * above))
         upper = np.where(above, self.upper, np.maximum(reach, lower + 2 * reach))

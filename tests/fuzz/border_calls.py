@@ -653,6 +653,7 @@ CALLS: dict[str, Call] = {
     # -- scenes
     "Scene": Call(Scene, {"margin": margin()}),
     "Scene.pose": Call(on(scene, "pose"), {"name": arg("post")}),
+    "Scene.snapshot": Call(on(scene, "snapshot"), {}),
     "Scene.copy": Call(on(scene, "copy"), {}),
     "Scene.add": Call(
         on(scene, "add"),
@@ -729,6 +730,7 @@ CALLS: dict[str, Call] = {
     "Robot.random_configurations": Call(
         on(robot, "random_configurations"), {"n": count(3, "0"), "seed": count(1, "0", "2**70")}
     ),
+    "Robot.usual_range": Call(on(robot, "usual_range"), {"reach": positive()}),
     "Robot.distances": Call(on(robot, "distances"), {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS}),
     "Robot.between": Call(
         on(robot, "between"),
