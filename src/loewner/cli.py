@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
 import os
 import sys
@@ -112,10 +113,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     FREE...
     0
     """
-    options = _parser().parse_args(arguments)
     try:
-        status = int(options.run(options))
-        sys.stdout.flush()
+        options = _parser().parse_args(None if arguments is None else _words(arguments))
+        with _any_name_printed():
+            status = int(options.run(options))
+            sys.stdout.flush()
         return status
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
@@ -126,6 +128,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python's own status for a crash is 1, which here says "colliding".
         traceback.print_exc()
     return ERROR
+
+
+@contextmanager
+def _any_name_printed() -> Iterator[None]:
+    """Escape what standard output cannot encode, such as names of files that are not UTF-8, instead of failing."""
+    out = sys.stdout
+    if not isinstance(out, io.TextIOWrapper):
+        yield
+        return
+    before = out.errors
+    out.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        out.reconfigure(errors=before)
+
+
+def _words(arguments: Any) -> list[str]:
+    words = border.listed(arguments, "arguments")
+    for word in words:
+        if not isinstance(word, str):
+            raise InputError(f"arguments: expected text only, found {border.short(word)}")
+    return words
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -337,6 +362,7 @@ def _covering_text(covering: loewner.Covering | None) -> str:
 
 
 def _make_folder(folder: Path) -> None:
+    border.path(folder, "--out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -10,7 +10,7 @@ from loewner._check import Floats
 from loewner._kernels import batch, boxtree, careful, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Ints, Packed
-from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a crowd that is worth handing to a thread.
 CHUNK = 4096
@@ -67,8 +67,7 @@ def overlapping_pairs(
     >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
     array([[0, 1]])
     """
-    if method not in MODES:
-        raise UnknownNameError(f"method: expected one of {', '.join(MODES)}, found {method!r}")
+    mode = MODES[_check.choice(method, "method", MODES)]
     keep = _check.positive_scalar(margin, "margin", zero=True)
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
@@ -76,7 +75,7 @@ def overlapping_pairs(
     tree = _tree(n, steps, operands)
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(MODES[method], keep, first, last, tree, steps, operands)
+        return _settled(mode, keep, first, last, tree, steps, operands)
 
     leaves = -(-n // boxtree.WIDE)
     keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxtree.WIDE))

@@ -136,10 +136,13 @@ class Polytope:
         code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
-        from scipy.spatial import ConvexHull
+        from scipy.spatial import ConvexHull, QhullError
 
         # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
-        dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        try:
+            dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        except QhullError as error:
+            raise GeometryError(f"A, b: no vertices found: {str(error).strip().splitlines()[0]}") from None
         equations = np.unique(dual.equations, axis=0)
         return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
 
@@ -203,8 +206,10 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
         raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
-    check_size(float(np.abs(np.ldexp(bounds[~nothing], scale)).max(initial=0.0)), "b")
-    return np.ldexp(rows[~nothing], scale[:, None]), np.ldexp(bounds[~nothing], scale)
+    with np.errstate(over="ignore"):  # infinite is too large, and told so
+        scaled = np.ldexp(bounds[~nothing], scale)
+    check_size(float(np.abs(scaled).max(initial=0.0)), "b")
+    return np.ldexp(rows[~nothing], scale[:, None]), scaled
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
@@ -224,7 +229,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     x = np.zeros(n)
     if (b > 0).all():
         return x
-    magnify = 1.0 / np.abs(b).max()
+    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # of a cone, or of one point, every scale is its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
         slack = b - A @ x
@@ -241,7 +246,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
         slack = b - A @ x
         least = float(slack.min())
         noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
-        if least > noise or least < -1e-3 / magnify:
+        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: flat, and without rounding
             break
         magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
     distance = (b - A @ x) / np.linalg.norm(A, axis=1)

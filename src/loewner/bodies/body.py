@@ -166,7 +166,7 @@ class Body(_Bodies):
         >>> Body.from_pieces([corners, corners + [2, 0, 0]])
         Body(2 pieces, 8 vertices)
         """
-        sets = list(point_sets)
+        sets = _check.listed(point_sets, "point_sets")
         if not sets:
             raise GeometryError("point_sets: expected at least one piece, found none")
         return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol))
@@ -411,7 +411,7 @@ class Body(_Bodies):
         """
         if isinstance(bodies, Body):
             raise InputError("bodies: expected several bodies in a list, found one body")
-        listed = list(bodies)
+        listed = _check.listed(bodies, "bodies")
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
         packed = join([_expect_body(b, "bodies")._packed for b in listed])
@@ -513,7 +513,7 @@ class Bodies(_Bodies):
     """
 
     def __init__(self, bodies: Iterable[Body]) -> None:
-        listed = [_expect_body(b, "bodies")._packed for b in bodies]
+        listed = [_expect_body(b, "bodies")._packed for b in _check.listed(bodies, "bodies")]
         self._packed = join(listed) if listed else empty()
 
     @classmethod
@@ -546,7 +546,8 @@ class Bodies(_Bodies):
         >>> Bodies.from_points(np.random.default_rng(0).normal(size=(100, 12, 3)))
         Bodies(100 bodies, 100 pieces)
         """
-        sets = list(point_sets)
+        sets = _check.listed(point_sets, "point_sets")
+        _check.callback(progress, "progress")
         return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress=progress))
 
     @classmethod
@@ -591,11 +592,22 @@ class Bodies(_Bodies):
         return (self[i] for i in range(len(self)))
 
     def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> Any:
-        if isinstance(index, (int, np.integer)):
+        if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
             if not -len(self) <= index < len(self):
-                raise BodyIndexError(f"expected an index from {-len(self)} to {len(self) - 1}, found {index}")
+                raise BodyIndexError(
+                    f"expected an index from {-len(self)} to {len(self) - 1}, found {_check.short(index)}"
+                )
             return Body(take(self._packed, np.array([index % len(self)])))
-        return Bodies._wrap(take(self._packed, np.arange(len(self))[index]))
+        try:
+            rows = np.arange(len(self))[index]
+        except Exception as error:  # an IndexError, or what an object of the caller's raises
+            found = _check.short(index)
+            raise BodyIndexError(
+                f"expected indices from {-len(self)} to {len(self) - 1}, found {found} ({error})"
+            ) from None
+        if rows.ndim != 1:
+            raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_check.short(index)}")
+        return Bodies._wrap(take(self._packed, rows))
 
     def __repr__(self) -> str:
         return f"Bodies({len(self)} bodies, {len(self._packed.layout)} pieces)"

@@ -274,7 +274,7 @@ def _expect_path(path: Any) -> str:
     """What the operating system can take for a path, as text."""
     try:
         name = os.fspath(path)
-    except TypeError:
+    except Exception:  # a TypeError, or what a path-like object of the caller's raises
         raise InputError(f"path: expected a path, found {type(path).__name__}") from None
     try:
         fits = b"\0" not in os.fsencode(name)

@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
@@ -335,6 +336,7 @@ def _worth_logging(record: logging.LogRecord) -> bool:
 
 def _checked_port(port: Any) -> int:
     if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < PORTS:
-        found = repr(port) if not isinstance(port, int) or -PORTS < port < 10 * PORTS else "one beyond"
-        raise InputError(f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {found}")
+        raise InputError(
+            f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {_check.short(port)}"
+        )
     return int(port)

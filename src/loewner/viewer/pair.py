@@ -74,8 +74,9 @@ def show_pair(
     (True, 'FREE')
     >>> page.close()
     """
+    waits = _check.flag(block, "block")
     viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
-    if block:
+    if waits:
         viewer.wait()
     return viewer
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loewner import _check
 from loewner._check import Floats
 from loewner.bodies import Body
 from loewner.checkers import CollisionChecker, StateDistance
@@ -75,8 +76,9 @@ def show_robot(
     (True, 'FREE')
     >>> page.close()
     """
+    waits = _check.flag(block, "block")
     viewer = RobotViewer(checker, q, host=host, port=port)
-    if block:
+    if waits:
         viewer.wait()
     return viewer
 
