@@ -510,7 +510,15 @@ def test_nodes_shown_exponentially_often(tmp_path):
         f'<node id="n{k}"><instance_node url="#n{k + 1}"/><instance_node url="#n{k + 1}"/></node>' for k in range(30)
     )
     text = re.sub(r"<node ", nodes.replace("\\", "") + '<node id="n30"/><node ', dae(), count=1)
-    refused(tmp_path, "part.dae", text, "expected at most 100000 nodes")
+    refused(tmp_path, "part.dae", text, "expected at most 200000 nodes and parts of nodes")
+
+
+def test_absurdly_many_properties(tmp_path):
+    """Ten thousand properties of a vertex are refused at the first too many, not compared with one another."""
+    many = "".join(f"property float p{k}\n" for k in range(10_000))
+    refused(
+        tmp_path, "part.ply", PLY.replace("element face", many + "element face"), "line 1004: expected at most 1000"
+    )
 
 
 def test_one_mesh_shown_too_often(tmp_path):

@@ -7,6 +7,7 @@ surface (`cover`), because the decomposition itself cuts corners and those corne
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from os import PathLike
@@ -120,7 +121,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     """
     if isinstance(source, str | PathLike):
         name = shown(source)
-        vertices, triangles = mesh_files.read(Path(source))
+        vertices, triangles = mesh_files.read(Path(os.fsdecode(source)))
     else:
         name = "mesh"
         vertices, triangles = _in_memory(source)

@@ -41,8 +41,8 @@ _TYPES = {
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 
-# Longest line of a header that is looked for [bytes].
-HEADER_LINE = 1 << 16
+# Longest line of a header that is looked for [bytes]; most properties of an element. Scanners write some twenty.
+HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
 
 
 @dataclass
@@ -147,6 +147,9 @@ def _add_property(element: _Element, words: list[str], number: int) -> None:
     else:
         expect(len(words) == 2 and words[0] in _TYPES, f"expected a property, found {quoted(' '.join(words))}", number)
         added = _Property(words[1], _TYPES[words[0]])
+    expect(
+        len(element.properties) < MOST_PROPERTIES, f"expected at most {MOST_PROPERTIES} properties, found more", number
+    )
     expect(
         added.name not in {p.name for p in element.properties},
         f"expected {quoted(added.name)} once, found it twice",
