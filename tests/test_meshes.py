@@ -241,8 +241,11 @@ def test_ragged_obj_is_refused(tmp_path):
         ("f 1 2 3", "f -5 2 3", r"line 5: .* found -5"),
         ("f 1 2 3", "f 1 2 5", r"line 5: expected a face of vertices 1\.\.4, found 5"),
         ("f 1 2 3", "f 1 2", r"line 5: expected a face of at least 3 corners"),
-        ("f 1 2 3", "f 1 2 x", r"line 5: expected a corner .* found 'x'"),
-        ("f 1 2 3", "f 1 2 3.0", r"line 5: expected a corner"),
+        ("f 1 2 3", "f 1 2 x", r"line 5: expected a whole number, found 'x'"),
+        ("f 1 2 3", "f 1 2 3.0", r"line 5: expected a whole number, found '3.0'"),
+        ("f 1 2 3", "f 1/1 2/x 3", r"line 5: expected a corner .* found '2/x'"),
+        ("f 1 2 3", "f 1 f 2 3", r"line 5: expected a whole number, found 'f'"),
+        ("v 0 1 0", "v 0 1\nv 0 v 0 1 0", r"line 3: expected a vertex of 3 numbers"),
         ("f 1 2 3", "f 1 2 99999999999999999999", r"line 5: expected a whole number"),
         ("v 0 1 0", "v 0 1_0 0", r"line 3: expected a number, found '1_0'"),
         ("v 0 1 0", "v 0 one 0", r"line 3: expected a number, found 'one'"),
@@ -507,7 +510,15 @@ def test_nodes_shown_exponentially_often(tmp_path):
         f'<node id="n{k}"><instance_node url="#n{k + 1}"/><instance_node url="#n{k + 1}"/></node>' for k in range(30)
     )
     text = re.sub(r"<node ", nodes.replace("\\", "") + '<node id="n30"/><node ', dae(), count=1)
-    refused(tmp_path, "part.dae", text, "expected at most 100000 nodes")
+    refused(tmp_path, "part.dae", text, "expected at most 200000 nodes and parts of nodes")
+
+
+def test_absurdly_many_properties(tmp_path):
+    """Ten thousand properties of a vertex are refused at the first too many, not compared with one another."""
+    many = "".join(f"property float p{k}\n" for k in range(10_000))
+    refused(
+        tmp_path, "part.ply", PLY.replace("element face", many + "element face"), "line 1004: expected at most 1000"
+    )
 
 
 def test_one_mesh_shown_too_often(tmp_path):

@@ -189,7 +189,7 @@ class Body(_Bodies):
         Parameters
         ----------
         source : path, trimesh.Trimesh or trimesh.Scene
-            STL, OBJ, PLY, GLB or DAE, in metres.
+            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
         decompose : bool
             True: split a non-convex mesh into convex pieces (CoACD); the pieces approximate the
             mesh, and `body.covering` says how well. False: the convex hull, which contains it.

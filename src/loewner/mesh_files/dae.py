@@ -23,9 +23,9 @@ from loewner.mesh_files.parts import (
     strip,
 )
 
-# Elements within one another, elements in all, and nodes of a scene, a node that is placed twice counting twice.
-# Exporters stay far below.
-MOST_DEPTH, MOST_ELEMENTS, MOST_NODES = 200, 2_000_000, 100_000
+# Elements within one another; elements in all; nodes of a scene and what is in them, as often as they are placed;
+# inputs of vertices. Exporters stay far below.
+MOST_DEPTH, MOST_ELEMENTS, MOST_PLACED, MOST_INPUTS = 200, 2_000_000, 200_000, 100
 
 _NO_SURFACE = frozenset(["source", "vertices", "extra", "lines", "linestrips", "points", "asset"])
 
@@ -179,8 +179,10 @@ class _Scene:
         visits = 0
         while waiting:
             node, T_parent, depth = waiting.pop()
-            visits += 1
-            expect(visits <= MOST_NODES, f"expected at most {MOST_NODES} nodes, found more", node.line)
+            visits += 1 + len(node.children)
+            expect(
+                visits <= MOST_PLACED, f"expected at most {MOST_PLACED} nodes and parts of nodes, found more", node.line
+            )
             expect(depth <= MOST_DEPTH, f"expected nodes at most {MOST_DEPTH} deep, found more, or a cycle", node.line)
             T, inside = T_parent, []
             for child in node.children:
@@ -225,6 +227,7 @@ class _Scene:
         step = 1 + max(o for _, o, _ in inputs)
         expect(step <= 1000, f"<{element.tag}>: expected small offsets, found {step - 1}", element.line)
         holder = self.find("vertices", link.reference("source"), link.line)
+        expect(len(holder.children) <= MOST_INPUTS, f"<vertices>: expected at most {MOST_INPUTS} inputs", holder.line)
         positions = [i for i in holder.all("input") if i.get("semantic") == "POSITION"]
         expect(len(positions) == 1, f"<vertices>: expected one input POSITION, found {len(positions)}", holder.line)
         points = self.source(positions[0].reference("source"), positions[0].line)

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from loewner.mesh_files.parts import (
     fans,
     floats,
     integers,
-    is_float,
     is_integer,
     quoted,
 )
@@ -40,35 +38,43 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     corners: list[Integers] = []
     sizes: list[Integers] = []
     lines: list[Integers] = []
-    width = 0
     total = 0
     for first, block in _blocks(_plain(data)):
-        words = [line.split() for line in block]
-        vertex_lines, face_lines, numbers, seen = [], [], [], []
-        for number, line in enumerate(words, first):
-            if not line:
-                continue
-            if line[0] == b"v":
-                width = width or len(line) - 1
-                if len(line) != width + 1 or width not in _WIDTHS:
-                    asked = f"{width} numbers as in the lines before" if width in _WIDTHS else "3, 4, 6 or 7 numbers"
-                    raise Refusal(f"expected a vertex of {asked}, found {len(line) - 1}", number)
+        vertex_lines: list[bytes] = []
+        face_lines: list[bytes] = []
+        vertex_numbers: list[int] = []
+        face_numbers: list[int] = []
+        seen: list[int] = []
+        for number, line in enumerate(block, first):
+            head = line[:2]
+            if head == b"vn" or head == b"vt":
+                head = line[:3]  # quicker than taking it apart, and most lines are of these four
+                if head == b"vn " or head == b"vt ":
+                    continue
+            if head != b"v " and head != b"f ":
+                words = line.split(None, 1)
+                if not words or words[0] in _PASSED_OVER:
+                    continue
+                head = words[0] + b" "
+            if head == b"v ":
                 vertex_lines.append(line)
-            elif line[0] == b"f":
-                expect(len(line) >= 4, f"expected a face of at least 3 corners, found {len(line) - 1}", number)
+                vertex_numbers.append(number)
+            elif head == b"f ":
                 face_lines.append(line)
-                numbers.append(number)
+                face_numbers.append(number)
                 seen.append(total + len(vertex_lines))
-            elif line[0] not in _PASSED_OVER:
-                raise Refusal(f"expected a line of an OBJ file, found one that begins with {quoted(line[0])}", number)
+            else:
+                found = quoted(head.strip())
+                raise Refusal(f"expected a line of an OBJ file, found one that begins with {found}", number)
         if vertex_lines:
-            points.append(_coordinates(vertex_lines, width, words, first))
+            points.append(_coordinates(vertex_lines, vertex_numbers, len(points[0][0]) if points else 0))
             total += len(vertex_lines)
         if face_lines:
-            sizes.append(np.array(list(map(len, face_lines)), dtype=np.int64) - 1)
-            lines.append(np.array(numbers, dtype=np.int64))
-            corners.append(_corners(face_lines, numbers, np.repeat(seen, sizes[-1])))
-    vertices = np.concatenate(points) if points else np.empty((0, 3))
+            flat, size = _words(face_lines, face_numbers)
+            sizes.append(size)
+            lines.append(np.array(face_numbers, dtype=np.int64))
+            corners.append(_corners(flat, np.repeat(face_numbers, size), np.repeat(seen, size)))
+    vertices = np.concatenate(points)[:, :3].copy() if points else np.empty((0, 3))
     if not corners:
         return vertices, np.empty((0, 3), dtype=np.int64)
     all_corners, all_sizes = np.concatenate(corners), np.concatenate(sizes)
@@ -106,39 +112,56 @@ def _blocks(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
         number, start = number + len(lines), start + len(block) + 1
 
 
-def _coordinates(vertex_lines: list[list[bytes]], width: int, words: list[list[bytes]], first: int) -> Floats:
-    flat = list(chain.from_iterable(vertex_lines))
-    try:
-        columns = [floats(flat[k :: width + 1]) for k in range(1, width + 1)]
-    except Refusal as refusal:
-        bad = next(i for i, w in enumerate(words, first) if w and w[0] == b"v" and not all(map(is_float, w[1:])))
-        raise Refusal(str(refusal), bad) from None
-    return np.stack(columns[:3], axis=1)
+def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> Floats:
+    """All numbers of `v` lines, a row for each; of `width` if that is not 0."""
+    width = width or len(vertex_lines[0].split()) - 1
+    flat = b" ".join(vertex_lines).split()
+    # The words begin with "v", which is no number: where the lines are not all as long, it turns up as one.
+    if width in _WIDTHS and len(flat) == len(vertex_lines) * (width + 1):
+        try:
+            return np.stack([floats(flat[k :: width + 1]) for k in range(1, width + 1)], axis=1)
+        except Refusal:
+            pass
+    asked = f"{width} numbers as in the lines before" if width in _WIDTHS else "3, 4, 6 or 7 numbers"
+    for number, line in zip(numbers, vertex_lines, strict=True):
+        words = line.split()[1:]
+        expect(len(words) == width in _WIDTHS, f"expected a vertex of {asked}, found {len(words)}", number)
+        try:
+            floats(words)
+        except Refusal as refusal:
+            raise Refusal(str(refusal), number) from None
+    raise Refusal("expected vertices, found something else")
 
 
-def _corners(face_lines: list[list[bytes]], numbers: list[int], seen: Integers) -> Integers:
+def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], Integers]:
+    """Corners of all faces, one after the other, and how many each has."""
+    sizes = np.fromiter((len(line.split()) for line in face_lines), dtype=np.int64, count=len(face_lines)) - 1
+    if sizes.min() < 3:
+        k = int(np.argmax(sizes < 3))
+        raise Refusal(f"expected a face of at least 3 corners, found {sizes[k]}", numbers[k])
+    if (sizes == sizes[0]).all():
+        flat = b" ".join(face_lines).split()
+        del flat[:: sizes[0] + 1]
+        return flat, sizes
+    return [word for line in face_lines for word in line.split()[1:]], sizes
+
+
+def _corners(flat: list[bytes], numbers: Integers, seen: Integers) -> Integers:
     """Indices from 0 of the vertices that the faces name; negative ones count back from the last vertex before."""
-    flat = list(chain.from_iterable(line[1:] for line in face_lines))
-    if not all(map(_CORNER.fullmatch, flat)):
-        for number, line in zip(numbers, face_lines, strict=True):
-            for word in line[1:]:
-                expect(
-                    _CORNER.fullmatch(word),
-                    f"expected a corner as v, v/vt, v//vn or v/vt/vn, found {quoted(word)}",
-                    number,
-                )
-    if any(b"/" in word for word in flat):
+    if b"/" in b"".join(flat):
+        for k, word in enumerate(flat):
+            if not _CORNER.fullmatch(word):
+                raise Refusal(f"expected a corner as v, v/vt, v//vn or v/vt/vn, found {quoted(word)}", int(numbers[k]))
         flat = [word.partition(b"/")[0] for word in flat]
     try:
         given = integers(flat)
     except Refusal as refusal:
-        names = [[word.partition(b"/")[0] for word in line[1:]] for line in face_lines]
-        bad = next(n for n, line in zip(numbers, names, strict=True) if not all(map(is_integer, line)))
-        raise Refusal(str(refusal), bad) from None
+        k = next((k for k, word in enumerate(flat) if not is_integer(word)), 0)
+        raise Refusal(str(refusal), int(numbers[k])) from None
     corners = np.where(given > 0, given - 1, given + seen)
     wrong = (given == 0) | (corners < 0)
     if wrong.any():
-        k = int(np.flatnonzero(wrong)[0])
-        where = int(np.repeat(numbers, [len(line) - 1 for line in face_lines])[k])
+        k = int(np.argmax(wrong))
+        where = int(numbers[k])
         raise Refusal(f"expected a vertex counted from 1, or back from -1, found {given[k]} of {seen[k]}", where)
     return corners

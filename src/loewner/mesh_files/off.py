@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from loewner._check import Floats
 from loewner.mesh_files.parts import (
+    Integers,
     Refusal,
     Triangles,
     check_range,
@@ -47,34 +48,37 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     points = np.empty((v, 3))
     if v:
         points = _vertices(lines[1 : 1 + v], numbers[1 : 1 + v], _WIDTHS[word])
-    corners, sizes = [], []
-    for line, number in zip(lines[1 + v :], numbers[1 + v :], strict=True):
-        size = int(_at(number, integers, line[:1])[0])
-        expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
-        expect(
-            len(line) - 1 - size in _COLOURS,
-            f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers",
-            number,
-        )
-        corners.append(line[1 : 1 + size])
-        sizes.append(size)
-        if len(line) > 1 + size:
-            _at(number, floats, line[1 + size :])
+    faces, numbers = lines[1 + v :], numbers[1 + v :]
     try:
-        flat_corners = integers([token for face in corners for token in face])
-        check_range(flat_corners, v, "a face")
+        sizes = integers([line[0] for line in faces])
+        if all(len(line) == size + 1 >= 4 for line, size in zip(faces, sizes.tolist(), strict=True)):
+            corners = integers([word for line in faces for word in line[1:]])
+            check_range(corners, v, "a face")
+            return points, fans(corners, sizes)
     except Refusal:
-        for face, number in zip(corners, numbers[1 + v :], strict=True):
-            check_range(_at(number, integers, face), v, "a face", number)
-        raise
-    return points, fans(flat_corners, np.array(sizes, dtype=np.int64))
+        pass  # which is told below, with its line
+    parts = [_face(line, number, v) for line, number in zip(faces, numbers, strict=True)]
+    return points, fans(np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64))
+
+
+def _face(line: list[bytes], number: int, count: int) -> Integers:
+    """Corners of one face, which may have a colour."""
+    size = int(_at(number, integers, line[:1])[0])
+    expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
+    found = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
+    expect(len(line) - 1 - size in _COLOURS, found, number)
+    corners = _at(number, integers, line[1 : 1 + size])
+    check_range(corners, count, "a face", number)
+    _at(number, floats, line[1 + size :])
+    return corners
 
 
 def _vertices(lines: list[list[bytes]], numbers: list[int], widths: tuple[int, ...]) -> Floats:
     width = len(lines[0])
     expect(width in widths, f"expected a vertex of {widths[0]} numbers, found {width}", numbers[0])
-    for line, number in zip(lines, numbers, strict=True):
-        expect(len(line) == width, f"expected a vertex of {width} numbers as the first, found {len(line)}", number)
+    if set(map(len, lines)) != {width}:
+        k = next(k for k, line in enumerate(lines) if len(line) != width)
+        raise Refusal(f"expected a vertex of {width} numbers as the first, found {len(lines[k])}", numbers[k])
     try:
         return floats([token for line in lines for token in line]).reshape(-1, width)[:, :3].copy()
     except Refusal:

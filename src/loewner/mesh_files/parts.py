@@ -52,8 +52,8 @@ def is_integer(token: bytes) -> bool:
 def floats(tokens: Sequence[bytes]) -> Floats:
     """Numbers of tokens, 1e400 being infinite; the first token that is none is refused."""
     try:
-        numbers = np.array(list(map(float, tokens)), dtype=np.float64)
-        if not any(b"_" in token for token in tokens):
+        numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
+        if b"_" not in b"".join(tokens):
             return numbers
     except ValueError:
         pass
@@ -64,8 +64,8 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 def integers(tokens: Sequence[bytes]) -> Integers:
     """Whole numbers of tokens; the first token that is none, or is absurdly large, is refused."""
     try:
-        numbers = np.array(list(map(int, tokens)), dtype=np.int64)
-        if not any(b"_" in token for token in tokens):
+        numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
+        if b"_" not in b"".join(tokens):
             return numbers
     except (ValueError, OverflowError):
         pass
@@ -123,11 +123,16 @@ def check_range(corners: Integers, count: int, what: str, line: int | None = Non
         raise Refusal(f"expected {what} to name vertices 0..{count - 1}, found {bad}", line)
 
 
-def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
-    """Words of all lines that have any, and the lines' numbers; lines end in LF, CR LF or CR."""
+def plain_lines(data: bytes) -> list[bytes]:
+    """Lines, which end in LF, CR LF or CR."""
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    lines = data.split(b"\n")
+    return data.split(b"\n")
+
+
+def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
+    """Words of all lines that have any, and the lines' numbers."""
+    lines = plain_lines(data)
     if comment is not None and comment in data:
         lines = [line.partition(comment)[0] for line in lines]
     words = [line.split() for line in lines]

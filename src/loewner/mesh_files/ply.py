@@ -1,5 +1,6 @@
 """Polygon File Format: a header that declares elements, their content in text or in binary of either byte order."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,8 +41,8 @@ _TYPES = {
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 
-# Longest line of a header that is looked for [bytes].
-HEADER_LINE = 1 << 16
+# Longest line of a header that is looked for [bytes]; most properties of an element. Scanners write some twenty.
+HEADER_LINE, MOST_PROPERTIES = 1 << 16, 1000
 
 
 @dataclass
@@ -147,6 +148,9 @@ def _add_property(element: _Element, words: list[str], number: int) -> None:
         expect(len(words) == 2 and words[0] in _TYPES, f"expected a property, found {quoted(' '.join(words))}", number)
         added = _Property(words[1], _TYPES[words[0]])
     expect(
+        len(element.properties) < MOST_PROPERTIES, f"expected at most {MOST_PROPERTIES} properties, found more", number
+    )
+    expect(
         added.name not in {p.name for p in element.properties},
         f"expected {quoted(added.name)} once, found it twice",
         number,
@@ -180,9 +184,10 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
     properties = element.properties
     scalars: dict[str, Any] = {p.name: np.empty(0) for p in properties if p.length is None}
     if not any(p.length for p in properties):
-        for line, number in zip(lines, numbers, strict=True):
-            found = f"expected {len(properties)} numbers for a {element.name}, found {len(line)}"
-            expect(len(line) == len(properties), found, number)
+        if set(map(len, lines)) - {len(properties)}:
+            k = next(k for k, line in enumerate(lines) if len(line) != len(properties))
+            found = f"expected {len(properties)} numbers for a {element.name}, found {len(lines[k])}"
+            raise Refusal(found, numbers[k])
         try:
             for k, p in enumerate(properties):
                 scalars[p.name] = floats([line[k] for line in lines])
@@ -191,6 +196,11 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
                 _numbers(line, number)
             raise
         return _Content(scalars, _no_integers(), _no_integers())
+    if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
+        with suppress(Refusal):  # which is told below, with its line
+            lengths = integers([line[0] for line in lines])
+            if (lengths == len(lines[0]) - 1).all():
+                return _Content({}, integers([word for line in lines for word in line[1:]]), lengths)
     corners: list[bytes] = []
     sizes: list[int] = []
     columns: dict[str, list[bytes]] = {name: [] for name in scalars}

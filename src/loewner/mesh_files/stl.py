@@ -1,12 +1,11 @@
 """STL, binary and text: triangles, each with corners of its own."""
 
 import struct
-from itertools import chain
 
 import numpy as np
 
 from loewner._check import Floats
-from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, floats, quoted
+from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, floats, plain_lines, quoted
 
 HEADER, FACET = 84, 50  # bytes
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -38,36 +37,34 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 def _text(data: bytes) -> Floats:
     """Corners of all facets of all solids of a file in text."""
-    lines, numbers = data_lines(data)
-    heads = [line[0].lower() for line in lines]
-    begins = [i for i, head in enumerate(heads) if head == b"solid"]
-    ends = [i for i, head in enumerate(heads) if head == b"endsolid"]
+    lines = [line for line in map(bytes.strip, plain_lines(data.lower())) if line]
+    begins = [i for i, line in enumerate(lines) if line.startswith(b"solid") and line.split()[0] == b"solid"]
+    ends = [i for i, line in enumerate(lines) if line.startswith(b"endsolid") and line.split()[0] == b"endsolid"]
     expect(ends and ends[-1] == len(lines) - 1, "expected a whole text STL, found one cut before its endsolid")
     follows = len(begins) == len(ends) and begins == [0, *(i + 1 for i in ends[:-1])]
     expect(follows, "expected solids, each from solid to endsolid, found these words elsewhere")
-    inside = [i for first, last in zip(begins, ends, strict=True) for i in range(first + 1, last)]
     if any((last - first - 1) % len(_LINES) for first, last in zip(begins, ends, strict=True)):
-        _refuse_first(lines, numbers, begins, ends)
+        _refuse_first(data, begins, ends)
+    inside = [line for first, last in zip(begins, ends, strict=True) for line in lines[first + 1 : last]]
     corners = []
     for k, (words, count) in enumerate(_LINES):
-        mine = [lines[i] for i in inside[k :: len(_LINES)]]
-        size = len(words) + count
-        if any(len(line) != size for line in mine):
-            _refuse_first(lines, numbers, begins, ends)
-        flat = list(chain.from_iterable(mine))
-        if any({token.lower() for token in flat[j::size]} - {word} for j, word in enumerate(words)):
-            _refuse_first(lines, numbers, begins, ends)
+        mine = inside[k :: len(_LINES)]
+        flat, size = b" ".join(mine).split(), len(words) + count
+        # The words are no numbers: where the lines are not all as long, they turn up as some.
+        if len(flat) != size * len(mine) or any(set(flat[j::size]) - {word} for j, word in enumerate(words)):
+            _refuse_first(data, begins, ends)
         try:
             columns = [floats(flat[j::size]) for j in range(len(words), size)]
         except Refusal:
-            _refuse_first(lines, numbers, begins, ends)
+            _refuse_first(data, begins, ends)
         if words == (b"vertex",):
             corners.append(np.stack(columns, axis=1))
     return np.stack(corners, axis=1)
 
 
-def _refuse_first(lines: list[list[bytes]], numbers: list[int], begins: list[int], ends: list[int]) -> None:
+def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
     """Refuse a file for its first line that is not as it should be."""
+    lines, numbers = data_lines(data)
     for first, last in zip(begins, ends, strict=True):
         for i in range(first + 1, last):
             words, count = _LINES[(i - first - 1) % len(_LINES)]
