@@ -110,6 +110,8 @@ VALUES = (
 OTHERS = (None, True, -1, 0, 1e308, 10**400, float("nan"), "x", [], {}, [[1, 2, 3]], {"radius": 1}, 1e-310)
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 WORD = re.compile(r"[A-Za-z_]+")
+# One file in so many is not damaged but made to explode.
+HOSTILE = 11
 COUNT, SHORT = 6000, 300
 CONFIGURATIONS = 12
 
@@ -120,6 +122,10 @@ CONFIGURATIONS = 12
 def mutated(kind: str, seed: int) -> bytes:
     """A file of a kind, damaged in one way or several."""
     rng = random.Random(f"{kind} {seed}")
+    if seed % HOSTILE == 0:
+        return {"urdf": hostile_urdf, "srdf": hostile_srdf, "yaml": hostile_yaml, "json": hostile_json}[kind](
+            rng
+        ).encode()
     text = TEXTS[kind]
     if rng.random() < 0.5:
         grown = {"urdf": of_elements, "srdf": of_elements, "yaml": of_yaml, "json": of_json}[kind]
@@ -269,6 +275,78 @@ def of_bytes(text: str, rng: random.Random) -> bytes:
     return bytes(data)
 
 
+# -- files that are made to explode -----------------------------------------------------------------
+
+
+def hostile_urdf(rng: random.Random) -> str:
+    """Long chains, limits, factors and names that are absurd, entities."""
+    count = rng.choice([50, 1000, 10_000])
+    makers = [
+        lambda: f'<mimic joint="j{rng.choice([-1, 1])}" multiplier="{rng.choice(VALUES[:12])}"/>',
+        lambda: f'<limit lower="{rng.choice(VALUES[:15])}" upper="{rng.choice(VALUES[:15])}"/>',
+    ]
+    choice = rng.randrange(6)
+    if choice < 3:
+        step = rng.choice([1, -1, 0])
+        factor = rng.choice(["1", "-1", "1e3", "1e200"])
+        inside = [
+            f'<mimic joint="j{(k + step) % count}" multiplier="{factor}"/>' if choice == 0 and k else ""
+            for k in range(count)
+        ]
+        kind = "fixed" if choice == 1 else "continuous"
+        joints = "".join(
+            f'<joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/>{inside[k]}</joint>'
+            for k in range(count)
+        )
+        return f'<robot name="r">{"".join(f"""<link name="l{k}"/>""" for k in range(count + 1))}{joints}</robot>'
+    if choice == 3:
+        insides = [rng.choice(makers)() for _ in range(2)]
+        text = URDF.replace(
+            '<limit lower="-2" upper="2.5" effort="1" velocity="1"/>', insides[0].replace("j-1", "turn")
+        )
+        return text.replace('multiplier="-0.5"', f'multiplier="{rng.choice(VALUES[:12])}"')
+    if choice == 4:
+        return URDF.replace(
+            "part.stl", rng.choice(["n" * 300 + ".stl", ".", "/dev/zero", "/proc/self/mem", "x" * 5000])
+        )
+    entities = "".join(f'<!ENTITY e{k + 1} "{f"&e{k};" * 10}">' for k in range(12))
+    return f'<!DOCTYPE robot [<!ENTITY e0 "ha">{entities}]><robot name="&e{rng.choice([1, 12])};"/>'
+
+
+def hostile_srdf(rng: random.Random) -> str:
+    """Groups in chains and rings, each named more than once."""
+    count, times, ring = rng.choice([40, 3000, 10_000]), rng.choice([1, 2]), rng.random() < 0.3
+    groups = "".join(
+        f'<group name="g{k}">{f"""<group name="g{(k + 1) % count if ring else k + 1}"/>""" * times}</group>'
+        for k in range(count)
+    )
+    return f'<robot name="r">{groups}<group name="g{count}"><joint name="bend"/></group></robot>'
+
+
+def hostile_yaml(rng: random.Random) -> str:
+    """Aliases of aliases, depth, and names that no file can have."""
+    levels, width = rng.choice([3, 30]), rng.choice([2, 10])
+    bomb = "".join(f"- &a{k + 1} [{', '.join([f'*a{k}'] * width)}]\n" for k in range(levels))
+    name = rng.choice(['"a\\0.stl"', '"\\ud800.stl"', "n" * 300 + ".stl", "/dev/zero", "/proc/self/mem", "."])
+    return rng.choice([
+        f"bodies: {{}}\nallow:\n- &a0 [x, y]\n{bomb}",
+        f"bodies:\n  a: &a {{box: [1, 1, *b]}}\n  b: *a\nmargin: {'[' * rng.choice([40, 4000])}",
+        f"bodies: {{a: {{{rng.choice(['mesh', 'saved'])}: {name}}}}}",
+        f"bodies: {{a: &a {{box: *a}}, b: {'{a: ' * rng.choice([40, 4000])}",
+    ])  # fmt: skip
+
+
+def hostile_json(rng: random.Random) -> str:
+    """Depth, and whole numbers without end."""
+    depth = rng.choice([40, 900, 100_000])
+    return rng.choice([
+        "[" * depth,
+        JSON.replace('"r"', "[" * depth + "]" * depth),
+        JSON.replace("0.03", rng.choice(["1", "-9"]) + "0" * rng.choice([400, 5000])),
+        JSON.replace('"index": 1', f'"index": {"7" * 4000}'),
+    ])  # fmt: skip
+
+
 # -- what has to hold -----------------------------------------------------------------------------
 
 
@@ -393,7 +471,8 @@ def campaign(count: int) -> str:
     outcomes = driver.run(checked, asked)
     assert driver.faults(outcomes) == ""
     tally = Counter(outcome.kind for outcome in outcomes)
-    accepted = [outcome.case for outcome in outcomes if outcome.kind == driver.OK and outcome.case[0] == "urdf"]
+    sound = [outcome.case for outcome in outcomes if outcome.kind == driver.OK]
+    accepted = [(kind, seed) for kind, seed in sound if kind == "urdf" and seed % HOSTILE]
     assert tally[driver.OK] > count / 50  # else nothing but the reader was tried
     assert tally[driver.REFUSED] > count / 50
     beside = driver.run(beside_pinocchio, accepted[: count // 10])
