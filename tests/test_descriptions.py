@@ -228,13 +228,19 @@ def test_meshes_that_cannot_be_read_name_their_link(cache, tmp_path, monkeypatch
         read(tmp_path, links("a", mesh), cache=cache)
 
 
+def test_an_axis_without_numbers_is_none(tmp_path):
+    """Not x, as where there is no <axis> at all: other readers take it for 0 0 0."""
+    with pytest.raises(InputError, match="'xyz' of <axis>"):
+        read(tmp_path, chain(2).replace('<axis xyz="0 0 1"/>', "<axis/>"))
+
+
 def test_shapes_that_make_no_body_name_their_link(tmp_path):
     shape = '<collision><geometry><box size="1e-300 1 1"/></geometry></collision>'
     with pytest.raises(InputError, match="robot.urdf, line 2, link 'a': "):
         read(tmp_path, links("a", shape))
 
 
-@pytest.mark.parametrize("number", ["1_0", "1e400", "1e13", "nan"])
+@pytest.mark.parametrize("number", ["1_0", "1e400", "1e13", "nan", "٣"])
 def test_numbers_that_are_none(number, tmp_path):
     """Python takes an underscore for nothing; beyond 1e12 m no length means anything."""
     with pytest.raises(InputError, match=r"line 2: expected .*number"):

@@ -27,6 +27,7 @@ import numpy as np
 import loewner
 from loewner import _check as border
 from loewner._check import Floats
+from loewner._files import read_regular
 from loewner._rotations import from_quaternion
 from loewner.compilation import PARTS, compile_kernels
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
@@ -43,6 +44,10 @@ WORTH_TELLING = 0.01
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
 AT_ONCE = 50_000
+
+# The largest file of configurations that is read [bytes].
+MOST_BYTES = 2**33
+
 LISTED = 20
 
 FIT_EXAMPLES = """examples:
@@ -603,13 +608,12 @@ def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
     """Numbers of a .npy or .csv file, in the order of the robot's columns."""
     if path.suffix.lower() not in (".npy", ".csv"):
         raise FileError(f"{path}: expected a .npy or .csv file, found {path.suffix or 'no suffix'}")
+    data = read_regular(path, "configurations", MOST_BYTES)
     try:
         if path.suffix.lower() == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(path.read_text().splitlines()) if any(row)]
-    except OSError as error:
-        raise FileError(f"{path}: expected configurations, found {(error.strerror or str(error)).lower()}") from None
-    except (ValueError, EOFError):
+            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode().splitlines()) if any(row)]
+    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = list(robot.configuration_names)
     if rows and any(";" in cell for cell in rows[0]):

@@ -208,8 +208,8 @@ class _Element:
         text = self.attributes.get(attribute, default)
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
-        try:  # Python would take "1_0" for ten
-            values = [float(word) for word in text.split()] if "_" not in text else []
+        try:  # Python would take "1_0" for ten, and digits of all the world's scripts
+            values = [float(word) for word in text.split()] if text.isascii() and "_" not in text else []
         except ValueError:
             values = []
         if len(values) != count or any(math.isnan(v) for v in values):
@@ -413,7 +413,7 @@ def _axis(joint: _Element, kind: str) -> Floats:
         return np.array([1.0, 0.0, 0.0])
     if element is None:
         return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
-    axis = np.array(element.finite("xyz", 3, "1 0 0"))
+    axis = np.array(element.finite("xyz", 3))
     largest = np.abs(axis).max()
     if largest == 0:
         element.fault(f"an axis of length above 0 for joint {joint.text('name')!r}", "0 0 0")

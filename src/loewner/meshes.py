@@ -7,7 +7,6 @@ surface (`cover`), because the decomposition itself cuts corners and those corne
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import dataclass
 from os import PathLike

@@ -311,7 +311,8 @@ class _Entry:
         """A finite number. YAML 1.1 takes 1e-3 for text; here the text decides, unless it is quoted."""
         value = self.expect("scalar", "a number")
         try:
-            number = float(value) if self.node.style is None and "_" not in value else math.nan
+            plain = self.node.style is None and value.isascii() and "_" not in value
+            number = float(value) if plain else math.nan
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
