@@ -6,8 +6,6 @@ Everything past this module may assume finite float64 in C order and rigid poses
 import difflib
 import math
 import operator
-import os
-import sys
 from collections.abc import Iterable
 from functools import cache
 from typing import Any
@@ -15,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loewner import _memory
 from loewner._kernels import rigid
-from loewner.errors import InputError, PoseError, UnknownNameError
+from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]
 
@@ -191,18 +190,18 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
 
 
 def fits_memory(needed: int, what: str) -> None:
-    """Refuse results of `needed` bytes before the machine starts to swap."""
-    if needed > physical_memory():
-        raise InputError(
-            f"expected a batch whose results fit into memory ({physical_memory() / 2**30:.3g} GiB), found {what}, "
+    """Refuse results of `needed` bytes that the machine, or a limit on this process, has no room for."""
+    there, which = physical_memory(), ""
+    if needed >= _memory.LOOK:
+        there, which = min((there, which), _memory.left())
+    if needed > there:
+        raise MemoryLimitError(
+            f"expected a batch whose results fit into memory ({there / 2**30:.3g} GiB{which}), found {what}, "
             f"which need {needed / 2**30:.3g} GiB; query them in parts"
         )
 
 
 @cache
 def physical_memory() -> int:
-    """Bytes; where the system does not tell, what an address can reach."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return sys.maxsize
+    """Memory of the machine, in bytes."""
+    return _memory.physical()

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
+from loewner._guard import guarded
 from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
@@ -285,6 +286,7 @@ class _Bodies:
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
 
+@guarded
 class Body(_Bodies):
     """A union of convex pieces, each with its inner and outer ellipsoid.
 
@@ -670,6 +672,7 @@ class Body(_Bodies):
         return cls(packed, covering)
 
 
+@guarded
 class Bodies(_Bodies):
     """A packed sequence of n bodies; broadcasts with the last batch axis of the poses.
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, queries
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import states, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Ints
@@ -126,6 +127,7 @@ class Settled:
         return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
+@guarded
 class CollisionChecker:
     """Checks configurations of a robot for collisions with itself and with a scene.
 
@@ -552,6 +554,7 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
+@guarded
 def pairs_by_sampling(
     robot: Robot,
     samples: int = 10_000,

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import batch, boxtree, careful, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Ints, Packed
@@ -24,6 +25,7 @@ PAIR_BYTES = 40
 MODES = {"exact": verdicts.EXACT, "certified": verdicts.CERTIFY}
 
 
+@guarded
 def overlapping_pairs(
     bodies: Body | Bodies, T_world: ArrayLike | None = None, *, margin: float = 0.0, method: str = "exact"
 ) -> Ints:

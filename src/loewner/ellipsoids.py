@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import rigid
 from loewner.errors import GeometryError, InputError
 
 
+@guarded
 @dataclass(frozen=True, eq=False)
 class Ellipsoids:
     """One ellipsoid or a batch, stored as center and factor.
@@ -168,16 +170,19 @@ class Ellipsoids:
         return f"Ellipsoids(center={self.center.tolist()}, semi_axes={self.semi_axes.tolist()})"
 
     @property
+    @guarded
     def shape_matrix(self) -> Floats:
         """Q = F Fᵀ, shape (..., n, n), in square metres."""
         return self.factor @ np.swapaxes(self.factor, -1, -2)
 
     @property
+    @guarded
     def semi_axes(self) -> Floats:
         """Semi-axis lengths, longest first, shape (..., n), in metres."""
         return np.asarray(np.linalg.svd(self.factor, compute_uv=False), dtype=np.float64)
 
     @property
+    @guarded
     def rotation(self) -> Floats:
         """Orthogonal matrix whose columns are the axes, in the order of `semi_axes`; determinant +1."""
         U = np.linalg.svd(self.factor)[0]
@@ -193,6 +198,7 @@ class Ellipsoids:
         return np.asarray(unit_ball + np.linalg.slogdet(self.factor)[1])
 
     @property
+    @guarded
     def volume(self) -> Floats:
         """Volume (area for n = 2), shape (...), in m^n."""
         return np.exp(self.log_volume)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner.bodies import Ints
 from loewner.checkers import CollisionChecker
 from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
@@ -28,6 +29,7 @@ ON_LIMIT = float(np.finfo(np.float64).eps)
 NAMED = 5
 
 
+@guarded
 def plan(
     checker: CollisionChecker,
     start: ArrayLike,
@@ -114,6 +116,7 @@ def plan(
     return found
 
 
+@guarded
 def space_information(
     checker: CollisionChecker,
     *,

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import kinematics
 from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
@@ -110,6 +111,7 @@ class Robot:
     _only_visual: tuple[str, ...] = field(repr=False)
 
     @classmethod
+    @guarded
     def from_urdf(
         cls,
         path: str | os.PathLike[str],
@@ -258,6 +260,7 @@ class Robot:
         constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
         return replace(self, tree=(*self.tree[:5], constants))
 
+    @guarded
     def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
         """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
 
@@ -319,6 +322,7 @@ class Robot:
             found.add((min(names), max(names)))
         return frozenset(found)
 
+    @guarded
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
 
@@ -462,6 +466,7 @@ class Robot:
             q[at] = _check.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
 
+    @guarded
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
@@ -500,6 +505,7 @@ class Robot:
             Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         return Q
 
+    @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
 

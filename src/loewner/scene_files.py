@@ -23,6 +23,7 @@ import numpy as np
 from loewner import _check
 from loewner._check import Floats
 from loewner._files import replacing
+from loewner._guard import guarded
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.bodies import ARRAYS, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
@@ -51,6 +52,7 @@ YAML_TAGS = tuple(
 )
 
 
+@guarded
 def load_scene(path: str | PathLike[str]) -> Scene:
     """Read a scene from YAML (docs/scenes.md).
 
@@ -96,6 +98,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     return scene
 
 
+@guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, such that `load_scene` gives the same verdicts.
 
@@ -428,6 +431,7 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
 # -- MotionBenchMaker -------------------------------------------------------------------------
 
 
+@guarded
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A motion planning problem: a scene, and from where to where.
@@ -477,6 +481,7 @@ OBSTACLE_KEYS = {
 PLACE_KEYS = ("position", "orientation_quat_xyzw", "orientation_euler_xyz")
 
 
+@guarded
 def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     """Read planning problems in the JSON form of MotionBenchMaker's data (docs/scenes.md).
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check, crowds, queries
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner.bodies import Bodies, Body, Ints
 from loewner.errors import InputError
 from loewner.queries import Distance
@@ -101,6 +102,7 @@ class Attachment:
     touch_links: tuple[str, ...]
 
 
+@guarded
 class Scene:
     """Named bodies with poses, attachments to links, allowed pairs and margins.
 
