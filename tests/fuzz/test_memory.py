@@ -1,0 +1,139 @@
+"""Public calls under a limit on the address space, as ``ulimit -v`` sets it: a right answer, or a `MemoryLimitError`.
+
+Never a raw MemoryError, a crash or a hang. Some limits leave place for the operands alone, some for the results but not
+for what a call needs on the way.
+"""
+
+import pickle
+import random
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import driver
+import loewner
+import numba
+import numpy as np
+import pytest
+import trimesh
+from families import random_poses
+from gantry import gantry
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, MemoryLimitError, Robot, Scene
+
+resource = pytest.importorskip("resource")
+
+# What a limit leaves beside the memory in use, in MiB: drawn between these two, evenly in the logarithm.
+LEAST, MOST = 1.0, 512.0
+
+
+def calls(folder: Path) -> dict[str, Callable[[], Any]]:
+    """Public calls that make arrays, each of 1 to some 500 MB."""
+    rng = np.random.default_rng(0)
+    sets = rng.normal(size=(1000, 20, 3))
+    rock, rocks, drum = Body.from_points(sets[0]), Bodies.from_points(sets[:50]), Body.cylinder(0.5, 2.0)
+    T = random_poses(rng, 2000)
+    list_of_poses = T.tolist()
+    many = np.tile(T, (200, 1, 1)).astype(np.float32)
+    cloud, flat = rng.normal(size=(5000, 20)), rng.normal(size=(300_000, 3))
+    E = Ellipsoids.from_semi_axes(rng.normal(size=(100_000, 3)), rng.uniform(0.2, 1, size=(100_000, 3)))
+    urdf, _ = gantry(folder)
+    robot, scene = Robot.from_urdf(urdf), Scene(margin=0.01)
+    for i in range(20):
+        scene.add(f"rock {i}", rocks[i], random_poses(rng, 1, spread=4.0)[0])
+    checker = CollisionChecker(robot, scene)
+    Q = robot.random_configurations(200_000, seed=1)
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    Bodies.spheres(np.ones(100_000)).save(folder / "balls.npz")
+    return {
+        "classify": lambda: loewner.classify(rock, T[:, None], rock, T),
+        "classify lists": lambda: loewner.classify(rock, list_of_poses, rock, None),
+        "classify single precision": lambda: loewner.classify(rock, many, rock, None),
+        "collide": lambda: loewner.collide(rock, T[:500, None], drum, T),
+        "collide by a rule": lambda: loewner.collide(rock, T[:500, None], drum, T, method="estimate"),
+        "collide pairs": lambda: loewner.collide(rock, T, rock, T, pairs=np.indices((1000, 1000)).T),
+        "distance": lambda: loewner.distance(rock, T[:500, None], rock, T),
+        "distance, exact": lambda: loewner.distance(rock, T[:50, None], rock, T, exact=True),
+        "distance of pairs": lambda: loewner.distance(rock, T, rock, T, pairs=np.indices((100, 100)).T, exact=True),
+        "overlapping_pairs": lambda: loewner.overlapping_pairs(rock, T[:1000]),
+        "mvce": lambda: loewner.mvce(cloud),
+        "mvce of many": lambda: loewner.mvce(flat),
+        "mvce, lifted": lambda: loewner.mvce(cloud[:2000, :10], method="lifted-mvie"),
+        "mvie": lambda: loewner.mvie(np.concatenate([cloud, -cloud])[:, :8], np.ones(10_000)),
+        "Bodies.from_points": lambda: Bodies.from_points(sets),
+        "Body.from_points": lambda: Body.from_points(flat[:5000] / np.linalg.norm(flat[:5000], axis=1, keepdims=True)),
+        "Body.from_mesh": lambda: Body.from_mesh(ball, decompose=False),
+        "Polytope.from_points": lambda: loewner.Polytope.from_points(flat),
+        "Bodies.spheres": lambda: Bodies.spheres(np.ones(100_000)),
+        "Bodies[...]": lambda: rocks[np.arange(20_000) % 50],
+        "union": lambda: Body.union([rock] * 10_000),
+        "Bodies.load": lambda: Bodies.load(folder / "balls.npz"),
+        "Bodies.save": lambda: rocks.save(folder / "saved.npz"),
+        "contact_function": lambda: loewner.contact_function(E, E[::-1]),
+        "near_points": lambda: loewner.near_points(E, E[::-1]),
+        "shape_matrix": lambda: E.shape_matrix,
+        "random_configurations": lambda: robot.random_configurations(3_000_000),
+        "forward_kinematics": lambda: robot.forward_kinematics(Q),
+        "checker.collide": lambda: checker.collide(Q),
+        "checker.classify": lambda: checker.classify(Q.tolist()),
+        "checker.distance": lambda: checker.distance(Q[:20_000]),
+        "checker.distance, exact": lambda: checker.distance(Q[:3000], exact=True),
+        "checker.collide_by_pair": lambda: checker.collide_by_pair(Q[:100_000]),
+        "checker.valid_edges": lambda: checker.valid_edges(Q[:2000], Q[2000:4000], resolution=0.005),
+    }
+
+
+@cache
+def prepared(folder: Path) -> dict[str, tuple[Callable[[], Any], bytes]]:
+    """Calls by name, and what each answers, as bytes."""
+    return {name: (call, pickle.dumps(call())) for name, call in calls(folder).items()}
+
+
+def campaign(folder: Path, count: int, seed: int) -> list[driver.Outcome]:
+    prepared(folder)  # here, once: the driver's processes are forks of this one
+    draw = random.Random(seed)
+    names = list(prepared(folder))
+    cases = []
+    for k in range(count):
+        room = LEAST * (MOST / LEAST) ** draw.random()
+        cases.append((names[k % len(names)], 1 + k // len(names) % 2, room, str(folder)))
+    return driver.run(limited, cases, limit=60.0)
+
+
+def limited(case: tuple[str, int, float, str]) -> str | None:
+    """Call under a limit; then again without."""
+    name, threads, room, folder = case
+    call, answer = prepared(Path(folder))[name]
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + int(room * 2**20), hard))
+    refused: Exception | None = None
+    found = None
+    try:
+        found = call()
+    except MemoryLimitError as error:
+        refused = error
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    if refused is None and pickle.dumps(found) != answer:
+        return "another answer than without a limit"
+    if pickle.dumps(call()) != answer:
+        return "another answer after the limit was lifted"
+    if refused is not None:
+        raise refused
+    return None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("memory")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not enforce the limit")
+def test_calls_with_little_memory(folder: Path):
+    """A right answer or a `MemoryLimitError`; and a right answer once there is memory."""
+    assert not driver.faults(campaign(folder, 20, seed=1))
