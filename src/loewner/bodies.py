@@ -276,9 +276,7 @@ class _Bodies:
     @property
     def nbytes(self) -> int:
         """Memory held by all arrays, in bytes."""
-        p = self._packed
-        maps = [array for made in (p.maps or {}).values() for array in made]
-        return sum(int(array.nbytes) for array in (*_arrays(p).values(), *maps, *p.kernel))
+        return _held(self._packed)
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -922,8 +920,15 @@ def _arrays(packed: Packed) -> dict[str, Any]:
     return {name: getattr(packed, name) for name in ARRAYS}
 
 
+def _held(p: Packed) -> int:
+    """Bytes of all arrays, with those that are made for the kernels."""
+    maps = [array for made in (p.maps or {}).values() for array in made]
+    return sum(int(array.nbytes) for array in (*_arrays(p).values(), *maps, *p.kernel))
+
+
 def _concatenate(parts: list[Packed]) -> Packed:
     """All bodies of several packs, in order."""
+    _check.fits_memory(sum(map(_held, parts)), f"{len(parts)} bodies")
     joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
@@ -953,6 +958,7 @@ def _starts(lengths: Ints) -> Ints:
 
 def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
+    _check.fits_memory(len(bodies) * _held(p) // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     pieces = _ranges(first, last)
     layout = p.layout[pieces]

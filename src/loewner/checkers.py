@@ -36,6 +36,9 @@ FIRST_LOOK = 256
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
 
+# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
+MOST_AT_ONCE = 2**20
+
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
 
@@ -339,6 +342,7 @@ class CollisionChecker:
             texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape = a.shape[:-1]
+        _check.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_check.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
         parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
@@ -389,6 +393,7 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         ready = self._ready()
         flat = _flat(checked)
+        _check.fits_memory(flat.shape[0] * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs")
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
         for k in range(0, len(flat), BY_PAIR):
             T = ready.poses(flat[k : k + BY_PAIR])
@@ -423,6 +428,9 @@ class CollisionChecker:
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
+        # Parts, and then all of them in one: bounds; and the value, vectors and names.
+        columns_bytes = 16 + exact * (80 + 2 * np.array(ready.names).itemsize)
+        _check.fits_memory(2 * columns_bytes * len(flat), f"{len(flat)} configurations")
         each = max(1, AT_ONCE // len(ready.pairs))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
@@ -659,7 +667,7 @@ def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Float
             edges.append(np.repeat(those, len(at)))
             fractions.append(np.tile(at, len(those)))
         yield np.concatenate(edges), np.concatenate(fractions)
-        done, more = done + more, max(more, done + more)
+        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
 
 
 @lru_cache(maxsize=256)

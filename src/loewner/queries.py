@@ -26,6 +26,9 @@ CHUNK = 4096
 # vectors, a status and a flag.
 COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
 
+# A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
+LIST_BYTES, POSES_BYTES = 16, 256
+
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
 
@@ -36,7 +39,7 @@ class Verdict(IntEnum):
     Examples
     --------
     >>> verdict = Verdict(2)
-    >>> verdict, verdict.name, verdict == 2
+    >>> verdict, str(verdict), verdict == 2
     (<Verdict.AMBIGUOUS: 2>, 'AMBIGUOUS', True)
     """
 
@@ -46,6 +49,9 @@ class Verdict(IntEnum):
     """The inner ellipsoids touch or overlap, or come within the margin: proven."""
     AMBIGUOUS = 2
     """Neither; ask `collide` for an estimate or the exact answer."""
+
+    def __str__(self) -> str:
+        return self.name
 
 
 _VERDICTS = tuple(Verdict)
@@ -149,7 +155,7 @@ def _prepare(
     Tb = _check.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed
     if chosen is not None:
-        return _listed(chosen, a, Ta, b, Tb)
+        return _listed(chosen, a, Ta, b, Tb, each)
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
@@ -169,12 +175,14 @@ def _prepare(
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
-def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats) -> _Pairs:
+def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
     """Operands whose pairs are given by row numbers."""
     rows = np.asarray(chosen)
     if rows.ndim == 0 or rows.shape[-1] != 2 or (rows.dtype.kind not in "iu" and rows.size):
         found = f"shape {_check.shape_text(rows.shape)} of {rows.dtype}"
         raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
+    count = rows.size // 2
+    _check.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
     flat = np.ascontiguousarray(rows.reshape(-1, 2).T, dtype=np.int64)
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
@@ -191,7 +199,6 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
                 f"{int(np.flatnonzero(wrong)[0])}"
             )
         plan += [[int(length > 1)] for length in lengths]
-    _check.fits_memory(flat.shape[1], f"{flat.shape[1]} pairs")
     shape = rows.shape[:-1]
     packs, poses = (a._packed, b._packed), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4))
     return _Pairs(shape, flat.shape[1], np.array(plan, dtype=np.int64), packs, poses, flat)
@@ -422,6 +429,7 @@ def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
 
 def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
     """Some of the pairs of a list, as pairs of copies that broadcast."""
+    _check.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
     (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
     packs = tuple(
         take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
