@@ -7,6 +7,7 @@ import difflib
 import math
 import operator
 from collections.abc import Iterable
+from dataclasses import fields
 from functools import cache
 from typing import Any
 
@@ -21,6 +22,9 @@ Floats = NDArray[np.float64]
 
 # Names that the message about an unknown one lists at most.
 LISTED = 30
+
+# Entries of an array that is written out in the repr of a result, at most.
+FEW = 6
 
 IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
@@ -187,6 +191,20 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     return UnknownNameError(
         f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {name!r}{hint}"
     )
+
+
+def brief(record: Any) -> str:
+    """Write a result for people: numbers as they are, long arrays by their shapes, on a few lines at most."""
+    parts = []
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if isinstance(value, np.ndarray) and (value.size > FEW or value.ndim > 1):
+            parts.append(f"{entry.name}=<{shape_text(value.shape)} {value.dtype}>")
+        elif isinstance(value, np.ndarray):
+            parts.append(f"{entry.name}={np.array2string(value, precision=6, separator=', ')}")
+        elif value is not None:
+            parts.append(f"{entry.name}={value!r}")
+    return f"{type(record).__name__}({', '.join(parts)})"
 
 
 def fits_memory(needed: int, what: str) -> None:

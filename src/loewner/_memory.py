@@ -9,8 +9,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
+from loewner.errors import MemoryLimitError
+
 # Reading the limits takes as long as filling a few hundred kilobytes; requests below this [bytes] are not worth a look.
 LOOK = 2**26
+
+# Address space that SciPy's hulls, buffers of OpenBLAS and the kernels took when they were loaded, and a tenth more.
+TO_START = 320 * 2**20
 
 _ROOT = Path("/")
 
@@ -24,6 +29,25 @@ def left(root: Path = _ROOT) -> tuple[int, str]:
         Where ``proc`` and ``sys`` are; another one is for tests.
     """
     return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
+
+
+_started = False
+
+
+def expect_start() -> None:
+    """Refuse to begin, at the first body or hull of a process, where what has to be loaded would not fit.
+
+    SciPy, OpenBLAS and LLVM end the process, or leave half a module behind, when they run out of address space.
+    """
+    global _started
+    if not _started:
+        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever touched
+        if there < TO_START:
+            raise MemoryLimitError(
+                f"expected {TO_START >> 20} MiB of address space to load SciPy and compiled kernels, found "
+                f"{there / 2**20:.3g} MiB{which}"
+            )
+        _started = True
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check, fits, meshes, polytopes
+from loewner import _check, _memory, fits, meshes, polytopes
 from loewner._check import Floats
 from loewner._files import replacing
 from loewner._guard import guarded
@@ -83,6 +83,7 @@ class Packed:
     maps: dict[int, tuple[Ints, Floats]] | None = None
 
     def __post_init__(self) -> None:
+        _memory.expect_start()
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
         if self.maps is None:

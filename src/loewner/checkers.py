@@ -85,6 +85,9 @@ class StateDistance:
     witness_b: Any = None
     normal: Any = None
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
+
 
 @dataclass(frozen=True)
 class Settled:

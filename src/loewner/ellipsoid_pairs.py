@@ -57,6 +57,9 @@ class NearPoints:
     distance: Floats
     iterations: NDArray[np.int64]
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
+
 
 @guarded
 def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> NDArray[np.bool_]:

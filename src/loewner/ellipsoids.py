@@ -165,7 +165,7 @@ class Ellipsoids:
         return Ellipsoids._trusted(c, self.factor[index].reshape(*c.shape, self.dim))
 
     def __repr__(self) -> str:
-        if self.batch_shape:
+        if self.batch_shape or self.dim > _check.FEW:
             return f"Ellipsoids({_check.shape_text(self.batch_shape)}, n={self.dim})"
         return f"Ellipsoids(center={self.center.tolist()}, semi_axes={self.semi_axes.tolist()})"
 

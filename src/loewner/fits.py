@@ -68,6 +68,9 @@ class Fit:
     gap: float
     iterations: int
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
+
 
 @guarded
 def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direct") -> Fit:

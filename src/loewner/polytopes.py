@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check
+from loewner import _check, _memory
 from loewner._check import Floats
 from loewner._guard import guarded
 from loewner._kernels import halfspaces as halfspace_kernel
@@ -260,6 +260,7 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
     """Vertices, normals, offsets, simplices and the face of each simplex."""
+    _memory.expect_start()
     from scipy.spatial import ConvexHull, QhullError
 
     check_enough(points, name, least_dim=2)

@@ -97,6 +97,9 @@ class Distance:
     witness_b: Any = None
     normal: Any = None
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
+
 
 # The plan of one pair, and the rows of pairs that are not listed by number: see `batch.settle_range`.
 _ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
