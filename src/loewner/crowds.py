@@ -80,7 +80,9 @@ def overlapping_pairs(
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
     threads = min(numba.get_num_threads(), -(-n // CHUNK))
-    _check.fits_memory(BODY_BYTES * n + threads * 16 * (boxtree.WIDE * n + CANDIDATES), f"{n} bodies")
+    _check.fits_memory(
+        BODY_BYTES * n + threads * 16 * (boxtree.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
+    )
     tree = _tree(n, steps, operands)
     counts: list[int] = []  # of the pairs found so far
 
