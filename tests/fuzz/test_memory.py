@@ -48,37 +48,43 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
     Q = robot.random_configurations(200_000, seed=1)
     ball = trimesh.creation.icosphere(subdivisions=4)
     Bodies.spheres(np.ones(100_000)).save(folder / "balls.npz")
+    # Operands are made here: what they take is not the library's.
+    thousand, hundred = np.indices((1000, 1000)).T, np.indices((100, 100)).T
+    normals, offsets = np.concatenate([cloud, -cloud])[:, :8].copy(), np.ones(10_000)
+    sphere = flat[:5000] / np.linalg.norm(flat[:5000], axis=1, keepdims=True)
+    ones, which, list_of_states, backwards = np.ones(100_000), np.arange(20_000) % 50, Q.tolist(), E[::-1]
+    heap = [rock] * 10_000
     return {
         "classify": lambda: loewner.classify(rock, T[:, None], rock, T),
         "classify lists": lambda: loewner.classify(rock, list_of_poses, rock, None),
         "classify single precision": lambda: loewner.classify(rock, many, rock, None),
         "collide": lambda: loewner.collide(rock, T[:500, None], drum, T),
         "collide by a rule": lambda: loewner.collide(rock, T[:500, None], drum, T, method="estimate"),
-        "collide pairs": lambda: loewner.collide(rock, T, rock, T, pairs=np.indices((1000, 1000)).T),
+        "collide pairs": lambda: loewner.collide(rock, T, rock, T, pairs=thousand),
         "distance": lambda: loewner.distance(rock, T[:500, None], rock, T),
         "distance, exact": lambda: loewner.distance(rock, T[:50, None], rock, T, exact=True),
-        "distance of pairs": lambda: loewner.distance(rock, T, rock, T, pairs=np.indices((100, 100)).T, exact=True),
+        "distance of pairs": lambda: loewner.distance(rock, T, rock, T, pairs=hundred, exact=True),
         "overlapping_pairs": lambda: loewner.overlapping_pairs(rock, T[:1000]),
         "mvce": lambda: loewner.mvce(cloud),
         "mvce of many": lambda: loewner.mvce(flat),
         "mvce, lifted": lambda: loewner.mvce(cloud[:2000, :10], method="lifted-mvie"),
-        "mvie": lambda: loewner.mvie(np.concatenate([cloud, -cloud])[:, :8], np.ones(10_000)),
+        "mvie": lambda: loewner.mvie(normals, offsets),
         "Bodies.from_points": lambda: Bodies.from_points(sets),
-        "Body.from_points": lambda: Body.from_points(flat[:5000] / np.linalg.norm(flat[:5000], axis=1, keepdims=True)),
+        "Body.from_points": lambda: Body.from_points(sphere),
         "Body.from_mesh": lambda: Body.from_mesh(ball, decompose=False),
         "Polytope.from_points": lambda: loewner.Polytope.from_points(flat),
-        "Bodies.spheres": lambda: Bodies.spheres(np.ones(100_000)),
-        "Bodies[...]": lambda: rocks[np.arange(20_000) % 50],
-        "union": lambda: Body.union([rock] * 10_000),
+        "Bodies.spheres": lambda: Bodies.spheres(ones),
+        "Bodies[...]": lambda: rocks[which],
+        "union": lambda: Body.union(heap),
         "Bodies.load": lambda: Bodies.load(folder / "balls.npz"),
         "Bodies.save": lambda: rocks.save(folder / "saved.npz"),
-        "contact_function": lambda: loewner.contact_function(E, E[::-1]),
-        "near_points": lambda: loewner.near_points(E, E[::-1]),
+        "contact_function": lambda: loewner.contact_function(E, backwards),
+        "near_points": lambda: loewner.near_points(E, backwards),
         "shape_matrix": lambda: E.shape_matrix,
         "random_configurations": lambda: robot.random_configurations(3_000_000),
         "forward_kinematics": lambda: robot.forward_kinematics(Q),
         "checker.collide": lambda: checker.collide(Q),
-        "checker.classify": lambda: checker.classify(Q.tolist()),
+        "checker.classify": lambda: checker.classify(list_of_states),
         "checker.distance": lambda: checker.distance(Q[:20_000]),
         "checker.distance, exact": lambda: checker.distance(Q[:3000], exact=True),
         "checker.collide_by_pair": lambda: checker.collide_by_pair(Q[:5000]),
