@@ -7,8 +7,8 @@ import difflib
 import math
 import operator
 import os
-import sys
 from collections.abc import Collection, Iterable
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loewner import _memory
 from loewner._kernels import rigid
-from loewner.errors import InputError, PoseError, UnknownNameError
+from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ LARGEST_SEED = 2**128 - 1
 
 # Characters of a value that a message shows at most.
 LONGEST = 120
+# Entries of an array that is written out in the repr of a result, at most.
+FEW = 6
 
 IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another type, compiled all over again
 
@@ -370,19 +373,33 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     )
 
 
+def brief(record: Any) -> str:
+    """Write a result for people: numbers as they are, long arrays by their shapes, on a few lines at most."""
+    parts = []
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if isinstance(value, np.ndarray) and (value.size > FEW or value.ndim > 1):
+            parts.append(f"{entry.name}=<{shape_text(value.shape)} {value.dtype}>")
+        elif isinstance(value, np.ndarray):
+            parts.append(f"{entry.name}={np.array2string(value, precision=6, separator=', ')}")
+        elif value is not None:
+            parts.append(f"{entry.name}={value!r}")
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
 def fits_memory(needed: int, what: str) -> None:
-    """Refuse results of `needed` bytes before the machine starts to swap."""
-    if needed > physical_memory():
-        raise InputError(
-            f"expected a batch whose results fit into memory ({physical_memory() / 2**30:.3g} GiB), found {what}, "
+    """Refuse results of `needed` bytes that the machine, or a limit on this process, has no room for."""
+    there, which = physical_memory(), ""
+    if needed >= _memory.LOOK:
+        there, which = min((there, which), _memory.left())
+    if needed > there:
+        raise MemoryLimitError(
+            f"expected a batch whose results fit into memory ({there / 2**30:.3g} GiB{which}), found {what}, "
             f"which need {needed / 2**30:.3g} GiB; query them in parts"
         )
 
 
 @cache
 def physical_memory() -> int:
-    """Bytes; where the system does not tell, what an address can reach."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return sys.maxsize
+    """Memory of the machine, in bytes."""
+    return _memory.physical()

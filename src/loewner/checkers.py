@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, queries
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import states, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Ints
@@ -34,6 +35,9 @@ FIRST_LOOK = 256
 
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
+
+# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
+MOST_AT_ONCE = 2**20
 
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
@@ -84,6 +88,9 @@ class StateDistance:
     witness_b: Any = None
     normal: Any = None
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
+
 
 @dataclass(frozen=True)
 class Settled:
@@ -129,6 +136,7 @@ class Settled:
         return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
+@guarded
 class CollisionChecker:
     """Checks configurations of a robot for collisions with itself and with a scene.
 
@@ -347,6 +355,7 @@ class CollisionChecker:
             texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape = a.shape[:-1]
+        _check.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_check.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
         parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
@@ -572,6 +581,7 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
+@guarded
 def pairs_by_sampling(
     robot: Robot,
     samples: int = 10_000,
@@ -678,7 +688,7 @@ def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Float
             edges.append(np.repeat(those, len(at)))
             fractions.append(np.tile(at, len(those)))
         yield np.concatenate(edges), np.concatenate(fractions)
-        done, more = done + more, max(more, done + more)
+        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
 
 
 @lru_cache(maxsize=256)

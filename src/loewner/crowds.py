@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import batch, boxtree, careful, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Ints, Packed
@@ -18,12 +20,16 @@ CHUNK = 4096
 # Candidate pairs that are found before they are settled, beside the most that one group of boxes can have.
 CANDIDATES = 65536
 
+# A body takes two corners of its box; its keys, sorted, and its place in the order; and its share of the groups' boxes.
+BODY_BYTES = 128
+
 # A pair that is found takes a key, its copies when all are put together, and the two numbers that are returned.
 PAIR_BYTES = 40
 
 MODES = {"exact": verdicts.EXACT, "certified": verdicts.CERTIFY}
 
 
+@guarded
 def overlapping_pairs(
     bodies: Body | Bodies, T_world: ArrayLike | None = None, *, margin: float = 0.0, method: str = "exact"
 ) -> Ints:
@@ -72,10 +78,15 @@ def overlapping_pairs(
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
+    threads = min(numba.get_num_threads(), -(-n // CHUNK))
+    _check.fits_memory(
+        BODY_BYTES * n + threads * 16 * (boxtree.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
+    )
     tree = _tree(n, steps, operands)
+    counts: list[int] = []  # of the pairs found so far
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(mode, keep, first, last, tree, steps, operands)
+        return _settled(mode, keep, first, last, tree, steps, operands, counts)
 
     leaves = -(-n // boxtree.WIDE)
     keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxtree.WIDE))
@@ -120,8 +131,12 @@ def _settled(
     tree: tuple[Floats, Ints, Ints],
     steps: tuple[int, int],
     operands: tuple[Packed, Floats],
+    counts: list[int],
 ) -> Ints:
-    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j."""
+    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j.
+
+    How many they are is added to `counts`, which all threads share.
+    """
     n = len(tree[2])
     packed, T = operands
     # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
@@ -144,7 +159,8 @@ def _settled(
             _refuse_unsettled(out, a, b)
         kept = out != verdicts.FREE
         found.append(a[kept] * n + b[kept])
-        total = sum(map(len, found))
+        counts.append(len(found[-1]))
+        total = sum(counts)
         _check.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
     return np.concatenate([np.empty(0, dtype=np.int64), *found])
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import near_points as _near
 from loewner._kernels import pair_contact as _contact
 from loewner.ellipsoids import Ellipsoids
@@ -56,7 +57,11 @@ class NearPoints:
     distance: Floats
     iterations: NDArray[np.int64]
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
 
+
+@guarded
 def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> NDArray[np.bool_]:
     """Tell whether ellipsoids overlap; touching counts.
 
@@ -105,6 +110,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
 
+@guarded
 def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     """Perram and Wertheim's contact function, maximised: ellipsoids overlap exactly if it is at most 1.
 
@@ -140,6 +146,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     return value.reshape(pair.batch)[()]
 
 
+@guarded
 def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: float = 0.01) -> NearPoints:
     """Near points of ellipsoids.
 

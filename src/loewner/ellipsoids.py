@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import rigid
 from loewner.errors import BodyIndexError, GeometryError, InputError
 
 
+@guarded
 @dataclass(frozen=True, eq=False)
 class Ellipsoids:
     """One ellipsoid or a batch, stored as center and factor.
@@ -177,22 +179,25 @@ class Ellipsoids:
         return Ellipsoids._trusted(c, F)
 
     def __repr__(self) -> str:
-        if self.batch_shape:
+        if self.batch_shape or self.dim > _check.FEW:
             return f"Ellipsoids({_check.shape_text(self.batch_shape)}, n={self.dim})"
         return f"Ellipsoids(center={self.center.tolist()}, semi_axes={self.semi_axes.tolist()})"
 
     @property
+    @guarded
     def shape_matrix(self) -> Floats:
         """Q = F Fᵀ, shape (..., n, n), in square metres; infinite or 0 where a float cannot hold the square."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.factor @ np.swapaxes(self.factor, -1, -2)
 
     @property
+    @guarded
     def semi_axes(self) -> Floats:
         """Semi-axis lengths, longest first, shape (..., n), in metres."""
         return np.asarray(np.linalg.svd(self.factor, compute_uv=False), dtype=np.float64)
 
     @property
+    @guarded
     def rotation(self) -> Floats:
         """Orthogonal matrix whose columns are the axes, in the order of `semi_axes`; determinant +1."""
         U = np.linalg.svd(self.factor)[0]
@@ -208,6 +213,7 @@ class Ellipsoids:
         return np.asarray(unit_ball + np.linalg.slogdet(self.factor)[1])
 
     @property
+    @guarded
     def volume(self) -> Floats:
         """Volume (area for n = 2), shape (...), in m^n; infinite or 0 beyond the floats, where `log_volume` is not."""
         with np.errstate(over="ignore"):

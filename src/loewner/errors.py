@@ -95,6 +95,25 @@ class ConvergenceError(LoewnerError, ArithmeticError):
         return type(self), (str(self), self.indices, self.partial)
 
 
+class MemoryLimitError(InputError, MemoryError):
+    """A call would take more memory than there is, or than a limit on this process leaves; ask for less at a time.
+
+    Limits are those of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control
+    groups). Results that are too large are refused before anything is computed, and the message says how much they
+    would take.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import loewner
+    >>> T = np.tile(np.eye(4), (300_000, 1, 1))
+    >>> loewner.distance(loewner.Body.sphere(1.0), T[:, None], loewner.Body.sphere(1.0), T)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    loewner.errors.MemoryLimitError: expected a batch whose results fit into memory (...
+    """
+
+
 class PlanningError(LoewnerError, RuntimeError):
     """No motion can be given: start or goal is not free, or no path was found; the message says which and why.
 

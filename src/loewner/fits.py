@@ -13,17 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import fits as kernel
 from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as hull_kernel
 from loewner._kernels import mvce as mvce_kernel
 from loewner._kernels import mvie as mvie_kernel
-from loewner._threads import over_blocks
+from loewner._threads import in_shares
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
     BLOCK,
     FLATNESS,
+    LEAST_SHARE,
     Polytope,
     Progress,
     center_error,
@@ -66,7 +68,11 @@ class Fit:
     gap: float
     iterations: int
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
 
+
+@guarded
 def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direct") -> Fit:
     """Smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
 
@@ -148,6 +154,7 @@ def _mvce_lifted(points: Floats, tol: float) -> Fit:
     return _finished("mvce", center, factor, gap, iterations, tol)
 
 
+@guarded
 def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANCE) -> Fit:
     """Largest ellipsoid inside a polytope (maximum-volume inscribed ellipsoid).
 
@@ -207,6 +214,7 @@ def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
     return _finished("mvie", center, factor, gap, iterations, tol)
 
 
+@guarded
 def fit_pieces(
     vert_start: Ints,
     vertices: Floats,
@@ -280,8 +288,7 @@ def _fit_all(
     def run(first: int, last: int) -> None:
         kernel.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
 
-    for _ in over_blocks(run, total, BLOCK, progress):
-        pass
+    in_shares(run, total, LEAST_SHARE, most=BLOCK, progress=progress)
     return inner, outer, info
 
 

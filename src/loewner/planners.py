@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._plausible import FARTHEST_LIMIT
 from loewner.bodies import Ints
 from loewner.checkers import CollisionChecker
@@ -32,6 +33,7 @@ SMALLEST_SHARE = 1e-12
 NAMED = 5
 
 
+@guarded
 def plan(
     checker: CollisionChecker,
     start: ArrayLike,
@@ -118,6 +120,7 @@ def plan(
     return found
 
 
+@guarded
 def space_information(
     checker: CollisionChecker,
     *,

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check
+from loewner import _check, _memory
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import halfspaces as halfspace_kernel
 from loewner._kernels import hulls as kernel
 from loewner._kernels.mvce import FLAT
-from loewner._threads import over_blocks
+from loewner._threads import in_shares
 from loewner.errors import GeometryError, InputError
 
 # SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
@@ -22,8 +24,8 @@ from loewner.errors import GeometryError, InputError
 Ints = NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
-# Hulls or pieces per block of a batch: a progress report every 10 to 50 ms, and work enough for every thread.
-BLOCK = 512
+# Hulls or pieces that a thread takes at a time, at least and at most: a progress report every 10 to 50 ms.
+LEAST_SHARE, BLOCK = 16, 512
 
 # A set of points is flat if its width in some direction is at most this times its length. Below it float64
 # coordinates of a turned body no longer carry a shape: four digits are left at this aspect, none at 1e-16.
@@ -33,6 +35,7 @@ EPS = float(np.finfo(float).eps)
 SMALLEST, LARGEST = 1e-140, 1e140
 
 
+@guarded
 @dataclass(frozen=True, eq=False)
 class Polytope:
     """A bounded convex polytope with an interior.
@@ -275,6 +278,7 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
     """Vertices, normals, offsets, simplices and the face of each simplex."""
+    _memory.expect_start()
     from scipy.spatial import ConvexHull, QhullError
 
     check_enough(points, name, least_dim=2)
@@ -329,6 +333,7 @@ class Hulls:
         return len(self.vert_start) - 1
 
 
+@guarded
 def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names: Sequence[str] | None = None) -> Hulls:
     """Convex hulls of many sets of points in 3-D, packed into flat arrays.
 
@@ -346,7 +351,6 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     InputError, GeometryError
         As `Polytope.from_points`; the message begins with the name of the set.
     """
-    parts: list[tuple[Floats, Floats, Floats, Ints, Ints]] = []
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints, Ints]]:
         made = []
@@ -355,8 +359,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
             made.append(_hull(_check.finite_array(point_sets[i], name, (None, 3)), name))
         return made
 
-    for block in over_blocks(run, len(point_sets), BLOCK, progress):
-        parts.extend(block)
+    parts = list(chain.from_iterable(in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)))
 
     def start(column: int) -> Ints:
         return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(np.int64)

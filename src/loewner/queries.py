@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import batch, careful, distances, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Packed, take
@@ -21,8 +22,12 @@ from loewner.errors import ConvergenceError, InputError, PoseError
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
 
-# What `distance` returns for a pair, in bytes: three numbers; and with one more, three vectors and a status.
-BOUND_BYTES, EXACT_BYTES = 24, 105
+# What a pair takes in bytes. `collide`: a verdict and two flags. `distance`: three numbers; and with one more, three
+# vectors, a status and a flag.
+COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
+
+# A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
+LIST_BYTES, POSES_BYTES = 16, 256
 
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
@@ -34,7 +39,7 @@ class Verdict(IntEnum):
     Examples
     --------
     >>> verdict = Verdict(2)
-    >>> verdict, verdict.name, verdict == 2
+    >>> verdict, str(verdict), verdict == 2
     (<Verdict.AMBIGUOUS: 2>, 'AMBIGUOUS', True)
     """
 
@@ -44,6 +49,9 @@ class Verdict(IntEnum):
     """The inner ellipsoids touch or overlap, or come within the margin: proven."""
     AMBIGUOUS = 2
     """Neither; ask `collide` for an estimate or the exact answer."""
+
+    def __str__(self) -> str:
+        return self.name
 
 
 _VERDICTS = tuple(Verdict)
@@ -88,6 +96,9 @@ class Distance:
     witness_a: Any = None
     witness_b: Any = None
     normal: Any = None
+
+    def __repr__(self) -> str:
+        return _check.brief(self)
 
 
 # The plan of one pair, and the rows of pairs that are not listed by number: see `batch.settle_range`.
@@ -147,7 +158,7 @@ def _prepare(
     Tb = _check.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed
     if chosen is not None:
-        return _listed(chosen, a, Ta, b, Tb)
+        return _listed(chosen, a, Ta, b, Tb, each)
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
@@ -167,12 +178,14 @@ def _prepare(
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
-def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats) -> _Pairs:
+def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
     """Operands whose pairs are given by row numbers."""
     rows = _check.integer_array(chosen, "pairs")
     if rows.ndim == 0 or rows.shape[-1] != 2:
         found = _check.shape_text(rows.shape)
         raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
+    count = rows.size // 2
+    _check.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
     flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
@@ -189,7 +202,6 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
                 f"{int(np.flatnonzero(wrong)[0])}"
             )
         plan += [[int(length > 1)] for length in lengths]
-    _check.fits_memory(flat.shape[1], f"{flat.shape[1]} pairs")
     shape = rows.shape[:-1]
     packs, poses = (a._packed, b._packed), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4))
     return _Pairs(shape, flat.shape[1], np.array(plan, dtype=np.int64), packs, poses, flat)
@@ -230,8 +242,11 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
             out = np.empty(1, dtype=np.int8)
             tally = np.zeros(verdicts.TIERS, dtype=np.int64)
             handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
-            if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally):
-                return int(out[0])
+            try:  # a guard of its own: one around the whole query takes a tenth as long as this
+                if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally):
+                    return int(out[0])
+            except GUARDED as error:
+                raise meant(error) from None
     return -1
 
 
@@ -306,8 +321,13 @@ def classify(
         one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
         if one >= 0:
             return _VERDICTS[one]
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
-    out, _ = _settle(verdicts.CERTIFY, keep, asked)
+    return _classified(keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
+    out, _ = _settle(verdicts.CERTIFY, margin, asked)
     return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
 
 
@@ -375,12 +395,18 @@ def collide(
         one = _settle_one(verdicts.EXACT, keep, a, T_world_a, b, T_world_b)
         if one in (verdicts.FREE, verdicts.COLLIDING):
             return one == verdicts.COLLIDING
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
-    if method == "exact":
-        out, _ = _settle(verdicts.EXACT, keep, asked)
+    return _collided(None if method == "exact" else code, keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _collided(rule: int | None, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+    """Whether bodies collide: exactly, or by a rule."""
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
+    if rule is None:
+        out, _ = _settle(verdicts.EXACT, margin, asked)
     else:
-        out, _ = _settle(verdicts.CERTIFY, keep, asked)
-        _estimate(code, keep, asked, out)
+        out, _ = _settle(verdicts.CERTIFY, margin, asked)
+        _estimate(rule, margin, asked, out)
     unsettled = out == Verdict.AMBIGUOUS
     colliding = (out == Verdict.COLLIDING) | unsettled
     found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
@@ -405,6 +431,7 @@ def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
 
 def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
     """Some of the pairs of a list, as pairs of copies that broadcast."""
+    _check.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
     (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
     packs = tuple(
         take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
@@ -417,6 +444,7 @@ def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
     return _Pairs((len(which),), len(which), plan, (packs[0], packs[1]), (poses[0], poses[1]))
 
 
+@guarded
 def distance(
     a: Body | Bodies,
     T_world_a: ArrayLike | None,

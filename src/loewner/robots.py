@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import kinematics
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
@@ -113,6 +114,7 @@ class Robot:
     _watch: Watch = field(repr=False)
 
     @classmethod
+    @guarded
     def from_urdf(
         cls,
         path: str | os.PathLike[str],
@@ -265,6 +267,7 @@ class Robot:
         constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
         return replace(self, tree=(*self.tree[:5], constants))
 
+    @guarded
     def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
         """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
 
@@ -324,6 +327,7 @@ class Robot:
             found.add((min(names), max(names)))
         return frozenset(found)
 
+    @guarded
     def forward_kinematics(self, Q: ArrayLike) -> Floats:
         """Poses of all links.
 
@@ -492,6 +496,7 @@ class Robot:
             q[at] = _check.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
 
+    @guarded
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
@@ -531,6 +536,7 @@ class Robot:
             Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         return Q
 
+    @guarded
     def usual_range(self, reach: float) -> tuple[Floats, Floats]:
         """Finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
 
@@ -558,6 +564,7 @@ class Robot:
         upper = np.where(above, self.upper, np.maximum(reach, lower + 2 * reach))
         return np.maximum(lower, self.lower), np.minimum(upper, self.upper)
 
+    @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
 

@@ -25,6 +25,7 @@ import numpy as np
 from loewner import _check
 from loewner._check import Floats
 from loewner._files import read_regular, replacing
+from loewner._guard import guarded
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.bodies import ARRAYS, Body
@@ -64,6 +65,7 @@ YAML_TAGS = tuple(
 )
 
 
+@guarded
 def load_scene(path: str | PathLike[str]) -> Scene:
     """Read a scene from YAML (docs/scenes.md).
 
@@ -114,6 +116,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     return scene
 
 
+@guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, such that `load_scene` gives the same verdicts.
 
@@ -485,6 +488,7 @@ def _place_of(scene: Scene, name: str) -> dict[str, Any]:
 # -- MotionBenchMaker -------------------------------------------------------------------------
 
 
+@guarded
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A motion planning problem: a scene, and from where to where.
@@ -534,6 +538,7 @@ OBSTACLE_KEYS = {
 PLACE_KEYS = ("position", "orientation_quat_xyzw", "orientation_euler_xyz")
 
 
+@guarded
 def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     """Read planning problems in the JSON form of MotionBenchMaker's data (docs/scenes.md).
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _check, crowds, queries
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels.shapes import OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
 from loewner.bodies import Bodies, Body, Ints
@@ -121,6 +122,7 @@ class Attachment:
     touch_links: tuple[str, ...]
 
 
+@guarded
 class Scene:
     """Named bodies with poses, attachments to links, allowed pairs and margins.
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, fits, meshes, polytopes
 from loewner._check import Floats
+from loewner._guard import guarded
 from loewner._kernels import shapes
 from loewner.bodies import files
 from loewner.bodies.layout import Ints
@@ -85,9 +86,7 @@ class _Bodies:
     @property
     def nbytes(self) -> int:
         """Memory held by all arrays, in bytes."""
-        p = self._packed
-        maps = [array for made in (p.maps or {}).values() for array in made]
-        return sum(int(array.nbytes) for array in (*arrays_of(p).values(), *maps, *p.kernel))
+        return self._packed.nbytes
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -95,6 +94,7 @@ class _Bodies:
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
 
+@guarded
 class Body(_Bodies):
     """A union of convex pieces, each with its inner and outer ellipsoid.
 
@@ -498,6 +498,7 @@ class Body(_Bodies):
         return cls(packed, covering)
 
 
+@guarded
 class Bodies(_Bodies):
     """A packed sequence of n bodies; broadcasts with the last batch axis of the poses.
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from loewner import _check, _memory
 from loewner._check import Floats
 from loewner._kernels import shapes
 from loewner.bodies.layout import Ints, KernelArrays, Maps, direction_maps, starts
@@ -55,6 +56,7 @@ class Packed:
     maps: Maps | None = None
 
     def __post_init__(self) -> None:
+        _memory.expect_start()
         for name in ARRAYS:
             getattr(self, name).setflags(write=False)
         if self.maps is None:
@@ -67,6 +69,12 @@ class Packed:
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
         return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays, with those that are made for the kernels."""
+        maps = [array for made in (self.maps or {}).values() for array in made]
+        return sum(int(array.nbytes) for array in (*arrays_of(self).values(), *maps, *self.kernel))
 
     # Set in __post_init__; the last two are parts of the first, at hand for single calls.
     kernel_arrays: KernelArrays = field(init=False)
@@ -102,6 +110,7 @@ def empty() -> Packed:
 
 def join(parts: list[Packed]) -> Packed:
     """All bodies of several packs, in order."""
+    _check.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
     joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
@@ -127,6 +136,7 @@ def _ranges(starts: Ints, stops: Ints) -> Ints:
 
 def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
+    _check.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     pieces = _ranges(first, last)
     layout = p.layout[pieces]
