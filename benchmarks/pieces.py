@@ -9,7 +9,7 @@ import numpy as np
 import loewner
 from clock import race, threads_set_to, timed
 from loewner import Body, bodies, queries
-from loewner._kernels import codes as verdicts
+from loewner._kernels import codes
 from report import Row
 from samples import poses, rotations
 
@@ -24,7 +24,7 @@ def run(quick: bool, folder: Path) -> list[Row]:
     a, b = shell(rng, count), shell(rng, count)
     T = poses(rotations(rng, POSES), np.linspace(0, FARTHEST, POSES)[:, None] * [1.0, 0.0, 0.0])
     plain_a, plain_b = without_trees(a), without_trees(b)
-    _, tally = queries._settle(verdicts.EXACT, 0.0, queries._prepare(a, None, b, T, check=True))
+    _, tally = queries._settle(codes.EXACT, 0.0, queries._prepare(a, None, b, T, check=True))
     note = f"{tally.sum() / POSES:.0f} of {count**2} piece pairs settled by collide; differing answers"
     rows = []
     for name, answers in (

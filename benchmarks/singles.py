@@ -27,17 +27,17 @@ def _nothing(*arguments):
 def handed_over(call: tuple[Any, ...]) -> tuple[Any, ...]:
     """What one `classify` hands to its kernel."""
     caught: list[tuple[Any, ...]] = []
-    kernel = queries.batch.settle_range
+    kernel = queries.verdicts.settle_range
 
     def catch(*arguments: Any) -> Any:
         caught.append(arguments)
         return kernel(*arguments)
 
-    queries.batch.settle_range = catch
+    queries.verdicts.settle_range = catch
     try:
         loewner.classify(*call)
     finally:
-        queries.batch.settle_range = kernel
+        queries.verdicts.settle_range = kernel
     return caught[0]
 
 

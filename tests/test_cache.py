@@ -190,7 +190,7 @@ def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("LOEWNER_CACHE_DIR", str(blocked))
     monkeypatch.setattr(compilation, "_PARTS", {"little": None})
     monkeypatch.setattr(compilation, "PARTS", ("little",))
-    child = "from loewner._kernels.pieces import poses; import numpy as np; poses.fault(np.eye(4))"
+    child = "from loewner._kernels.pieces import rigid; import numpy as np; rigid.fault(np.eye(4))"
     monkeypatch.setattr(compilation, "_code", lambda name: child)
     with pytest.raises(loewner.FileError, match="a file/kernels-.* cannot be written"):
         compilation.compile_kernels(["little"])

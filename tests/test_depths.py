@@ -11,9 +11,8 @@ from scipy.optimize import brentq
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, stretch
 from loewner import Bodies, Body
-from loewner._kernels.ellipsoids import signed_distance as curved
-from loewner._kernels.narrow import epa_fast as polytope_depth
-from loewner._kernels.narrow import epa_robust as epa
+from loewner._kernels.ellipsoids import signed_distance
+from loewner._kernels.narrow import epa_fast, epa_robust
 from loewner._kernels.pieces.pack import Placed
 from oracles import directional_distance, ellipsoid_support, fibonacci_sphere, hull, pack, posed_support
 
@@ -135,8 +134,8 @@ def test_the_nearest_way_out_is_not_the_shortest():
         c = 0.3 * rng.uniform(size=3)
         start = tuple(rotations(rng, 1)[0, 0])
         factors = tuple(FA.ravel()), tuple(FB.ravel()), tuple(c)
-        _, local, _ = curved.descend(*factors, start, 3.0)
-        n, h, lower, slope = curved.global_minimum(*factors, start, 3.0)
+        _, local, _ = signed_distance.descend(*factors, start, 3.0)
+        n, h, lower, slope = signed_distance.global_minimum(*factors, start, 3.0)
         heights = np.linalg.norm(grid @ FA, axis=1) + np.linalg.norm(grid @ FB, axis=1) - grid @ c
         assert h <= heights.min() + 1e-14
         assert h - lower <= 1e-10
@@ -157,7 +156,7 @@ def test_enclosing_depth_is_concave_and_enough():
         c = tuple(rng.uniform(-0.5, 0.5, size=3))
 
         def depth(p: float, q: float, P: Any = P, Q: Any = Q, c: Any = c) -> float:
-            return curved.enclosing_depth(p, q, P, Q, c, np.eye(3))[0]
+            return signed_distance.enclosing_depth(p, q, P, Q, c, np.eye(3))[0]
 
         one, two = 10 ** rng.uniform(-1, 2, size=(2, 2))
         middle = 0.5 * (one + two)
@@ -169,7 +168,7 @@ def test_enclosing_depth_is_concave_and_enough():
         assert depth(1 + 1 / ratio, 1 + ratio) <= ha + hb - n @ c + 1e-13
         p, q = one
         M = p * FA @ FA.T + q * FB @ FB.T
-        value, normal = curved.enclosing_depth(p, q, P, Q, c, np.eye(3))
+        value, normal = signed_distance.enclosing_depth(p, q, P, Q, c, np.eye(3))
         assert np.sqrt(normal @ M @ normal) - np.dot(normal, c) == pytest.approx(value, abs=1e-12 * p)
         grid = fibonacci_sphere(500)
         assert value <= (np.sqrt(np.einsum("ki,ij,kj->k", grid, M, grid)) - grid @ c).min() + 1e-12
@@ -238,15 +237,15 @@ def test_coal_agrees_on_ellipsoids():
 def both_depths(a: Bodies, Ta: np.ndarray, b: Bodies, Tb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Status and depth of the fast search, depth of the careful one, pair by pair."""
     A, B = a._packed.kernel, b._packed.kernel
-    W, K = polytope_depth.workspace(True)
-    work = epa.workspace(True)
+    W, K = epa_fast.workspace(True)
+    work = epa_robust.workspace(True)
     found = np.empty((len(Ta), 3))
     result = np.empty(9)
     for k in range(len(Ta)):
         d = tuple(Tb[k, :3, 3] - Ta[k, :3, 3])
         one, other = Placed(*A[:3], k, Ta, k), Placed(*B[:3], k, Tb, k)
-        status, _, fast = polytope_depth.overlap_depth(one, other, d, W, K, result)
-        _, careful = epa.penetration(one, other, d, 1e-11, work, result)
+        status, _, fast = epa_fast.overlap_depth(one, other, d, W, K, result)
+        _, careful = epa_robust.penetration(one, other, d, 1e-11, work, result)
         found[k] = status, fast, careful
     return found[:, 0], found[:, 1], found[:, 2]
 
@@ -260,7 +259,7 @@ def test_fast_depth_is_the_careful_one(family: str):
     bodies = Bodies.from_points(points)
     Ta, Tb = near_contact(rng, pool, i, pool, i[::-1], stretch=stretch(family))
     status, fast, careful = both_depths(bodies, Ta, bodies[i[::-1]], Tb)
-    settled = status == polytope_depth.SETTLED
+    settled = status == epa_fast.SETTLED
     assert fast[settled] == pytest.approx(careful[settled], abs=1e-13)
     assert not settled[careful < -1e-9].any()
     overlapping = careful > 1e-9
@@ -275,8 +274,8 @@ def test_fast_depth_gives_up_on_too_much():
         body = Body.from_points(points)
         T = shift(0.3, 0.2, 0.1)[None]
         status, _, careful = both_depths(Bodies([body]), np.eye(4)[None], Bodies([body]), T)
-        if len(points) > polytope_depth.MAX_CORNERS:
-            assert status[0] == polytope_depth.UNSETTLED
+        if len(points) > epa_fast.MAX_CORNERS:
+            assert status[0] == epa_fast.UNSETTLED
         assert exact(body, None, body, T).distance == pytest.approx(-careful, abs=1e-12)
 
 
@@ -292,7 +291,7 @@ def test_fast_depth_of_boxes_by_hand():
         )
         depth = (0.5 * (a + b) - np.abs(t)).min()
         if depth > 1e-9:
-            assert status[0] == polytope_depth.SETTLED
+            assert status[0] == epa_fast.SETTLED
             assert fast[0] == pytest.approx(depth, abs=1e-14)
 
 

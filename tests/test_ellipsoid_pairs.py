@@ -17,7 +17,7 @@ from loewner import (
     near_points,
     overlap,
 )
-from loewner._kernels.ellipsoids import contact_robust as pair_contact
+from loewner._kernels.ellipsoids import contact_robust
 from loewner._kernels.ellipsoids import near_points as kernel
 from oracles import exact_ellipsoid_verdict
 
@@ -156,7 +156,7 @@ def test_fast_and_careful_paths_agree(rng, thinnest, monkeypatch):
     A, B = random_pairs(rng, 500, thinnest)
     for a, b in zip(A, B, strict=True):
         F1, F2 = tuple(a.factor.ravel()), tuple(b.factor.ravel())
-        value, s = pair_contact.contact_of_pair(F1, F2, tuple(b.center - a.center))
+        value, s = contact_robust.contact_of_pair(F1, F2, tuple(b.center - a.center))
         K = (1 - s) * a.shape_matrix + s * b.shape_matrix
         r = b.center - a.center
         here = s * (1 - s) * (r @ np.linalg.solve(K, r))

@@ -1,5 +1,7 @@
 """Shares of a batch on several threads: every item once, errors raised, nobody left writing."""
 
+import os
+import signal
 import threading
 import time
 
@@ -49,16 +51,16 @@ def test_both_threads_take_part(threads):
 
 @pytest.mark.parametrize("faulty", [0, 1, 7])
 def test_an_error_is_raised_and_nobody_goes_on(threads, faulty):
-    started, size = [], 160
+    started = []
 
     def run(first, last):
         started.append(first)
-        if first == faulty * size:
+        if len(started) == faulty + 1:
             raise ValueError(f"share {faulty}")
         time.sleep(0.01)
 
     with pytest.raises(ValueError, match=f"share {faulty}"):
-        in_shares(run, 8 * size, 10)
+        in_shares(run, 8 * 160, 10)
     then = len(started)
     time.sleep(0.05)
     assert len(started) == then <= faulty + threads + 1
@@ -92,9 +94,81 @@ def test_one_thread_alone_takes_large_shares():
     before = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
-        assert in_shares(lambda first, last: last - first, 10 * _threads.ALONE + 5, 10) == [10 * _threads.ALONE, 5]
+        large = 10 * _threads.ALONE
+        assert in_shares(lambda first, last: last - first, 50 + 2 * large + 5, 10) == [10, 40, large, large, 5]
     finally:
         numba.set_num_threads(before)
+
+
+def test_shares_become_small_where_items_take_long(threads, monkeypatch):
+    """An interrupt waits for one share: none takes much longer than it should, but the first."""
+    monkeypatch.setattr(_threads, "LONG", 0.02)
+    sizes = in_shares(lambda first, last: time.sleep(0.005 * (last - first)) or last - first, 60, 10)
+    assert sum(sizes) == 60
+    assert max(sizes[threads:]) <= 4
+
+
+def test_of_several_errors_the_first_by_number_is_raised(threads):
+    """Whichever thread is faster: the same error on any number of threads."""
+
+    def run(first, last):
+        time.sleep(0.01 if first == 0 else 0.0)
+        raise ValueError(f"share {first}")
+
+    for _ in range(5):
+        with pytest.raises(ValueError, match="share 0$"):
+            in_shares(run, 1000, 10)
+
+
+def test_progress_rises_to_the_total(threads):
+    """On the caller's thread, between shares; also where one share is all."""
+    for total in (0, 5, 500):
+        told, tellers = [], set()
+
+        def progress(done, of, told=told, tellers=tellers):
+            told.append((done, of))
+            tellers.add(threading.get_ident())
+
+        in_shares(lambda first, last: time.sleep(0.001), total, 10, most=40, progress=progress)
+        assert told == sorted(told)
+        assert told[-1] == (total, total)
+        assert tellers == {threading.get_ident()}
+        assert total < 500 or len(told) > 3
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+@pytest.mark.parametrize("moment", ["waiting", "working"])
+def test_after_an_interrupt_nobody_runs(moment):
+    """Whether it comes while the main thread has a share or waits for another's: that one comes to its end first."""
+    main, running, started = threading.get_ident(), [], []
+
+    def run(first, last):
+        mine = threading.get_ident() == main
+        running.append(1)
+        started.append(first)
+        if mine == (moment == "working") and len(started) < 4:
+            time.sleep(0.05)
+            signal.raise_signal(signal.SIGINT) if mine else os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1 if not mine else 0.0 if moment == "waiting" else 0.02)
+        running.pop()
+
+    with pytest.raises(KeyboardInterrupt):
+        in_shares(run, 60, 20, most=20)
+    assert len(running) == (moment == "working")  # the share that was interrupted did not come to its end
+    then = len(started)
+    time.sleep(0.15)
+    assert len(started) == then
+
+
+def test_a_thread_that_cannot_start_is_not_missed(monkeypatch):
+    """No room for its stack: the threads that there are do its work."""
+
+    def full(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(_threads, "_helpers", _threads._Helpers())
+    monkeypatch.setattr(threading.Thread, "start", full)
+    assert sum(in_shares(lambda first, last: last - first, 1000, 10)) == 1000
 
 
 def test_an_interrupt_while_arrays_are_handed_back_is_one(threads):
@@ -110,6 +184,17 @@ def test_an_interrupt_while_arrays_are_handed_back_is_one(threads):
         in_shares(run, 100, 10)
     with pytest.raises(KeyboardInterrupt):
         in_shares(run, 1, 10)
+
+    def of_several_arrays(first, last):
+        try:
+            run(first, last)
+        except SystemError as error:
+            raise SystemError("returned a result with an exception set") from error
+
+    with pytest.raises(KeyboardInterrupt):
+        in_shares(of_several_arrays, 100, 10)
+    with pytest.raises(KeyboardInterrupt):
+        in_shares(of_several_arrays, 1, 10)
 
     def fault(first, last):
         raise SystemError("another")

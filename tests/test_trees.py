@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 import loewner
 from families import random_poses
 from loewner import Bodies, Body, Verdict, bodies, queries
-from loewner._kernels import codes as verdicts
-from loewner._kernels.pieces import poses as rigid
-from loewner._kernels.trees import boxes as boxtree
-from loewner._kernels.trees import piece_tree as trees
+from loewner._kernels import codes
+from loewner._kernels.pieces import rigid
+from loewner._kernels.trees import boxes, piece_tree
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -48,7 +47,7 @@ def test_same_verdicts_and_distances(counts, margin):
     """Verdicts, booleans, distances and witnesses are those of all piece pairs, whichever body has a tree."""
     rng = np.random.default_rng([1, *counts])
     a, b = cloud(rng, counts[0]), cloud(rng, counts[1])
-    assert (a._packed.kernel[8][0] >= 0) == (counts[0] >= trees.FEW)
+    assert (a._packed.kernel[8][0] >= 0) == (counts[0] >= piece_tree.FEW)
     Ta, Tb = random_poses(rng, 24, 0.5), random_poses(rng, 24, 2.0)
     plain_a, plain_b = without_trees(a), without_trees(b)
     hit = loewner.collide(a, Ta, b, Tb, margin=margin)
@@ -139,15 +138,15 @@ def test_every_piece_is_in_its_tree_once():
     counts = (3, 8, 9, 64, 65, 130, 1)
     packed = Bodies([cloud(rng, count) for count in counts])._packed
     start, groups, children, roots = packed.kernel[3], *packed.kernel[6:9]
-    boxes = groups.reshape(-1, 6, boxtree.WIDE)
+    box_of = groups.reshape(-1, 6, boxes.WIDE)
 
     def below(group: int) -> list[int]:
         out = []
-        for lane in range(boxtree.WIDE):
-            lower, upper = boxes[group, :3, lane], boxes[group, 3:, lane]
+        for lane in range(boxes.WIDE):
+            lower, upper = box_of[group, :3, lane], box_of[group, 3:, lane]
             if not (lower <= upper).all():
                 continue
-            child = children[boxtree.WIDE * group + lane]
+            child = children[boxes.WIDE * group + lane]
             if child < 0:
                 out.append(~child)
                 center = packed.outer_center[~child]
@@ -155,14 +154,14 @@ def test_every_piece_is_in_its_tree_once():
                 assert (lower <= center - half).all()
                 assert (upper >= center + half).all()
             else:
-                real = boxes[child, 0] <= boxes[child, 3]
-                assert (lower == boxes[child, :3][:, real].min(axis=1)).all()
-                assert (upper == boxes[child, 3:][:, real].max(axis=1)).all()
+                real = box_of[child, 0] <= box_of[child, 3]
+                assert (lower == box_of[child, :3][:, real].min(axis=1)).all()
+                assert (upper == box_of[child, 3:][:, real].max(axis=1)).all()
                 out += below(child)
         return out
 
     for body, count in enumerate(counts):
-        if count < trees.FEW:
+        if count < piece_tree.FEW:
             assert roots[body] == -1
         else:
             assert sorted(below(roots[body])) == list(range(start[body], start[body + 1]))
@@ -174,7 +173,7 @@ def test_work_grows_with_what_is_near():
     a, b = cloud(rng, 500, size=0.1), cloud(rng, 500, size=0.1)
 
     def looked_at(T: np.ndarray) -> int:
-        _, tally = queries._settle(verdicts.CERTIFY, 0.0, queries._prepare(a, None, b, T, check=True))
+        _, tally = queries._settle(codes.CERTIFY, 0.0, queries._prepare(a, None, b, T, check=True))
         return int(tally.sum())
 
     near = np.stack([shifted(x, 0.2, 0.1) for x in np.linspace(0, 2.5, 20)])
@@ -189,12 +188,12 @@ def test_walk_in_small_steps_is_the_same_walk():
     T = random_poses(rng, 2, 0.3)
 
     def walked(room: int) -> list[tuple[int, int]]:
-        steps, numbers = np.empty(trees.STEPS, dtype=np.int64), np.empty(trees.NUMBERS)
+        steps, numbers = np.empty(piece_tree.STEPS, dtype=np.int64), np.empty(piece_tree.NUMBERS)
         i, j = np.empty((2, room), dtype=np.int64)
         pack_a, pack_b = a._packed.kernel, b._packed.kernel
-        trees.begin(pack_a, 0, T, 0, pack_b, 0, T, 1, steps, numbers)
+        piece_tree.begin(pack_a, 0, T, 0, pack_b, 0, T, 1, steps, numbers)
         out = []
-        while count := trees.more(pack_a, pack_b, 0, 0.1, steps, numbers, i, j):
+        while count := piece_tree.more(pack_a, pack_b, 0, 0.1, steps, numbers, i, j):
             out += zip(i[:count].tolist(), j[:count].tolist(), strict=True)
         return out
 
@@ -205,4 +204,4 @@ def test_walk_in_small_steps_is_the_same_walk():
 
 def test_bend_covers_what_poses_may_be():
     """The walk allows for every pose that the border lets in: three entries of RᵀR - 1 in a row."""
-    assert np.sqrt(3) * rigid.ROTATION_TOLERANCE < trees.BEND
+    assert np.sqrt(3) * rigid.ROTATION_TOLERANCE < piece_tree.BEND

@@ -8,9 +8,9 @@ import pytest
 import loewner
 from families import box_corners, pieces, posed_near_contact, random_poses, rotations
 from loewner import Bodies, Body, PoseError
-from loewner._kernels import codes as verdicts
+from loewner._kernels import codes
 from loewner._kernels._jit import njit
-from loewner._kernels.narrow import gjk_batch as walk
+from loewner._kernels.narrow import gjk_batch
 from loewner._kernels.pieces import shapes
 from loewner._kernels.simd.memory import Memory
 from loewner.queries import _prepare, _settle
@@ -32,16 +32,16 @@ FAMILIES = [
 
 @njit()
 def _ask(sa, la, xa, ia, Ta, moved_a, sb, lb, xb, ib, Tb, moved_b, N, width, found, free, memory):
-    """What `walk.settle` says in groups of `width`, and `walk.plane` of each pair by itself."""
-    work = walk.workspace_at(memory)
+    """What `gjk_batch.settle` says in groups of `width`, and `gjk_batch.plane` of each pair by itself."""
+    work = gjk_batch.workspace_at(memory)
     for first in range(0, len(N), width):
         count = min(width, len(N) - first)
         for n in range(count):
             k = first + n
             ka, kb = k if moved_a else 0, k if moved_b else 0
-            walk.put(work, n, k, ia[k], ib[k], ka, kb, (N[k, 0], N[k, 1], N[k, 2]))
-            free[k] = walk.plane(sa, la, xa, ia[k], Ta, ka, sb, lb, xb, ib[k], Tb, kb, (N[k, 0], N[k, 1], N[k, 2]))
-        walk.settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work)
+            gjk_batch.put(work, n, k, ia[k], ib[k], ka, kb, (N[k, 0], N[k, 1], N[k, 2]))
+            free[k] = gjk_batch.plane(sa, la, xa, ia[k], Ta, ka, sb, lb, xb, ib[k], Tb, kb, (N[k, 0], N[k, 1], N[k, 2]))
+        gjk_batch.settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work)
         found[first : first + count] = work.found[:count]
 
 
@@ -62,12 +62,12 @@ class Crowd(NamedTuple):
             _, layout, _, _, _, single, _, _, _, vertices = bodies._packed.kernel
             assert (layout[rows, shapes.KIND] == shapes.POLYTOPE).all()
             assert len(vertices) > 0
-            assert (layout[rows, shapes.POINTS_TO] - layout[rows, shapes.POINTS_FROM]).max() <= walk.MOST
+            assert (layout[rows, shapes.POINTS_TO] - layout[rows, shapes.POINTS_FROM]).max() <= gjk_batch.MOST
             poses = np.eye(4)[None] if T is None else np.ascontiguousarray(T[which])
             operands += [single, layout, vertices, np.ascontiguousarray(rows[which]), poses, T is not None]
         N = np.ascontiguousarray(directions[which])
         found, free = np.full(len(N), -1, dtype=np.int8), np.zeros(len(N), dtype=bool)
-        memory = Memory(walk.SIZE)
+        memory = Memory(gjk_batch.SIZE)
         _ask(*operands, N, width, found, free, memory.address)
         return found, free
 
@@ -125,11 +125,11 @@ def test_what_is_said_is_true(names: tuple[str, str]):
                     directions *= 10 ** rng.uniform(-6, 6, size=(COUNT, 1))
                     found, free = pairs.ask(directions)
                     assert not (gap[free] < -doubt[free]).any()
-                    assert not (gap < -doubt)[found == walk.APART].any()
-                    assert not (gap > doubt)[found == walk.TOUCHING].any()
-                    assert np.isin(found, (walk.OPEN, walk.APART, walk.TOUCHING)).all()
-                    said["apart"] += (found == walk.APART).sum()
-                    said["touching"] += (found == walk.TOUCHING).sum()
+                    assert not (gap < -doubt)[found == gjk_batch.APART].any()
+                    assert not (gap > doubt)[found == gjk_batch.TOUCHING].any()
+                    assert np.isin(found, (gjk_batch.OPEN, gjk_batch.APART, gjk_batch.TOUCHING)).all()
+                    said["apart"] += (found == gjk_batch.APART).sum()
+                    said["touching"] += (found == gjk_batch.TOUCHING).sum()
                     said["plane"] += free.sum()
     assert min(said.values()) > 100, said
 
@@ -141,8 +141,8 @@ def test_directions_that_are_none():
     for size in (0.0, np.nan, np.inf, -np.inf, 1e-40, 1e-16, 1e18, 1e25, 1e36):
         found, free = pairs.ask(np.full_like(axis, size) if not 0 < abs(size) < np.inf else axis * size)
         assert (gap[free] > 0).all()
-        assert (found == np.where(gap > 0, walk.APART, walk.TOUCHING)).mean() > 0.8, size
-        assert not (found == np.where(gap > 0, walk.TOUCHING, walk.APART)).any()
+        assert (found == np.where(gap > 0, gjk_batch.APART, gjk_batch.TOUCHING)).mean() > 0.8, size
+        assert not (found == np.where(gap > 0, gjk_batch.TOUCHING, gjk_batch.APART)).any()
 
 
 def test_a_plane_does_not_overflow():
@@ -153,7 +153,7 @@ def test_a_plane_does_not_overflow():
     for size in 10.0 ** np.arange(10, 160, 5):
         found, free = Crowd(boxes, rows, T, boxes, rows, T).ask(np.tile([size, 0.0, 0.0], (16, 1)))
         assert not free.any(), size
-        assert not (found == walk.APART).any(), size
+        assert not (found == gjk_batch.APART).any(), size
 
 
 def test_lanes_know_nothing_of_each_other():
@@ -162,14 +162,14 @@ def test_lanes_know_nothing_of_each_other():
     points = (
         [box_corners(rng.uniform(0.3, 1, size=3)) for _ in range(4)] + pieces("ball 50", 4) + pieces("ball 200", 24)
     )
-    small = [p for p in points if 4 <= len(hull(p).vertices) <= walk.MOST]
+    small = [p for p in points if 4 <= len(hull(p).vertices) <= gjk_batch.MOST]
     bodies = Bodies.from_points(small)
-    assert max(len(body.pieces[0].vertices) for body in bodies) > walk.MOST - 8
+    assert max(len(body.pieces[0].vertices) for body in bodies) > gjk_batch.MOST - 8
     k, j = rng.integers(len(small), size=(2, COUNT))
     pairs = Crowd(bodies, k, random_poses(rng, COUNT, 0.9), bodies, j, random_poses(rng, COUNT, 0.9))
     directions = rng.normal(size=(COUNT, 3))
     alone, _ = pairs.ask(directions, width=1)
-    assert min(np.bincount(alone, minlength=3)[[walk.APART, walk.TOUCHING]]) > 100
+    assert min(np.bincount(alone, minlength=3)[[gjk_batch.APART, gjk_batch.TOUCHING]]) > 100
     for width in (2, 3, 15, 16):
         order = rng.permutation(COUNT)
         assert np.array_equal(pairs.ask(directions, order, width)[0], alone[order])
@@ -199,8 +199,8 @@ def test_no_pair_is_lost_or_mixed_up():
     for count in (*range(1, 41), 127, 128, 129, 255, 256, 257, 383, 384, 385, 1500):
         first = int(rng.integers(1500 - count + 1))
         some = slice(first, first + count)
-        out, tally = _settle(verdicts.EXACT, 0.0, _prepare(a[some], Ta[some], b[some], Tb[some], check=False))
-        assert np.array_equal(out == verdicts.COLLIDING, truth[some])
+        out, tally = _settle(codes.EXACT, 0.0, _prepare(a[some], Ta[some], b[some], Tb[some], check=False))
+        assert np.array_equal(out == codes.COLLIDING, truth[some])
         assert tally.sum() == count
     order = rng.permutation(1500)
     pairs = np.stack([order, order], axis=-1)

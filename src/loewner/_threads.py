@@ -1,101 +1,170 @@
-"""Work in blocks on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
+"""Work in shares on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
-A pool of ordinary threads rather than Numba's own: compiling a parallel loop takes several times as long
-as the loop itself, and Numba's default threading layer aborts the process when two of a caller's
-threads enter it at once.
+Threads of our own rather than Numba's: compiling a parallel loop takes several times as long as the loop itself, and
+Numba's default threading layer aborts the process when two of a caller's threads enter it at once.
+
+Only the main thread is interrupted, and at any line. So nothing that others rely on is counted there.
 """
 
 import os
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+import threading
+import time
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Generic, TypeVar
 
 import numba
 
+from loewner._guard import guarded, meant
+
 T = TypeVar("T")
-
-_pools: dict[int, ThreadPoolExecutor] = {}  # by number of threads; starting one costs as much as 1,000 pairs
-
-
-def _pool(threads: int) -> ThreadPoolExecutor:
-    if threads not in _pools:
-        _pools[threads] = ThreadPoolExecutor(threads, thread_name_prefix="loewner")
-    return _pools[threads]
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pools.clear)  # a child process inherits the pool, but not its threads
-
 
 # Shares of `least` items that one thread alone takes at a time: each starts with cold caches, but the user must be able
 # to interrupt.
 ALONE = 16
 
+# What a share may take [s]: an interrupt is noticed between two of them, and the last one must not be waited for.
+LONG = 0.1
+
 
 def share(total: int, least: int) -> int:
-    """Items a thread takes at a time, `least` or more: a few shares each, so that the last one is not waited for."""
+    """Most items a thread takes at a time, `least` or more: a few shares each, so that the last is not waited for."""
     threads = numba.get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
 
-def in_shares(run: Callable[[int, int], T], total: int, least: int) -> list[T]:
-    """What run(first, last) returns over shares of 0..total, of `least` or more; if that is one, on this thread.
+@guarded
+def in_shares(
+    run: Callable[[int, int], T],
+    total: int,
+    least: int,
+    *,
+    most: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[T]:
+    """What run(first, last) returns over shares of 0..total, in order; up to `least` items are one, on this thread.
 
-    This thread takes shares like the others: to wait for one to wake up costs as much as 1,000 pairs.
+    This thread takes shares like the others: to wait for one to wake up costs as much as 1,000 pairs. Shares begin with
+    `least` items and grow to `most` (see `share`), or shrink, until they take as long as they should; what is done is
+    told to progress(done, total). When this returns or raises, nobody is still running.
     """
     if total <= least:
-        return [_uninterrupted(run, 0, total)]
-    size = share(total, least)
-    starts = range(0, total, size)
-    todo = deque(enumerate(starts))
-    results: list[Any] = [None] * len(starts)
-
-    def work() -> None:
+        results = [run(0, total)]
+    else:
+        work = _Work(run, total, least, min(share(total, least), total if most is None else most))
         try:
-            while todo:
-                try:
-                    n, start = todo.popleft()
-                except IndexError:  # another thread took the last one
-                    return
-                results[n] = _uninterrupted(run, start, min(start + size, total))
-        except BaseException:
-            todo.clear()
-            raise
-
-    threads = min(numba.get_num_threads(), len(starts))
-    others = [_pool(threads).submit(work) for _ in range(threads - 1)] if threads > 1 else []
-    try:
-        work()
-    finally:
-        # Whatever happened here, nobody may go on writing to the caller's arrays.
-        errors = [other.exception() for other in others if not other.cancel()]
-    for error in filter(None, errors):
-        raise error
+            _lend_a_hand(work.help, min(numba.get_num_threads(), -(-total // least)) - 1)
+            work.take(progress)
+        finally:
+            interrupt = None
+            while True:
+                try:  # at once, without a call before it: an interrupt here must not leave anybody running
+                    work.close()
+                    break
+                except BaseException as error:
+                    interrupt = error
+            if interrupt is not None:
+                raise interrupt
+        results = work.in_order()
+    if progress is not None:
+        progress(total, total)
     return results
 
 
-def _uninterrupted(run: Callable[[int, int], T], first: int, last: int) -> T:
-    """run(first, last); an interrupt while a kernel hands back its arrays is one, not a fault of Numba's."""
-    try:
-        return run(first, last)
-    except SystemError as error:
-        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt from None
-        raise
+class _Work(Generic[T]):
+    """Items that several threads share out among them."""
+
+    def __init__(self, run: Callable[[int, int], T], total: int, size: int, largest: int) -> None:
+        self._run, self._total, self._size, self._largest = run, total, size, largest
+        self._results: dict[int, T] = {}  # by first item
+        self._lock = threading.Lock()
+        self._next = 0
+        self._closed = False
+        self._helping = 0
+        self._left: SimpleQueue[None] = SimpleQueue()  # one entry for each helper that left
+        self._errors: dict[int, BaseException] = {}  # likewise
+
+    def take(self, progress: Callable[[int, int], None] | None = None) -> None:
+        """Run shares until there are none."""
+        while True:
+            with self._lock:
+                first, last = self._next, min(self._next + self._size, self._total)
+                if first == last or self._closed or self._errors:
+                    return
+                self._next = last
+            start = time.perf_counter()
+            try:
+                self._results[first] = self._run(first, last)
+            except BaseException as error:
+                self._errors[first] = error
+                return
+            pace = (last - first) / (time.perf_counter() - start + 1e-9)
+            self._size = max(1, min(self._largest, 4 * (last - first), int(LONG * pace)))
+            if progress is not None and last < self._total:
+                progress(last, self._total)
+
+    def help(self) -> None:
+        """Take part, on a thread of its own."""
+        with self._lock:
+            if self._closed:
+                return
+            self._helping += 1
+        self.take()
+        with self._lock:
+            self._helping -= 1
+        self._left.put(None)
+
+    def close(self) -> None:
+        """Let nobody start another share, and wait for those who are in one."""
+        with self._lock:
+            self._closed = True
+        while self._helping:
+            self._left.get()
+
+    def in_order(self) -> list[T]:
+        """Return all results; or raise an interrupt, or else the first error by number of the item."""
+        if self._errors:
+            # Shares before the first that failed were begun before it, and are done: it is the same on any threads.
+            errors = [self._errors[first] for first in sorted(self._errors)]
+            raise next((e for e in errors if not isinstance(meant(e), Exception)), errors[0])
+        return [self._results[first] for first in sorted(self._results)]
 
 
-def over_blocks(
-    run: Callable[[int, int], T], total: int, block: int, progress: Callable[[int, int], None] | None = None
-) -> Iterator[T]:
-    """Yield run(first, last) over blocks of 0..total in order, on as many threads as Numba is set to use.
+class _Helpers:
+    """Threads that wait for something to do. They end with the process: nobody leaves `in_shares` before they idle."""
 
-    The first error ends it.
-    """
-    starts = range(0, total, block)
-    threads = min(numba.get_num_threads(), len(starts))
-    each = _pool(threads).map if threads > 1 else map
-    for start, result in zip(starts, each(lambda i: run(i, min(i + block, total)), starts), strict=True):
-        yield result
-        if progress is not None:
-            progress(min(start + block, total), total)
+    def __init__(self) -> None:
+        self.count = 0
+        self.lock = threading.Lock()
+        self.tasks: SimpleQueue[Callable[[], None]] = SimpleQueue()
+
+    def serve(self) -> None:
+        while True:
+            self.tasks.get()()
+
+
+_helpers = _Helpers()
+
+
+def _forget_helpers() -> None:
+    global _helpers
+    _helpers = _Helpers()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_helpers)  # a child process has none of its parent's threads
+
+
+def _lend_a_hand(task: Callable[[], None], times: int) -> None:
+    """Have a task called on so many other threads, or on fewer, where no more can be started."""
+    helpers = _helpers
+    with helpers.lock:
+        while helpers.count < times:
+            try:
+                threading.Thread(target=helpers.serve, name="loewner", daemon=True).start()
+            except RuntimeError:  # no room for its stack: those that are there do it
+                times = helpers.count
+                break
+            helpers.count += 1
+    for _ in range(times):
+        helpers.tasks.put(task)

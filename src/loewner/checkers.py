@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check, queries
 from loewner._check import Floats
-from loewner._kernels import codes as verdicts
-from loewner._kernels.robots import configurations as states
+from loewner._guard import guarded
+from loewner._kernels import codes
+from loewner._kernels.robots import configurations
 from loewner._threads import in_shares
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Ints
@@ -37,11 +38,17 @@ FIRST_LOOK = 256
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
 
+# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
+MOST_AT_ONCE = 2**20
+
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
 
 # Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
 BY_PAIR = 1024
+
+# Poses of bodies at most, of all those configurations together: 100 MB.
+POSES_AT_ONCE = 2**20 * 3 // 4
 
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
@@ -81,6 +88,9 @@ class StateDistance:
     witness_a: Any = None
     witness_b: Any = None
     normal: Any = None
+
+    def __repr__(self) -> str:
+        return _check.brief(self)
 
 
 @dataclass(frozen=True)
@@ -127,6 +137,7 @@ class Settled:
         return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
+@guarded
 class CollisionChecker:
     """Checks configurations of a robot for collisions with itself and with a scene.
 
@@ -160,7 +171,8 @@ class CollisionChecker:
     Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
     `checked_pairs`.
 
-    A checker may be used by several threads at once.
+    A checker may be used by several threads at once, and its scene changed by others: each answer is about the scene as
+    it was at one moment.
 
     Examples
     --------
@@ -197,6 +209,7 @@ class CollisionChecker:
         self._robot = robot
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
+        skip_adjacent = None if skip_adjacent is None else _check.flag(skip_adjacent, "skip_adjacent")
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
@@ -236,7 +249,7 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Entries as `Robot.configuration_names`. Limits are not looked at: see `Robot.lower`.
+            Entries as `Robot.configuration_names`. Limits are no obstacle: see `Robot.lower`.
 
         Returns
         -------
@@ -246,14 +259,19 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, or an entry is not finite.
+            If the width is not dof, or an entry is not finite; or if there are more than 2^24 pairs to check.
         UnknownNameError
             If the scene attaches to, allows or sets a margin for a link that the robot does not have.
         ConvergenceError
             If a configuration could not be settled. It never counts as free instead.
+
+        Warns
+        -----
+        UserWarning
+            Once for a robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         checked = self.robot.checked(Q)
-        out, _ = self._settle(verdicts.EXACT, checked)
+        out, _ = self._settle(codes.EXACT, checked)
         return bool(out[0]) if checked.ndim == 1 else (out == Verdict.COLLIDING).reshape(checked.shape[:-1])
 
     def classify(self, Q: ArrayLike) -> Any:
@@ -274,7 +292,7 @@ class CollisionChecker:
             As for `collide`.
         """
         checked = self.robot.checked(Q)
-        out, _ = self._settle(verdicts.CERTIFY, checked)
+        out, _ = self._settle(codes.CERTIFY, checked)
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
@@ -288,15 +306,15 @@ class CollisionChecker:
         -------
         Settled
         """
-        out, tiers = self._settle(verdicts.EXACT, self.robot.checked(Q))
-        free, hit = (np.bincount(tiers[out == verdict], minlength=verdicts.TIERS).tolist() for verdict in (0, 1))
+        out, tiers = self._settle(codes.EXACT, self.robot.checked(Q))
+        free, hit = (np.bincount(tiers[out == verdict], minlength=codes.TIERS).tolist() for verdict in (0, 1))
         return Settled(
-            free_by_bounds=free[verdicts.BY_SPHERE],
-            free_by_ellipsoids=free[verdicts.BY_OUTER],
-            free_by_planes=free[verdicts.BY_PLANE],
-            free_by_search=free[verdicts.BY_SEARCH],
-            colliding_by_ellipsoids=hit[verdicts.BY_INNER],
-            colliding_by_search=hit[verdicts.BY_SEARCH],
+            free_by_bounds=free[codes.BY_SPHERE],
+            free_by_ellipsoids=free[codes.BY_OUTER],
+            free_by_planes=free[codes.BY_PLANE],
+            free_by_search=free[codes.BY_SEARCH],
+            colliding_by_ellipsoids=hit[codes.BY_INNER],
+            colliding_by_search=hit[codes.BY_SEARCH],
         )
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> Any:
@@ -338,11 +356,12 @@ class CollisionChecker:
             texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape = a.shape[:-1]
+        _check.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_check.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
         parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in _rounds(parts, valid):
-            out, _ = self._settle(verdicts.EXACT, self.robot.between(a[edge], b[edge], at))
+            out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
         return valid.reshape(shape) if shape else bool(valid[0])
 
@@ -388,12 +407,16 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         ready = self._ready()
         flat = _flat(checked)
+        _check.fits_memory(
+            len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
+        )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
-        for k in range(0, len(flat), BY_PAIR):
-            T = ready.poses(flat[k : k + BY_PAIR])
+        each = max(1, min(BY_PAIR, POSES_AT_ONCE // len(ready.names)))
+        for k in range(0, len(flat), each):
+            T = ready.poses(flat[k : k + each])
             for p, (a, b) in enumerate(ready.pairs.tolist()):
                 one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
-                out[k : k + BY_PAIR, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
+                out[k : k + each, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
@@ -422,7 +445,11 @@ class CollisionChecker:
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
-        each = max(1, AT_ONCE // len(ready.pairs))
+        longest = max(map(len, ready.names))
+        exact = _check.flag(exact, "exact")
+        row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
+        _check.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
+        each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
         batch = checked.shape[:-1]
@@ -439,18 +466,21 @@ class CollisionChecker:
         ready = self._ready()
         flat = _flat(Q)
         total = len(flat)
+        _check.fits_memory(2 * total, f"{total} configurations")
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
         def run(first: int, last: int) -> None:
             memory = workspace(ready.memory)
-            states.check_configurations(mode, first, last, flat, pack, ready.handle, out, tiers, ready.hits, memory)
+            configurations.check_configurations(
+                mode, first, last, flat, pack, ready.handle, out, tiers, ready.hits, memory
+            )
 
         in_shares(run, total, LEAST_SHARE)
         self._learn(ready, total)
-        if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
+        if mode == codes.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
-                out[k] = self._settle_with_care(ready, flat[k])
+                out[k], tiers[k] = self._settle_with_care(ready, flat[k]), codes.BY_SEARCH
         return out, tiers
 
     def _parts(self, a: Floats, b: Floats, step: float) -> Any:
@@ -471,12 +501,12 @@ class CollisionChecker:
         fractions = _coarse_first(self._parts(a, b, step))
         total = len(fractions)
         out, pack = np.empty(total, dtype=np.int8), ready.bodies._packed.handle
-        verdict, settled = states.check_motion(
+        verdict, settled = configurations.check_motion(
             a, b, fractions, pack, ready.handle, out, ready.hits, workspace(ready.memory)
         )
         self._learn(ready, settled)
-        if verdict != _OPEN:
-            return verdict == verdicts.FREE
+        if verdict != codes.AMBIGUOUS:
+            return bool(verdict == codes.FREE)
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
         return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
 
@@ -508,15 +538,16 @@ class CollisionChecker:
 
     def _ready(self) -> CheckedPairs:
         """What the kernel takes, made anew if the scene has changed."""
-        # Read before all else: whatever another thread changes meanwhile is then noticed the next time.
-        ready, scene, version = self._prepared, self._scene, self._scene.version
-        if ready is not None and ready.version == version:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             return ready
+        # Of one moment: what another thread changes meanwhile is noticed the next time.
+        scene = self._scene.snapshot()
         if ready is None or ready.structure_version != scene.structure_version:
-            ready = prepared(self._robot, scene, self._skipped, version)
+            ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
-            ready = ready.placed(scene, version)
+            ready = ready.placed(scene, scene.version)
         self._prepared = ready
         return ready
 
@@ -551,6 +582,7 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
+@guarded
 def pairs_by_sampling(
     robot: Robot,
     samples: int = 10_000,
@@ -600,6 +632,8 @@ def pairs_by_sampling(
     samples = _check.whole_number(samples, "samples", 1)
     if not 0 < _check.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
@@ -655,7 +689,7 @@ def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Float
             edges.append(np.repeat(those, len(at)))
             fractions.append(np.tile(at, len(those)))
         yield np.concatenate(edges), np.concatenate(fractions)
-        done, more = done + more, max(more, done + more)
+        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
 
 
 @lru_cache(maxsize=256)

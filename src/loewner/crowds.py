@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import codes as verdicts
-from loewner._kernels.pipeline import fallback as careful
-from loewner._kernels.pipeline import verdicts as batch
+from loewner._guard import guarded
+from loewner._kernels import codes
+from loewner._kernels.pipeline import fallback, verdicts
 from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
-from loewner._kernels.trees import boxes as boxtree
+from loewner._kernels.trees import boxes
 from loewner._threads import in_shares
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Ints, Packed
-from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a crowd that is worth handing to a thread.
 CHUNK = 4096
@@ -23,12 +24,16 @@ CHUNK = 4096
 # Candidate pairs that are found before they are settled, beside the most that one group of boxes can have.
 CANDIDATES = 65536
 
+# A body takes two corners of its box; its keys, sorted, and its place in the order; and its share of the groups' boxes.
+BODY_BYTES = 128
+
 # A pair that is found takes a key, its copies when all are put together, and the two numbers that are returned.
 PAIR_BYTES = 40
 
-MODES = {"exact": verdicts.EXACT, "certified": verdicts.CERTIFY}
+MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 
+@guarded
 def overlapping_pairs(
     bodies: Body | Bodies, T_world: ArrayLike | None = None, *, margin: float = 0.0, method: str = "exact"
 ) -> Ints:
@@ -72,19 +77,21 @@ def overlapping_pairs(
     >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
     array([[0, 1]])
     """
-    if method not in MODES:
-        raise UnknownNameError(f"method: expected one of {', '.join(MODES)}, found {method!r}")
+    mode = MODES[_check.choice(method, "method", MODES)]
     keep = _check.positive_scalar(margin, "margin", zero=True)
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
+    threads = min(numba.get_num_threads(), -(-n // CHUNK))
+    _check.fits_memory(BODY_BYTES * n + threads * 16 * (boxes.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies")
     tree = _tree(n, steps, operands)
+    counts: list[int] = []  # of the pairs found so far
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(MODES[method], keep, first, last, tree, steps, operands)
+        return _settled(mode, keep, first, last, tree, steps, operands, counts)
 
-    leaves = -(-n // boxtree.WIDE)
-    keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxtree.WIDE))
+    leaves = -(-n // boxes.WIDE)
+    keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxes.WIDE))
     keys.sort()
     return np.stack(np.divmod(keys, n), axis=1)
 
@@ -111,11 +118,11 @@ def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tu
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
-        boxtree.bounds(first, last, *steps, operands[0].handle, operands[1], lower, upper)
+        boxes.bounds(first, last, *steps, operands[0].handle, operands[1], lower, upper)
 
     in_shares(box, n, CHUNK)
-    order = boxtree.ordered(lower, upper)
-    return (*boxtree.grown(lower, upper, order), order)
+    order = boxes.ordered(lower, upper)
+    return (*boxes.grown(lower, upper, order), order)
 
 
 def _settled(
@@ -126,40 +133,45 @@ def _settled(
     tree: tuple[Floats, Ints, Ints],
     steps: tuple[int, int],
     operands: tuple[Packed, Floats],
+    counts: list[int],
 ) -> Ints:
-    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j."""
+    """Pairs i, j not proven free whose earlier body is in the leaf groups first .. last, each as i n + j.
+
+    How many they are is added to `counts`, which all threads share.
+    """
     n = len(tree[2])
     packed, T = operands
     # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
     plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
-    rows = np.empty((2, boxtree.WIDE * n + CANDIDATES), dtype=np.int64)
+    rows = np.empty((2, boxes.WIDE * n + CANDIDATES), dtype=np.int64)
     found: list[Ints] = []
+    memory = workspace(WORKSPACE)
     leaf = first
     while leaf < last:
-        leaf, count = boxtree.candidates(leaf, last, margin, *tree, rows[0], rows[1])
+        leaf, count = boxes.candidates(leaf, last, margin, *tree, rows[0], rows[1])
         if count == 0:
             continue
         listed = rows[:, :count].copy()
         a, b = listed
         out = np.empty(count, dtype=np.int8)
-        tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        batch.settle_range(
-            mode, margin, 0, count, plan, listed, packed.handle, T, packed.handle, T, out, tally, workspace(WORKSPACE)
-        )
-        if mode == verdicts.EXACT:
-            if tally[verdicts.OPEN]:
-                careful.settle_open(margin, plan, listed, packed.handle, T, packed.handle, T, out)
+        tally = np.zeros(codes.TIERS, dtype=np.int64)
+        both = packed.handle, T, packed.handle, T
+        verdicts.settle_range(mode, margin, 0, count, plan, listed, *both, out, tally, memory)
+        if mode == codes.EXACT:
+            if tally[codes.OPEN]:
+                fallback.settle_open(margin, plan, listed, *both, out)
             _refuse_unsettled(out, a, b)
-        kept = out != verdicts.FREE
+        kept = out != codes.FREE
         found.append(a[kept] * n + b[kept])
-        total = sum(map(len, found))
+        counts.append(len(found[-1]))
+        total = sum(counts)
         _check.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
     return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
 
 def _refuse_unsettled(out: NDArray[np.int8], a: Ints, b: Ints) -> None:
     """An answer that arithmetic could not settle is an exception, never a guess."""
-    unsettled = np.flatnonzero(out == verdicts.AMBIGUOUS)
+    unsettled = np.flatnonzero(out == codes.AMBIGUOUS)
     if len(unsettled):
         pair = int(a[unsettled[0]]), int(b[unsettled[0]])
         raise ConvergenceError(

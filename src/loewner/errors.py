@@ -45,7 +45,7 @@ class GeometryError(InputError):
     >>> loewner.Body.from_points([[0, 0, 0], [1, 0, 0]])
     Traceback (most recent call last):
         ...
-    loewner.errors.GeometryError: point_sets[0]: expected at least 4 points in dimension 3, found 2
+    loewner.errors.GeometryError: points: expected at least 4 points in dimension 3, found 2
     """
 
 
@@ -93,6 +93,25 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
     def __reduce__(self) -> Any:
         return type(self), (str(self), self.indices, self.partial)
+
+
+class MemoryLimitError(InputError, MemoryError):
+    """A call would take more memory than there is, or than a limit on this process leaves; ask for less at a time.
+
+    Limits are those of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control
+    groups). Results that are too large are refused before anything is computed, and the message says how much they
+    would take.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import loewner
+    >>> T = np.tile(np.eye(4), (300_000, 1, 1))
+    >>> loewner.distance(loewner.Body.sphere(1.0), T[:, None], loewner.Body.sphere(1.0), T)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    loewner.errors.MemoryLimitError: expected a batch whose results fit into memory (...
+    """
 
 
 class PlanningError(LoewnerError, RuntimeError):

@@ -13,21 +13,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels import codes as verdicts
-from loewner._kernels.pipeline import distances
-from loewner._kernels.pipeline import fallback as careful
-from loewner._kernels.pipeline import verdicts as batch
+from loewner._guard import GUARDED, guarded, meant
+from loewner._kernels import codes
+from loewner._kernels.pipeline import distances, fallback, verdicts
 from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._threads import in_shares
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
-from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
 
-# What `distance` returns for a pair, in bytes: three numbers; and with one more, three vectors and a status.
-BOUND_BYTES, EXACT_BYTES = 24, 105
+# What a pair takes in bytes. `collide`: a verdict and two flags. `distance`: three numbers; and with one more, three
+# vectors, a status and a flag.
+COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
+
+# A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
+LIST_BYTES, POSES_BYTES = 16, 256
 
 RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
@@ -39,7 +42,7 @@ class Verdict(IntEnum):
     Examples
     --------
     >>> verdict = Verdict(2)
-    >>> verdict, verdict.name, verdict == 2
+    >>> verdict, str(verdict), verdict == 2
     (<Verdict.AMBIGUOUS: 2>, 'AMBIGUOUS', True)
     """
 
@@ -49,6 +52,9 @@ class Verdict(IntEnum):
     """The inner ellipsoids touch or overlap, or come within the margin: proven."""
     AMBIGUOUS = 2
     """Neither; ask `collide` for an estimate or the exact answer."""
+
+    def __str__(self) -> str:
+        return self.name
 
 
 _VERDICTS = tuple(Verdict)
@@ -94,8 +100,11 @@ class Distance:
     witness_b: Any = None
     normal: Any = None
 
+    def __repr__(self) -> str:
+        return _check.brief(self)
 
-# The plan of one pair, and the rows of pairs that are not listed by number: see `batch.settle_range`.
+
+# The plan of one pair, and the rows of pairs that are not listed by number: see `verdicts.settle_range`.
 _ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
 NO_ROWS = np.empty((2, 0), dtype=np.int64)
 
@@ -124,7 +133,7 @@ class _Pairs(NamedTuple):
 
     @property
     def handles(self) -> tuple[Any, ...]:
-        """The same by handles, as `batch.settle_range` takes them."""
+        """The same by handles, as `verdicts.settle_range` takes them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
@@ -152,7 +161,7 @@ def _prepare(
     Tb = _check.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed
     if chosen is not None:
-        return _listed(chosen, a, Ta, b, Tb)
+        return _listed(chosen, a, Ta, b, Tb, each)
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
@@ -172,13 +181,15 @@ def _prepare(
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
-def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats) -> _Pairs:
+def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
     """Operands whose pairs are given by row numbers."""
-    rows = np.asarray(chosen)
-    if rows.ndim == 0 or rows.shape[-1] != 2 or (rows.dtype.kind not in "iu" and rows.size):
-        found = f"shape {_check.shape_text(rows.shape)} of {rows.dtype}"
+    rows = _check.integer_array(chosen, "pairs")
+    if rows.ndim == 0 or rows.shape[-1] != 2:
+        found = _check.shape_text(rows.shape)
         raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
-    flat = np.ascontiguousarray(rows.reshape(-1, 2).T, dtype=np.int64)
+    count = rows.size // 2
+    _check.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
+    flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
         if T.ndim > 3:
@@ -194,7 +205,6 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
                 f"{int(np.flatnonzero(wrong)[0])}"
             )
         plan += [[int(length > 1)] for length in lengths]
-    _check.fits_memory(flat.shape[1], f"{flat.shape[1]} pairs")
     shape = rows.shape[:-1]
     packs, poses = (a._packed, b._packed), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4))
     return _Pairs(shape, flat.shape[1], np.array(plan, dtype=np.int64), packs, poses, flat)
@@ -233,10 +243,16 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
         Ta, Tb = _check.one_pose(T_world_a), _check.one_pose(T_world_b)
         if Ta is not None and Tb is not None:
             out = np.empty(1, dtype=np.int8)
-            tally = np.zeros(verdicts.TIERS, dtype=np.int64)
+            tally = np.zeros(codes.TIERS, dtype=np.int64)
             handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
-            if batch.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, workspace(WORKSPACE)):
-                return int(out[0])
+            memory = workspace(WORKSPACE)
+            try:  # a guard of its own: one around the whole query takes a tenth as long as this
+                if verdicts.settle_range(
+                    mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, workspace(WORKSPACE)
+                ):
+                    return int(out[0])
+            except GUARDED as error:
+                raise meant(error) from None
     return -1
 
 
@@ -245,15 +261,15 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
     out = np.empty(pairs.total, dtype=np.int8)
 
     def run(first: int, last: int) -> NDArray[np.int64]:
-        tally = np.zeros(verdicts.TIERS, dtype=np.int64)
-        if not batch.settle_range(mode, margin, first, last, *pairs.handles, out, tally, workspace(WORKSPACE)):
+        tally = np.zeros(codes.TIERS, dtype=np.int64)
+        if not verdicts.settle_range(mode, margin, first, last, *pairs.handles, out, tally, workspace(WORKSPACE)):
             for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
                 _check.rigid_motions(T, name)
         return tally
 
     tally = reduce(np.add, in_shares(run, pairs.total, CHUNK))
-    if mode == verdicts.EXACT and tally[verdicts.OPEN]:
-        careful.settle_open(margin, *pairs.handles, out)
+    if mode == codes.EXACT and tally[codes.OPEN]:
+        fallback.settle_open(margin, *pairs.handles, out)
     return out, tally
 
 
@@ -308,11 +324,16 @@ def classify(
     """
     keep = _check.positive_scalar(margin, "margin", zero=True)
     if pairs is None:
-        one = _settle_one(verdicts.CERTIFY, keep, a, T_world_a, b, T_world_b)
+        one = _settle_one(codes.CERTIFY, keep, a, T_world_a, b, T_world_b)
         if one >= 0:
             return _VERDICTS[one]
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
-    out, _ = _settle(verdicts.CERTIFY, keep, asked)
+    return _classified(keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
+    out, _ = _settle(codes.CERTIFY, margin, asked)
     return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
 
 
@@ -373,20 +394,25 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    if method not in METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
+    _check.choice(method, "method", METHODS)
     code = _rule_code(rule)
     keep = _check.positive_scalar(margin, "margin", zero=True)
     if method == "exact" and pairs is None:
-        one = _settle_one(verdicts.EXACT, keep, a, T_world_a, b, T_world_b)
-        if one in (verdicts.FREE, verdicts.COLLIDING):
-            return one == verdicts.COLLIDING
-    asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=pairs)
-    if method == "exact":
-        out, _ = _settle(verdicts.EXACT, keep, asked)
+        one = _settle_one(codes.EXACT, keep, a, T_world_a, b, T_world_b)
+        if one in (codes.FREE, codes.COLLIDING):
+            return one == codes.COLLIDING
+    return _collided(None if method == "exact" else code, keep, a, T_world_a, b, T_world_b, pairs)
+
+
+@guarded
+def _collided(rule: int | None, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+    """Whether bodies collide: exactly, or by a rule."""
+    asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
+    if rule is None:
+        out, _ = _settle(codes.EXACT, margin, asked)
     else:
-        out, _ = _settle(verdicts.CERTIFY, keep, asked)
-        _estimate(code, keep, asked, out)
+        out, _ = _settle(codes.CERTIFY, margin, asked)
+        _estimate(rule, margin, asked, out)
     unsettled = out == Verdict.AMBIGUOUS
     colliding = (out == Verdict.COLLIDING) | unsettled
     found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
@@ -411,6 +437,7 @@ def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
 
 def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
     """Some of the pairs of a list, as pairs of copies that broadcast."""
+    _check.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
     (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
     packs = tuple(
         take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
@@ -423,6 +450,7 @@ def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
     return _Pairs((len(which),), len(which), plan, (packs[0], packs[1]), (poses[0], poses[1]))
 
 
+@guarded
 def distance(
     a: Body | Bodies,
     T_world_a: ArrayLike | None,
@@ -469,7 +497,7 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
-    code = _rule_code(rule)
+    code, exact = _rule_code(rule), _check.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
     shape = asked.shape
     if asked.rows.shape[1]:
@@ -506,9 +534,7 @@ def distance(
 
 
 def _rule_code(rule: str) -> int:
-    if not isinstance(rule, str) or rule not in RULES:
-        raise UnknownNameError(f"rule: expected one of {', '.join(RULES)}, found {rule!r}")
-    return RULES[rule]
+    return RULES[_check.choice(rule, "rule", RULES)]
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:

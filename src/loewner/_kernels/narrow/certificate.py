@@ -36,7 +36,7 @@ from loewner._kernels.ellipsoids.contact import (
     separation,
 )
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, apply_symmetric, dot, minus, plus, rotated_shape, trace
-from loewner._kernels.pieces.poses import is_rigid, is_rigid_single
+from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
 from loewner._kernels.pieces.shapes import (
     HOT,
     INNER_CENTER,

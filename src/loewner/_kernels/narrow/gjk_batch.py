@@ -31,7 +31,7 @@ from loewner._kernels.narrow.certificate import (
 from loewner._kernels.narrow.gjk_fast import KEPT
 from loewner._kernels.narrow.pair_list import fill, pair_list_at
 from loewner._kernels.pieces.shapes import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
-from loewner._kernels.simd import support as blocks
+from loewner._kernels.simd import support
 from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, singles_at
 from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
@@ -146,7 +146,7 @@ def _blocks(layout, pieces, first, last):
     most = np.int64(0)
     for lane in range(SINGLE_LANES):
         piece = pieces[lane]
-        begin, end = layout[piece, POINTS_FROM] // blocks.BLOCK, layout[piece, POINTS_TO] // blocks.BLOCK - 1
+        begin, end = layout[piece, POINTS_FROM] // support.BLOCK, layout[piece, POINTS_TO] // support.BLOCK - 1
         first[lane] = begin
         last[lane] = end
         most = max(most, end - begin + 1)
@@ -158,11 +158,11 @@ def _block(points, first, last, here, b):
     """The b-th block of vertices of each piece: eight x, eight y and eight z. The last one stands for those beyond."""
     for lane in range(SINGLE_LANES):
         here[lane] = min(first[lane] + b, last[lane])
-    width = 3 * blocks.BLOCK
+    width = 3 * support.BLOCK
     return (
         gather_transpose_single(points, width, here, 0, 0),
-        gather_transpose_single(points, width, here, 0, blocks.BLOCK),
-        gather_transpose_single(points, width, here, 0, 2 * blocks.BLOCK),
+        gather_transpose_single(points, width, here, 0, support.BLOCK),
+        gather_transpose_single(points, width, here, 0, 2 * support.BLOCK),
     )
 
 
@@ -174,7 +174,7 @@ def _lay(points, first, last, here, most, W, at):
         store_strided(W, at, VERTEX, px)
         store_strided(W, at + SINGLE_LANES, VERTEX, py)
         store_strided(W, at + 2 * SINGLE_LANES, VERTEX, pz)
-        at += blocks.BLOCK * VERTEX
+        at += support.BLOCK * VERTEX
     return at
 
 

@@ -42,7 +42,7 @@ from loewner._kernels.pieces.shapes import (
     radius,
 )
 from loewner._kernels.pipeline.verdicts import row_of
-from loewner._kernels.trees import piece_tree as trees
+from loewner._kernels.trees import piece_tree
 
 CONTACT_PRODUCT = -1  # the other rules are those of `near_points`
 
@@ -440,7 +440,7 @@ def _ellipsoids():
 @njit()
 def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
     """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
-    found = trees.more(a, b, ib, reach, steps, numbers, queue[1, :WALKED], queue[2, :WALKED])
+    found = piece_tree.more(a, b, ib, reach, steps, numbers, queue[1, :WALKED], queue[2, :WALKED])
     queue[0, :found] = k
     queue[3, :found] = ka
     queue[4, :found] = kb
@@ -595,11 +595,11 @@ def _measure_many(
 ):  # fmt: skip
     """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
     upper, distance = out[1], out[3]
-    steps = np.empty(trees.STEPS, np.int64)
-    places = np.empty(trees.NUMBERS)
-    trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, places)
+    steps = np.empty(piece_tree.STEPS, np.int64)
+    places = np.empty(piece_tree.NUMBERS)
+    piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, places)
     # A first bound on the distance spares the walk most pairs.
-    i, j = trees.nearest_centers(a, ia, b, ib, places, SEED_ROUNDS)
+    i, j = piece_tree.nearest_centers(a, ia, b, ib, places, SEED_ROUNDS)
     queue[0, 0], queue[1, 0], queue[2, 0], queue[3, 0], queue[4, 0] = k, i, j, ka, kb
     found = np.int64(1)
     while found > 0:
@@ -607,7 +607,7 @@ def _measure_many(
         left = _measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
         cut = upper[k]
         if exact:
-            cut = min(cut, distance[k] + SETTLED * places[trees.SIZE])
+            cut = min(cut, distance[k] + SETTLED * places[piece_tree.SIZE])
         found = _next_pieces(k, ka, kb, a, b, ib, max(cut, 0.0), steps, places, queue)
     return left, numbers, values
 
@@ -708,8 +708,8 @@ def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors,
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
     ellipsoids = _ellipsoids()
-    steps = np.empty(trees.STEPS, np.int64)
-    numbers = np.empty(trees.NUMBERS)
+    steps = np.empty(piece_tree.STEPS, np.int64)
+    numbers = np.empty(piece_tree.NUMBERS)
     count = np.int64(0)
     for k in range(start, stop):
         if out[k] != AMBIGUOUS:
@@ -723,7 +723,7 @@ def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors,
             if count > 0:
                 _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
                 count = np.int64(0)
-            trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+            piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
             while out[k] != COLLIDING:
                 found = _next_pieces(k, ka, kb, a, b, ib, margin, steps, numbers, queue)
                 if found == 0:

@@ -11,7 +11,7 @@ from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, FLAT, penetrati
 from loewner._kernels.narrow.gjk_robust import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pipeline.verdicts import rows_of
-from loewner._kernels.trees import piece_tree as trees
+from loewner._kernels.trees import piece_tree
 
 CHUNK = 64  # piece pairs taken from the trees at a time
 
@@ -21,8 +21,8 @@ def settle_open(margin, plan, rows, pack_a, Ta, pack_b, Tb, out):
     """Settle the pairs left AMBIGUOUS in `out` from scratch; operands as in `batch`, poses known to be rigid."""
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    steps = np.empty(trees.STEPS, np.int64)
-    numbers = np.empty(trees.NUMBERS)
+    steps = np.empty(piece_tree.STEPS, np.int64)
+    numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(CHUNK, np.int64)
     found_b = np.empty(CHUNK, np.int64)
     work = workspace(True)
@@ -31,9 +31,9 @@ def settle_open(margin, plan, rows, pack_a, Ta, pack_b, Tb, out):
             continue
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         out[k] = FREE
-        trees.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+        piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:
-            found = trees.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+            found = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
             if found == 0:
                 break
             for c in range(found):

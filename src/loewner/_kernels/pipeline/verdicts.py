@@ -26,7 +26,7 @@ from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.pieces.pack import pieces_of, placed
-from loewner._kernels.pieces.poses import RIGID, fault
+from loewner._kernels.pieces.rigid import RIGID, fault
 from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
 from loewner._kernels.pipeline.workspace import CARRIED, HELD, TURN, UNSURE, WALKING, workspace_at
 from loewner._kernels.simd.support import prefetch

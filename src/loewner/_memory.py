@@ -1,0 +1,133 @@
+"""How much memory a call may still take: of this machine, of the process, of the container that it runs in.
+
+What is too large is refused before it is allocated: on most systems an allocation beyond the memory there is succeeds,
+and the process, or another one, is killed when it is used.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from loewner.errors import MemoryLimitError
+
+# Reading the limits takes as long as filling a few hundred kilobytes; requests below this [bytes] are not worth a look.
+LOOK = 2**26
+
+# Address space that SciPy's hulls, buffers of OpenBLAS and the kernels took when they were loaded, and a tenth more.
+TO_START = 320 * 2**20
+
+_ROOT = Path("/")
+
+
+def left(root: Path = _ROOT) -> tuple[int, str]:
+    """Bytes that can still be had, and which limit says so, as words that follow the number.
+
+    Parameters
+    ----------
+    root : path
+        Where ``proc`` and ``sys`` are; another one is for tests.
+    """
+    return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
+
+
+_started = False
+
+
+def expect_start() -> None:
+    """Refuse to begin, at the first body or hull of a process, where what has to be loaded would not fit.
+
+    SciPy, OpenBLAS and LLVM end the process, or leave half a module behind, when they run out of address space.
+    """
+    global _started
+    if not _started:
+        there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever touched
+        if there < TO_START:
+            raise MemoryLimitError(
+                f"expected {TO_START >> 20} MiB of address space to load SciPy and compiled kernels, found "
+                f"{there / 2**20:.3g} MiB{which}"
+            )
+        _started = True
+
+
+def _of_process(root: Path) -> Iterator[tuple[int, str]]:
+    """What `setrlimit` leaves: of the address space, and of private memory."""
+    try:
+        import resource
+    except ImportError:  # no such limits on this system
+        return
+    pages = (_text(root / "proc/self/statm") or "0 0 0 0 0 0 0").split()
+    for name, column in (("RLIMIT_AS", 0), ("RLIMIT_DATA", 5)):
+        limit = resource.getrlimit(getattr(resource, name))[0]
+        if limit != resource.RLIM_INFINITY:
+            yield max(0, limit - int(pages[column]) * resource.getpagesize()), f" left by {name}"
+
+
+def _of_groups(root: Path) -> Iterator[tuple[int, str]]:
+    """What the control groups that this process is in leave, from the innermost to the outermost.
+
+    A group is a folder, and the groups around it are the folders around that. Files that the system keeps in memory
+    count as used, but make place when it runs short.
+    """
+    for folder, top in _group_folders(root):
+        for group in (folder, *folder.parents):
+            for limit, used, cached in (
+                ("memory.max", "memory.current", ("inactive_file", "active_file")),
+                ("memory.limit_in_bytes", "memory.usage_in_bytes", ("total_inactive_file", "total_active_file")),
+            ):
+                most = _number(group / limit)
+                if most is not None:
+                    kept = dict(line.split() for line in (_text(group / "memory.stat") or "").splitlines())
+                    spare = sum(int(kept.get(name, 0)) for name in cached)
+                    yield max(0, most - max(0, (_number(group / used) or 0) - spare)), " left in this control group"
+            if group == top:
+                break
+
+
+def _group_folders(root: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield the folders of this process's control groups that count memory, and the tops of their trees."""
+    mine = {}
+    for line in (_text(root / "proc/self/cgroup") or "").splitlines():
+        _, controllers, within = line.split(":", 2)
+        if controllers == "" or "memory" in controllers.split(","):
+            mine["cgroup" if controllers else "cgroup2"] = PurePosixPath(within)
+    for line in (_text(root / "proc/self/mountinfo") or "").splitlines():
+        # See proc(5): "36 35 98:0 ROOT MOUNT_POINT options ... - TYPE source super_options".
+        before, _, after = line.partition(" - ")
+        start, mount = before.split()[3:5]
+        kind, _, options = (*after.split(), "", "")[:3]
+        if kind not in mine or (kind == "cgroup" and "memory" not in options.split(",")):
+            continue
+        top, path = root / mount.lstrip("/"), mine[kind]
+        # A container may see the path that the host knows it by, and only its own part of the tree.
+        inside = path.relative_to(start) if path.is_relative_to(start) else PurePosixPath()
+        folder = top / str(inside).lstrip("/")
+        yield (folder if folder.is_dir() else top), top
+
+
+def _of_machine(root: Path) -> Iterator[tuple[int, str]]:
+    """Memory that is free, or can be made free without swapping."""
+    for line in (_text(root / "proc/meminfo") or "").splitlines():
+        if line.startswith("MemAvailable:"):
+            yield int(line.split()[1]) * 1024, " free on this machine"
+
+
+def physical() -> int:
+    """Memory of the machine in bytes; where the system does not tell, what an address can reach."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return sys.maxsize
+
+
+def _text(path: Path) -> str | None:
+    try:
+        return path.read_text()
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _number(path: Path) -> int | None:
+    """Content of a file with one number; None for "max", and where there is none."""
+    text = (_text(path) or "").strip()
+    return int(text) if text.isdigit() else None

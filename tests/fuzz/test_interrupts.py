@@ -1,0 +1,197 @@
+"""Ctrl+C at random times in every public call that takes a while, on one thread, on two, and with the call on another.
+
+It is a KeyboardInterrupt and nothing else, it comes soon, and the same call is right afterwards.
+"""
+
+import os
+import pickle
+import random
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import trimesh
+
+import driver
+import loewner
+from families import random_poses
+from gantry import gantry
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, _threads
+
+# From the signal to the exception, at most [s]: shares take a tenth, and machines that run tests are slow.
+SOON = 2.0
+
+LAYOUTS = ("alone", "shared", "elsewhere")
+
+
+def calls(folder: Path) -> dict[str, Callable[[], Any]]:
+    """Public calls, each long enough to be interrupted; compiled, or loaded, by one small call before."""
+    rng = np.random.default_rng(0)
+    sets = rng.normal(size=(300, 40, 3))
+    rock, rocks, drum = Body.from_points(sets[0]), Bodies.from_points(sets[:50]), Body.cylinder(0.5, 2.0)
+    heap = Body.union([rock.transformed(T) for T in random_poses(rng, 12)])
+    Ta, Tb = random_poses(rng, 40_000), random_poses(rng, 40_000)
+    cloud, flat = rng.normal(size=(20_000, 12)), rng.normal(size=(400_000, 3))
+    sides = np.concatenate([np.eye(30), -np.eye(30), rng.normal(size=(100, 30))])
+    A, B = (
+        Ellipsoids.from_semi_axes(rng.normal(size=(20_000, 3)), rng.uniform(0.2, 1, size=(20_000, 3))) for _ in "ab"
+    )
+    urdf, _ = gantry(folder)
+    robot, scene = Robot.from_urdf(urdf), Scene(margin=0.01)
+    for i, T in enumerate(random_poses(rng, 20, spread=4.0)):
+        scene.add(f"rock {i}", rocks[i], T)
+    checker = CollisionChecker(robot, scene)
+    Q = robot.random_configurations(20_000, seed=1)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    rocks.save(folder / "rocks.npz")
+    loewner.save_scene(scene, folder / "scene.yaml")
+    return {
+        "classify": lambda: loewner.classify(rocks[:40], Ta.reshape(-1, 40, 4, 4), heap, Tb.reshape(-1, 40, 4, 4)),
+        "collide": lambda: loewner.collide(rock, Ta, drum, Tb),
+        "collide, many pieces": lambda: loewner.collide(heap, Ta[:3000], heap, Tb[:3000]),
+        "collide by a rule": lambda: loewner.collide(rock, Ta, drum, Tb, method="estimate", rule="lin-han"),
+        "collide pairs": lambda: loewner.collide(rocks, Ta[:50], rocks, Tb[:50], pairs=np.indices((50, 50)).T),
+        "distance": lambda: loewner.distance(rock, Ta, drum, Tb),
+        "distance, exact": lambda: loewner.distance(rock, Ta[:8000], rock, Tb[:8000], exact=True),
+        "distance, few": lambda: loewner.distance(heap, Ta[:400], heap, Tb[:400], exact=True),
+        "distance of pairs": lambda: loewner.distance(
+            rocks, Ta[:50], rocks, Tb[:50], pairs=np.indices((50, 50)).T, exact=True
+        ),
+        "overlapping_pairs": lambda: loewner.overlapping_pairs(rock, Ta[:1000]),
+        "mvce": lambda: loewner.mvce(cloud),
+        "mvce of many": lambda: loewner.mvce(flat),
+        "mvie": lambda: loewner.mvie(sides, np.ones(len(sides))),
+        "Bodies.from_points": lambda: Bodies.from_points(sets),
+        "Body.from_mesh": lambda: Body.from_mesh(ball, decompose=False),
+        "Polytope.from_points": lambda: loewner.Polytope.from_points(flat[:100_000]),
+        "Bodies[...]": lambda: rocks[np.arange(3000) % 50],
+        "union": lambda: Body.union([rock] * 1000),
+        "Bodies.load": lambda: Bodies.load(folder / "rocks.npz"),
+        "Bodies.save": lambda: rocks.save(folder / "saved.npz"),
+        "contact_function": lambda: loewner.contact_function(A, B),
+        "near_points": lambda: loewner.near_points(A, B),
+        "forward_kinematics": lambda: robot.forward_kinematics(Q),
+        "checker.collide": lambda: checker.collide(Q),
+        "checker.classify": lambda: checker.classify(Q),
+        "checker.tiers": lambda: checker.tiers(Q),
+        "checker.distance": lambda: checker.distance(Q[:2000]),
+        "checker.distance, exact": lambda: checker.distance(Q[:300], exact=True),
+        "checker.collide_by_pair": lambda: checker.collide_by_pair(Q[:2000]),
+        "checker.valid_edges": lambda: checker.valid_edges(Q[:500], Q[500:1000], resolution=0.05),
+        "pairs_by_sampling": lambda: loewner.pairs_by_sampling(robot, 20_000),
+        "checker.pairs": lambda: [contact.name_a for q in Q[:100] for contact in checker.pairs(q)],
+        "Scene.pairs": lambda: [contact.distance for contact in scene.pairs()],
+        "load_scene": lambda: pickle.dumps(loewner.load_scene(folder / "scene.yaml").names),
+        "save_scene": lambda: loewner.save_scene(scene, folder / "saved.yaml"),
+        "Robot.from_urdf": lambda: Robot.from_urdf(urdf).link_names,
+    }
+
+
+@cache
+def prepared(folder: Path) -> dict[str, tuple[Callable[[], Any], bytes]]:
+    """Calls by name, and what each answers, as bytes."""
+    found = {}
+    for name, call in calls(folder).items():
+        found[name] = call, pickle.dumps(call())
+    return found
+
+
+def campaign(folder: Path, count: int, seed: int) -> tuple[list[driver.Outcome], Counter[str]]:
+    """Outcomes of `count` interrupted calls, all names and layouts in turn, and how they ended."""
+    prepared(folder)  # here, once: the driver's processes are forks of this one
+    draw = random.Random(seed)
+    names = list(prepared(folder))
+    first = draw.randrange(len(names))
+    cases = [
+        (names[(first + k) % len(names)], LAYOUTS[k % len(LAYOUTS)], draw.random(), str(folder)) for k in range(count)
+    ]
+    outcomes = driver.run(interrupted, cases, limit=60.0)
+    told = (folder / "endings").read_text().split() if (folder / "endings").exists() else []
+    return outcomes, Counter(told)
+
+
+def interrupted(case: tuple[str, str, float, str]) -> str | None:
+    """Interrupt a call when a share of its usual time is over; say what is wrong, or write down how it ended."""
+    name, layout, part, folder = case
+    call, answer = prepared(Path(folder))[name]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    numba.set_num_threads(1 if layout == "alone" else min(2, numba.config.NUMBA_NUM_THREADS))
+    start = time.perf_counter()
+    call()
+    usual, sent = time.perf_counter() - start, []
+
+    def send() -> None:
+        time.sleep(part * usual)
+        sent.append(time.perf_counter())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    sender, ending = threading.Thread(target=send), "late"
+    # Not waited for by join: a thread whose join is interrupted counts as ended in Python 3.11.
+    answers: list[bytes] = []
+    worker = threading.Thread(target=lambda: answers.append(pickle.dumps(call())))
+    try:
+        try:
+            if layout == "elsewhere":
+                worker.start()
+            sender.start()
+            if layout == "elsewhere":
+                until(lambda: answers)
+            else:
+                call()
+            ended = time.perf_counter()
+        finally:
+            waited = time.perf_counter()
+        until(lambda: sent)
+        time.sleep(0.05)
+        return f"the interrupt was lost: sent {ended - sent[0]:.3g} s before the call ended"
+    except KeyboardInterrupt:
+        ending = "interrupted" if sent and sent[0] <= waited and not answers else "late"
+        if sent and waited - sent[0] > SOON:
+            return f"the call went on for {waited - sent[0]:.2f} s"
+    sender.join()
+    if layout == "elsewhere":
+        until(lambda: answers)
+        if answers != [answer]:
+            return "the call on another thread did not come to its answer"
+    if _threads._helpers.lock.locked():
+        return "a lock was left"
+    if pickle.dumps(call()) != answer:
+        return "the same call answered otherwise afterwards"
+    with open(Path(folder) / "endings", "a") as file:
+        file.write(ending + "\n")
+    return None
+
+
+def until(happened: Callable[[], Any]) -> None:
+    """Wait as a program does that can be interrupted."""
+    while not happened():
+        time.sleep(0.0005)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("interrupts")
+
+
+def test_some_interrupts(folder: Path):
+    """A KeyboardInterrupt each, and right answers afterwards."""
+    outcomes, _ = campaign(folder, 40, seed=1)
+    assert not driver.faults(outcomes)
+
+
+@pytest.mark.fuzz
+def test_many_interrupts(folder: Path):
+    """A KeyboardInterrupt each, and right answers afterwards."""
+    (folder / "endings").unlink(missing_ok=True)
+    outcomes, endings = campaign(folder, 600, seed=2)
+    print(f"\ninterrupts: {len(outcomes)} of {len(prepared(folder))} calls, {dict(endings)}, 0 faults")
+    assert not driver.faults(outcomes)
+    assert endings["interrupted"] >= 100
