@@ -1085,7 +1085,7 @@ def _load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]
             content = {name: stored[name] for name in stored.files}
     except FileNotFoundError:
         raise FileError(f"{path}: expected a file, found none") from None
-    except FileError:
+    except (FileError, MemoryError):
         raise
     except Exception as error:  # a damaged zip or array header ends in any of a dozen exceptions, zlib's among them
         raise FileError(f"{path}: expected a loewner .npz, found something unreadable ({error})") from None
