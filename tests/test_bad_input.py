@@ -1,6 +1,9 @@
 """Bad input gets a clear error that is a LoewnerError, never an answer, a crash or half a file."""
 
+import os
 from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,7 @@ from loewner import (
     InputError,
     LoewnerError,
     PoseError,
+    Scene,
     UnknownNameError,
     _check,
 )
@@ -82,6 +86,11 @@ def test_bad_half_spaces():
         (box[:5], np.ones(5)),  # unbounded
         (box, np.array([1, 1, 1, -2, 1, 1])),  # empty
         (box, np.array([1, 1, 1, -1, 1, 1])),  # flat
+        (box, np.zeros(6)),  # a point
+        (np.eye(3), np.zeros(3)),  # a cone
+        (box, np.full(6, 5e-324)),  # lost in scaling
+        (np.zeros((6, 3)), np.zeros(6)),  # all of space
+        (np.r_[np.diag([1e308, 1, 1]), -np.eye(3)], np.ones(6)),  # a corner cut by a plane nearly through the middle
     ]:
         for make in (loewner.Polytope.from_halfspaces, loewner.mvie):
             with pytest.raises(GeometryError):
@@ -92,6 +101,7 @@ def test_bad_half_spaces():
         (box * np.nan, np.ones(6)),
         (box, np.array([1, 1, 1, np.inf, np.nan, 1])),
         (np.ones(3), np.ones(3)),
+        (box * 1e-300, np.full(6, 1e300)),
     ]:
         for make in (loewner.Polytope.from_halfspaces, loewner.mvie):
             with pytest.raises(InputError):
@@ -223,6 +233,238 @@ def test_bad_margin(margin: object):
                 query(*arguments, margin=margin)
     with pytest.raises(InputError, match="margin: expected a"):
         loewner.overlapping_pairs(Bodies([a, a]), margin=margin)
+
+
+class Sulky:
+    """An object that fails at whatever it is asked."""
+
+    def __fail(self, *_: object, **__: object) -> None:
+        raise RuntimeError("not today")
+
+    __float__ = __index__ = __array__ = __bool__ = __len__ = __iter__ = __getitem__ = __repr__ = __fail
+
+
+# Name: what is no number wherever one is wanted.
+NO_NUMBERS: dict[str, object] = {
+    "huge integer": 10**400,
+    "huge negative integer": -(10**400),
+    "integer too long to write": 10**5000,
+    "huge fraction": Fraction(10**400),
+    "NaN": np.nan,
+    "Decimal NaN": Decimal("NaN"),
+    "inf": -np.inf,
+    "text": "1",
+    "bytes": b"1",
+    "bytearray": bytearray(b"1"),
+    "NumPy text": np.str_("1"),
+    "NumPy bytes": np.bytes_(b"1"),
+    "True": True,
+    "NumPy True": np.True_,
+    "array of True": np.array(True),
+    "None": None,
+    "complex": 1 + 0j,
+    "NumPy complex": np.complex128(1),
+    "date": np.datetime64(1, "ns"),
+    "span of time": np.timedelta64(1, "ns"),
+    "masked": np.ma.masked,
+    "masked number": np.ma.array(1.0, mask=True),
+    "array with an axis": np.ones(1),
+    "list": [1.0],
+    "set": {1.0},
+    "type": float,
+    "object that fails": Sulky(),
+    "array of text": np.array("1"),
+    "array of None": np.array(None, dtype=object),
+}
+NUMBERS: dict[str, object] = {
+    "int": 2,
+    "float": 2.0,
+    "float32": np.float32(2),
+    "float16": np.float16(2),
+    "longdouble": np.longdouble(2),
+    "int8": np.int8(2),
+    "uint64": np.uint64(2),
+    "array": np.array(2.0),
+    "big-endian array": np.array(2, dtype=">i4"),
+    "array of an object": np.array(2, dtype=object),
+    "masked array without a mask": np.ma.array(2.0),
+    "Fraction": Fraction(2),
+    "Decimal": Decimal(2),
+}
+
+
+@pytest.mark.parametrize("what", NO_NUMBERS)
+def test_what_is_no_number(what: str):
+    """Text, booleans, dates, masked entries and what no float can hold are refused as numbers, whoever asks."""
+    a, bad = Body.sphere(1), NO_NUMBERS[what]
+    for ask_for in (
+        lambda: _check.positive_scalar(bad, "x"),
+        lambda: _check.positive_scalar(bad, "x", zero=True),
+        lambda: Body.sphere(bad),
+        lambda: loewner.collide(a, None, a, None, margin=bad),
+        lambda: loewner.mvce(CUBE, tol=bad),
+        lambda: loewner.near_points(a.outer, a.outer, angle=bad),
+        lambda: Scene(margin=bad),
+    ):
+        with pytest.raises(InputError, match=r"^(x|radius|margin|tol|angle): expected a (finite )?number") as caught:
+            ask_for()
+        assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("what", NUMBERS)
+def test_what_is_a_number(what: str):
+    """Whatever type it has, the number counts."""
+    assert _check.positive_scalar(NUMBERS[what], "x") == 2.0
+    assert Body.sphere(NUMBERS[what]).outer.semi_axes[0, 0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("what", [*NO_NUMBERS, "float", "Fraction", "Decimal", "longdouble"])
+def test_what_is_no_count(what: str):
+    """Of numbers, only integers that an array could have as its length."""
+    with pytest.raises(InputError, match="n: expected an integer [<>]= "):
+        _check.whole_number(NO_NUMBERS.get(what, 2.5), "n", 0)
+
+
+def test_counts():
+    """Integers of any type, within the bounds given."""
+    for x in (2, np.int8(2), np.uint64(2), np.array(2)):
+        assert _check.whole_number(x, "n", 0, 2) == 2
+        for least, most in ((3, 9), (0, 1)):
+            with pytest.raises(InputError, match="n: expected an integer"):
+                _check.whole_number(x, "n", least, most)
+
+
+def masked(P: np.ndarray, at: object) -> np.ma.MaskedArray:
+    mask = np.zeros(P.shape, dtype=bool)
+    mask[at] = True
+    return np.ma.array(P, mask=mask)
+
+
+# Name: what is no array of numbers, made from one.
+NO_ARRAYS: dict[str, Callable[[np.ndarray], object]] = {
+    "booleans": lambda P: P > 0,
+    "lists of booleans": lambda P: (P > 0).tolist(),
+    "complex": lambda P: P + 0j,
+    "text": lambda P: P.astype(str),
+    "bytes": lambda P: P.astype("S"),
+    "dates": lambda P: P.astype("datetime64[s]"),
+    "spans of time": lambda P: P.astype("timedelta64[s]"),
+    "records": lambda P: P.view([("x", float)]),
+    "one masked entry": lambda P: masked(P, (0, 0)),
+    "all masked": lambda P: masked(P, ...),
+    "rows with a mask": lambda P: list(masked(P, (1, 1))),
+    "objects": lambda P: np.full(P.shape, None),
+    "numbers as text among objects": lambda P: P.astype(str).astype(object),
+    "an object that fails": lambda P: Sulky(),
+    "a row that fails": lambda P: [Sulky(), *P[1:]],
+    "integers beyond a float": lambda P: [[10**400] * P.shape[1]] * len(P),
+    "beyond a float": lambda P: np.full(P.shape, np.longdouble("1e4000")),
+    "a generator": lambda P: (row for row in P),
+    "a set": lambda P: {1.0, 2.0},
+    "a dict": lambda P: dict(enumerate(P)),
+    "a body": lambda P: Body.sphere(1),
+}
+
+
+@pytest.mark.parametrize("what", NO_ARRAYS)
+def test_what_is_no_array(what: str):
+    """Booleans, dates, masked entries and objects are refused, as points, poses and whatever else is an array."""
+    a, make = Body.sphere(1), NO_ARRAYS[what]
+    for ask_for in (
+        lambda: Body.from_points(make(CUBE)),
+        lambda: loewner.mvce(make(CUBE)),
+        lambda: loewner.mvie(make(np.r_[np.eye(3), -np.eye(3)]), np.ones(6)),
+        lambda: loewner.Ellipsoids.from_semi_axes(make(np.zeros((2, 3))), [1, 1, 1]),
+    ):
+        with pytest.raises(InputError):
+            ask_for()
+    for query in (loewner.classify, loewner.collide, loewner.distance):
+        with pytest.raises(PoseError):
+            query(a, make(np.eye(4)), a, None)
+
+
+KINDS_OF_ARRAYS: dict[str, Callable[[np.ndarray], object]] = {
+    "big-endian": lambda P: P.astype(">f8"),
+    "float16": lambda P: P.astype(np.float16),
+    "longdouble": lambda P: P.astype(np.longdouble),
+    "read-only": lambda P: np.broadcast_to(P, P.shape),
+    "Fortran order": np.asfortranarray,
+    "not aligned": lambda P: np.frombuffer(b"x" + P.tobytes(), dtype=np.uint8)[1:].view(np.float64).reshape(P.shape),
+    "matrix": lambda P: P.view(np.matrix) if P.ndim == 2 else P,
+    "masked, none of it": lambda P: np.ma.array(P),
+    "masked rows, none of it": lambda P: list(np.ma.array(P)),
+    "objects": lambda P: P.astype(object),
+    "fractions": lambda P: [[Fraction(x) for x in row] for row in P.tolist()],
+    "decimals": lambda P: [[Decimal(x) for x in row] for row in P.tolist()],
+    "huge integers": lambda P: [[int(x) * 2**70 for x in row] for row in P.tolist()],
+}
+
+
+@pytest.mark.parametrize("what", KINDS_OF_ARRAYS)
+def test_every_kind_of_array_says_the_same(what: str):
+    """The numbers count, not their type or layout."""
+    P = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 2]], dtype=float)
+    size = 2.0**70 if what == "huge integers" else 1.0
+    wanted, found = loewner.mvce(P * size), loewner.mvce(KINDS_OF_ARRAYS[what](P))
+    assert np.array_equal(found.ellipsoid.factor, wanted.ellipsoid.factor)
+    if size == 1.0:
+        a, T = Body.box([1, 1, 1]), np.eye(4)
+        T[0, 3] = 1.5
+        given = KINDS_OF_ARRAYS[what](T)
+        assert loewner.distance(a, given, a, None, exact=True).distance == pytest.approx(0.5)
+
+
+NO_PAIRS: dict[str, object] = {
+    "floats": [[0.0, 0.0]],
+    "booleans": [[True, False]],
+    "beyond 64 bits": [[2**70, 0]],
+    "beyond 63 bits": np.array([[2**63, 0]], dtype=np.uint64),
+    "negative": [[-1, 0]],
+    "text": [["0", "0"]],
+    "None": [[None, 0]],
+    "masked": np.ma.array([[0, 0]], mask=[[True, False]]),
+    "ragged": [[0, 0], [0]],
+    "three numbers": [[0, 0, 0]],
+    "one number": 0,
+    "an object that fails": Sulky(),
+}
+
+
+@pytest.mark.parametrize("what", NO_PAIRS)
+def test_what_is_no_list_of_pairs(what: str):
+    """Row numbers are integers in two columns."""
+    a = Bodies.spheres([1.0, 1.0])
+    for query in (loewner.classify, loewner.collide, loewner.distance):
+        with pytest.raises(InputError):
+            query(a, None, a, None, pairs=NO_PAIRS[what])
+
+
+@pytest.mark.parametrize("bad", ["no", "", 0, 1, None, [], np.ones(2), Sulky()], ids=lambda x: type(x).__name__)
+def test_what_is_neither_true_nor_false(bad: object):
+    """A choice of two takes True and False: 'no' is not taken for yes."""
+    a = Body.sphere(1)
+    with pytest.raises(InputError, match="exact: expected True or False"):
+        loewner.distance(a, None, a, None, exact=bad)
+    assert loewner.distance(a, None, a, None, exact=np.True_).distance is not None
+
+
+@pytest.mark.parametrize(
+    "bad", [None, 1, b"exact", ["exact"], {"exact"}, np.array(["exact"] * 2), Sulky()], ids=lambda x: type(x).__name__
+)
+def test_what_is_no_name_of_a_method(bad: object):
+    """Also what has no hash, or compares entry by entry."""
+    a, E = Body.sphere(1), loewner.Ellipsoids([0, 0, 0], np.eye(3))
+    for ask_for in (
+        lambda: loewner.collide(a, None, a, None, method=bad),
+        lambda: loewner.collide(a, None, a, None, rule=bad),
+        lambda: loewner.distance(a, None, a, None, rule=bad),
+        lambda: loewner.overlapping_pairs(a, method=bad),
+        lambda: loewner.near_points(E, E, method=bad),
+        lambda: loewner.overlap(E, E, method=bad),
+        lambda: loewner.mvce(CUBE, method=bad),
+    ):
+        with pytest.raises((UnknownNameError, InputError), match="expected "):
+            ask_for()
 
 
 # -- batches -----------------------------------------------------------------------------------------------
@@ -562,6 +804,26 @@ def test_a_flat_mesh_is_an_error(tmp_path: Path):
     path = write(tmp_path / "flat.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
     with pytest.raises(LoewnerError):
         Body.from_mesh(path, decompose=False)
+
+
+class Unfit(os.PathLike[str]):
+    """A path-like object that is none."""
+
+    def __fspath__(self) -> str:
+        raise RuntimeError("no path today")
+
+
+@pytest.mark.parametrize("bad", [None, 3, b"part.stl", "", "a\0b", "\ud800", [], Unfit(), CUBE], ids=repr)
+def test_what_is_no_path(bad: object):
+    """A path is text that the file system can hold; anything else is an InputError that names the argument."""
+    with pytest.raises(InputError, match="file: expected the path of a file, found "):
+        _check.path(bad, "file")
+
+
+@pytest.mark.parametrize("good", ["a", "a b/ü", os.fsdecode(b"not\xffutf-8"), Path("a/b"), np.str_("a")], ids=ascii)
+def test_what_is_a_path(good: os.PathLike[str]):
+    """Also names that are not UTF-8, as `os.listdir` gives them."""
+    assert _check.path(good, "file") == Path(good)
 
 
 # -- what is not bad ------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Bodies: what they hold, that they travel through files unharmed, that moving one never fits again."""
 
+import inspect
 import os
 import zipfile
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 import loewner
 from families import FAMILIES, box_corners, pieces, random_poses
-from loewner import Bodies, Body
+from loewner import Bodies, Body, meshes
 from oracles import hull
 
 ALL_KINDS = {
@@ -166,6 +167,20 @@ def test_moved_piece_still_nests():
         assert (reach <= piece.offsets + 1e-13).all()
 
 
+def test_moved_by_a_pose_that_stretches():
+    """A pose that is just accepted as rigid leaves a ball or a capsule between its inner and its outer ellipsoid."""
+    rng = np.random.default_rng(3)
+    for stretch in (1 - 4e-7, 1 + 4e-7):
+        T = random_poses(rng, 1)[0]
+        T[:3, :3] *= stretch
+        ball, capsule = Body.sphere(2.0).transformed(T), Body.capsule(1.0, 2.0).transformed(T)
+        assert ball.inner.semi_axes.max() <= 2.0 <= ball.outer.semi_axes.min()
+        # Across its axis a capsule is as thick as its radius says.
+        assert capsule.inner.semi_axes[0, 1:].max() <= 1.0
+        across = np.linalg.svd(capsule.outer.factor[0])[0][:, 1]
+        assert np.linalg.norm(across @ capsule.outer.factor[0]) >= 1.0
+
+
 def test_packing():
     """Bodies are their bodies: pieces counted, rows in order, slices and single ones equal what went in."""
     each = [make() for make in ALL_KINDS.values()]
@@ -238,3 +253,26 @@ def test_a_fit_that_once_stalled():
     body = Body.from_points(STALLED)
     assert (body.gaps <= 1e-4).all()
     assert (body.inner.volume < body.outer.volume).all()
+
+
+def test_errors_name_the_argument():
+    """One set of points is called what the caller calls it; of several, the message gives the number."""
+    flat = box_corners(np.array([1.0, 1.0, 0.0]))
+    with pytest.raises(loewner.GeometryError, match=r"^points: expected .* in a plane"):
+        Body.from_points(flat)
+    with pytest.raises(loewner.InputError, match=r"^points: expected shape \(n, 3\), found \(8, 2\)"):
+        Body.from_points(flat[:, :2])
+    for several in (Body.from_pieces, Bodies.from_points):
+        with pytest.raises(loewner.GeometryError, match=r"^point_sets\[1\]: expected .* in a plane"):
+            several([box_corners(np.ones(3)), flat])
+
+
+def test_options_of_meshes_are_parameters():
+    """`from_mesh` names all its options, with the defaults of `convex_pieces`, for tools to complete and check."""
+    theirs = inspect.signature(meshes.convex_pieces).parameters
+    ours = inspect.signature(Body.from_mesh).parameters
+    assert {name: p.default for name, p in ours.items() if name not in ("source", "tol")} == {
+        name: p.default for name, p in theirs.items() if name != "source"
+    }
+    with pytest.raises(TypeError, match="max_piece"):
+        Body.from_mesh("part.stl", max_piece=3)

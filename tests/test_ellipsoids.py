@@ -1,11 +1,14 @@
 """Ellipsoids: what they hold, how far they reach, how they move."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import loewner
 from loewner import Ellipsoids, GeometryError, InputError, PoseError
 
 
@@ -184,3 +187,79 @@ def test_empty_batch_gives_empty_answers():
     assert none.contains([0, 0, 0]).shape == (0,)
     assert none.semi_axes.shape == (0, 3)
     assert len(none.transformed(np.eye(4))) == 0
+
+
+# -- at the ends of the floats ------------------------------------------------------------------------------------
+
+SIZES = [5e-324, 1e-308, 1e-200, 1e-160, 1e-120, 1.0, 1e120, 1e160, 1e200, 1e307]
+
+
+# A float holds the ratio of two lengths too.
+PAIRS_OF_SIZES = [(a, b) for a in SIZES for b in SIZES if max(a, b, 1) * 1e-250 <= min(a, b, 1)]
+
+
+@pytest.mark.parametrize(("a", "b"), PAIRS_OF_SIZES)
+def test_sizes_at_the_ends_of_the_floats(a: float, b: float):
+    """Supports and boxes are right where squares of lengths leave the floats, and nothing warns."""
+    E = Ellipsoids.from_semi_axes([0, 0, 0], [a, b, 1.0])
+    for direction in np.eye(3) * [[1e-320], [1.0], [1e300]]:
+        wanted = (direction > 0) * [a, b, 1.0]
+        assert E.support(direction) == pytest.approx(wanted, rel=1e-12, abs=0)
+    lower, upper = E.bounding_box()
+    assert upper == pytest.approx([a, b, 1.0], rel=1e-12, abs=0)
+    assert np.array_equal(lower, -upper)
+    assert E.contains([0, 0, 0.5])
+    assert not E.contains([0, 0, 1.5])
+    assert E.volume >= 0
+    assert (E.shape_matrix >= 0).all()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_queries_at_the_ends_of_the_floats(size: float):
+    """Each answer is right, or there is none: no warning, no answer from numbers that overflowed."""
+    E, unit = Ellipsoids.from_semi_axes([0, 0, 0], [size, 1, 1]), Ellipsoids.from_semi_axes([0, 0, 0], [1, 1, 1])
+    for query in (
+        lambda: loewner.overlap(E, unit),
+        lambda: loewner.overlap(unit, E),
+        lambda: loewner.overlap(E, unit, method="eigenvalue"),
+        lambda: loewner.overlap(unit, E, method="eigenvalue"),
+        lambda: loewner.near_points(E, unit).distance == 0,
+    ):
+        with contextlib.suppress(loewner.LoewnerError):
+            assert query()
+
+
+def test_images_beyond_the_floats():
+    """An image that no floats can say is an error, not an ellipsoid of infinite or no extent."""
+    E = Ellipsoids.from_semi_axes([0, 0, 0], [1e200, 1, 1])
+    for A, b in [(np.eye(3) * 1e200, [0, 0, 0]), (np.eye(3) * 5e-324 / 2, [0, 0, 0]), (np.eye(3), [np.inf, 0, 0])]:
+        with pytest.raises(loewner.InputError):
+            E.affine(A, b)
+    with pytest.raises(loewner.GeometryError):
+        Ellipsoids.from_semi_axes([0], [1e-300]).affine([[1e-300]], [0])
+
+
+def test_batches_that_do_not_broadcast():
+    """The lengths are named, whichever arguments they are of."""
+    E = Ellipsoids.from_semi_axes(np.zeros((2, 3)), [1, 1, 1])
+    three = np.tile(np.eye(4), (3, 1, 1))
+    for ask in (
+        lambda: E.support(np.ones((3, 3))),
+        lambda: E.contains(np.ones((3, 3))),
+        lambda: E.transformed(three),
+        lambda: E.affine(three[:, :3, :3], np.zeros(3)),
+        lambda: E.affine(np.eye(3), np.zeros((3, 3))),
+        lambda: Ellipsoids.from_semi_axes(np.zeros((2, 3)), np.ones((3, 3))),
+        lambda: Ellipsoids.from_semi_axes(np.zeros(3), np.ones((2, 3)), three[:, :3, :3]),
+    ):
+        with pytest.raises(loewner.InputError, match=r"broadcast.*\(3,\)"):
+            ask()
+
+
+@pytest.mark.parametrize("bad", [7, -3, "a", 1.5, (0, 0), (..., None), {}, [5], np.zeros(3)], ids=repr)
+def test_bad_indices(bad: object):
+    """Each is a child of IndexError, with which a loop over a batch ends."""
+    E = Ellipsoids.from_semi_axes(np.zeros((2, 3)), [1, 1, 1])
+    with pytest.raises(loewner.BodyIndexError):
+        E[bad]
+    assert len(list(E)) == 2

@@ -169,6 +169,20 @@ def test_outside_the_limits(checker):
         planners.plan(checker, LEFT, [0.5, 7.0, UP])
 
 
+def test_limits_are_looked_at_before_all_else(checker):
+    """To start and goal in degrees, what the joints that stay differ by is not to the point."""
+    start, goal = np.degrees([0.1, 0.2, UP]), np.degrees([0.3, 0.2, -UP])
+    with (
+        pytest.warns(UserWarning, match="in millimetres|in degrees"),
+        pytest.raises(PlanningError, match=r"start: .* x = 5\.7.* outside -1 \.\. 1"),
+    ):
+        planners.plan(checker, start, goal, joints="slide")
+    with pytest.raises(PlanningError, match=r"goal: .* x = 17.* outside -1 \.\. 1"):
+        planners.plan(checker, LEFT, goal, joints="slide")
+    with pytest.raises(InputError, match="expected the start's value"):
+        planners.plan(checker, LEFT, [0.5, -0.5, 0.0], joints="slide")
+
+
 @pytest.mark.parametrize("name", ["RRTConnect", "RRT", "RRTstar"])
 def test_no_path_is_an_error(robot, name):
     """Where the wall leaves no gap; a path that only comes near the goal does not count."""

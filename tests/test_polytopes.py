@@ -162,6 +162,10 @@ BAD_POINTS = {
     "one axis": ([1.0, 2.0], InputError, "expected shape"),
     "duplicates": (np.ones((9, 3)), GeometryError, "in one place"),
     "collinear": (np.outer(np.arange(9.0), [1, 2, 3]) + 7, GeometryError, "on a line"),
+    "a sheet of 1e-16 across x": (signs(3) * [1e-16, 1, 1], GeometryError, "in a plane"),
+    "a sheet of 1e-16 across y": (signs(3) * [1, 1e-16, 1], GeometryError, "in a plane"),
+    "a sheet of 1e-16 across z": (signs(3) * [1, 1, 1e-16], GeometryError, "in a plane"),
+    "a thread of 1e-16 about y": (signs(3) * [1e-16, 1, 1e-16], GeometryError, "on a line"),
     "flat": (np.c_[polygon(9), np.ones(9)] @ [[1, 2, 0], [0.3, 1, 1], [1, 0, 2]], GeometryError, "in a plane"),
 }
 

@@ -269,7 +269,8 @@ def test_bad_configurations_are_refused(Q, words, tmp_path):
 def test_configurations_outside_the_limits_are_allowed(tmp_path):
     """Limits are for samplers; geometry has none."""
     robot = read(tmp_path, links("ab") + joint("j", "revolute", "a", "b"))
-    T = robot.forward_kinematics([[0.5], [0.5 + 2 * np.pi * 1e3], [0.5 + 2 * np.pi * 1e9]])
+    with pytest.warns(UserWarning, match="is it in degrees"):
+        T = robot.forward_kinematics([[0.5], [0.5 + 2 * np.pi * 1e3], [0.5 + 2 * np.pi * 1e9]])
     np.testing.assert_allclose(T[1], T[0], atol=1e-12)
     np.testing.assert_allclose(T[2], T[0], atol=1e-5)
 

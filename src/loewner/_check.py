@@ -6,9 +6,11 @@ Everything past this module may assume finite float64 in C order and rigid poses
 import difflib
 import math
 import operator
-from collections.abc import Iterable
+import os
+from collections.abc import Collection, Iterable
 from dataclasses import fields
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,13 @@ Floats = NDArray[np.float64]
 # Names that the message about an unknown one lists at most.
 LISTED = 30
 
+# What a count may be at most: more fits into no array.
+LARGEST_INTEGER = 2**63 - 1
+# Of random numbers: as many bits as NumPy's own seeds have.
+LARGEST_SEED = 2**128 - 1
+
+# Characters of a value that a message shows at most.
+LONGEST = 120
 # Entries of an array that is written out in the repr of a result, at most.
 FEW = 6
 
@@ -30,16 +39,63 @@ IDENTITY: Floats = np.eye(4)  # not read-only: to Numba that would be another ty
 
 
 def float_array(x: ArrayLike, name: str) -> Floats:
-    """Return `x` as a C-order float64 array; anything that is not real numbers is an error."""
-    try:
-        array = np.asarray(x)
-    except ValueError as error:
-        raise InputError(f"{name}: expected an array of numbers, found a ragged sequence ({error})") from None
-    if array.dtype == np.float64 and array.flags.c_contiguous:
+    """Return `x` as a C-order float64 array; anything that is not real numbers is an error.
+
+    Numbers are integers and floats of any size and byte order, and objects that `real` takes; not booleans, complex
+    numbers, text, dates or masked entries.
+    """
+    array = plain_array(x, name)
+    if array.dtype == np.float64 and array.flags.c_contiguous and array.flags.aligned:
         return array
-    if array.dtype.kind not in "fiub":
+    if array.dtype == np.object_:
+        return _numbers(array, name)
+    if array.dtype.kind not in "fiu":
         raise InputError(f"{name}: expected real numbers, found dtype {array.dtype}")
-    return np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+    with np.errstate(over="ignore"):  # of a longdouble: inf then, which is told as such
+        return array.astype(np.float64, order="C")
+
+
+def integer_array(x: ArrayLike, name: str) -> NDArray[np.int64]:
+    """Return `x` as a C-order int64 array; anything that is not integers of at most 63 bits is an error."""
+    array = plain_array(x, name)
+    if array.dtype == np.object_ and array.size:
+        entries = [whole_number(entry, name, -LARGEST_INTEGER) for entry in array.flat]
+        return np.array(entries, dtype=np.int64).reshape(array.shape)
+    if array.dtype.kind not in "iu" and array.size:
+        raise InputError(f"{name}: expected integers, found dtype {array.dtype}")
+    if array.dtype == np.uint64 and array.size and array.max() > LARGEST_INTEGER:
+        raise InputError(f"{name}: expected integers <= {LARGEST_INTEGER}, found {array.max()}")
+    return array.astype(np.int64, order="C")
+
+
+def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
+    """An array of whatever `x` holds, unless entries are masked: those say that there is no number."""
+    if isinstance(x, (np.ma.MaskedArray, list, tuple)):
+        for part in x if isinstance(x, (list, tuple)) else (x,):
+            if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
+                raise InputError(f"{name}: expected numbers only, found masked entries")
+    if isinstance(x, (str, bytes, bytearray)):  # of the last, NumPy would make an array of its bytes
+        raise InputError(f"{name}: expected an array of numbers, found {short(x)}")
+    try:
+        return np.asarray(x)
+    except MemoryError:
+        raise
+    except Exception as error:  # ragged, or an object of the caller's that fails to make an array of itself
+        what = "a ragged sequence" if isinstance(x, (list, tuple)) else type(x).__name__
+        raise InputError(
+            f"{name}: expected an array of numbers, found {what} ({type(error).__name__}: {error})"
+        ) from None
+
+
+def _numbers(objects: NDArray[np.object_], name: str) -> Floats:
+    """Entries that are no NumPy numbers, such as fractions or integers beyond 64 bits, one by one."""
+    array = np.empty(objects.shape)
+    for index, entry in np.ndenumerate(objects):
+        try:
+            array[index] = real(entry, name)
+        except InputError as error:
+            raise InputError(f"{error}{f' at index {index}' if index else ''}") from None
+    return array
 
 
 def shape_text(shape: Iterable[int | None | str]) -> str:
@@ -77,28 +133,110 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     return array
 
 
-def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
-    """Check a finite number above zero (or not below it, with `zero`)."""
-    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # the usual case, quickly
-        return x
+def real(x: Any, name: str, *, least: str = "") -> float:
+    """Check one finite number.
+
+    Parameters
+    ----------
+    x : number
+        An int or a float, of Python or NumPy; an array without axes; or an object that converts itself to a float, such
+        as a Fraction, a Decimal or a tensor. A boolean is no number, nor is text that reads like one.
+    name : str
+        What the caller calls it, for the message.
+    least : str
+        How the message goes on about the number expected; the caller checks that.
+
+    Raises
+    ------
+    InputError
+        If `x` is none, or neither finite nor within the range of a float.
+    """
+    if isinstance(x, (bool, np.bool_, str, bytes, bytearray)) or not _maybe_a_number(x):
+        raise InputError(f"{name}: expected a number, found {short(x)}")
     try:
         value = float(x)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected a number, found {x!r}") from None
-    if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
-        raise InputError(f"{name}: expected a finite number {'>= 0' if zero else '> 0'}, found {x!r}")
+    except OverflowError:
+        value = math.inf
+    except Exception:
+        raise InputError(f"{name}: expected a number, found {short(x)}") from None
+    if not math.isfinite(value):
+        raise InputError(f"{name}: expected a finite number{least}, found {short(x)}")
     return value
 
 
-def whole_number(x: Any, name: str, least: int) -> int:
-    """Check an integer that is not below `least`."""
+def _maybe_a_number(x: Any) -> bool:
+    """Leave out arrays with axes or a mask, and NumPy's scalars of other kinds, some of which `float` takes."""
+    if isinstance(x, (np.ndarray, np.generic)):
+        return x.ndim == 0 and x.dtype.kind in "fiuO" and not np.ma.is_masked(x)
+    return True
+
+
+def positive_scalar(x: Any, name: str, *, zero: bool = False) -> float:
+    """Check a finite number above zero (or not below it, with `zero`); see `real` for what a number is."""
+    if type(x) is float and (0.0 < x < math.inf or (zero and x == 0.0)):  # the usual case, quickly
+        return x
+    least = " >= 0" if zero else " > 0"
+    value = real(x, name, least=least)
+    if value < 0 or (value == 0 and not zero):
+        raise InputError(f"{name}: expected a finite number{least}, found {short(x)}")
+    return value
+
+
+def whole_number(x: Any, name: str, least: int, most: int = LARGEST_INTEGER) -> int:
+    """Check an integer that is neither below `least` nor above `most`; a boolean is none."""
     try:
-        value = operator.index(x)
-    except TypeError:
+        value = least - 1 if isinstance(x, bool) or np.ma.is_masked(x) else operator.index(x)
+    except Exception:  # a TypeError, or what an object of the caller's raises
         value = least - 1
-    if isinstance(x, bool) or value < least:
-        raise InputError(f"{name}: expected an integer >= {least}, found {x!r}")
+    if value < least:
+        raise InputError(f"{name}: expected an integer >= {least}, found {short(x)}")
+    if value > most:
+        raise InputError(f"{name}: expected an integer <= {most}, found {short(x)}")
     return value
+
+
+def flag(x: Any, name: str) -> bool:
+    """Check a choice between True and False; no other value is taken for either, such as the text 'no'."""
+    if x is True or x is False:
+        return bool(x)
+    if isinstance(x, np.bool_):
+        return bool(x)
+    raise InputError(f"{name}: expected True or False, found {short(x)}")
+
+
+def choice(x: Any, name: str, known: Collection[str]) -> str:
+    """Check that `x` is one of the `known` names."""
+    if isinstance(x, str) and x in known:  # first, since an array compares by entries, and a list has no hash
+        return x
+    raise UnknownNameError(f"{name}: expected one of {', '.join(known)}, found {short(x)}")
+
+
+def listed(x: Any, name: str, *, wanted: str = "a list") -> list[Any]:
+    """Check something to go through, once, and go through it; text is no list of its letters."""
+    if isinstance(x, (str, bytes, bytearray)):
+        raise InputError(f"{name}: expected {wanted}, found one text, {short(x)}")
+    try:
+        return list(x)
+    except MemoryError:
+        raise
+    except Exception:  # no iterable, or what an object of the caller's raises
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}") from None
+
+
+def callback(x: Any, name: str) -> Any:
+    """Check a function to call, or None."""
+    if x is not None and not callable(x):
+        raise InputError(f"{name}: expected a function or None, found {short(x)}")
+    return x
+
+
+def broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Shape that batch shapes broadcast to; the error names those that do not."""
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        found = ", ".join(f"{name}: {shape_text(shape)}" for name, shape in shapes.items())
+        raise InputError(f"expected batch shapes that broadcast, found {found}") from None
 
 
 def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -> Floats:
@@ -182,14 +320,56 @@ _POSE_FAULTS = {
 }
 
 
+def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
+    """Check the name of a file or folder, which need not exist.
+
+    Parameters
+    ----------
+    x : str or os.PathLike of str
+    name : str
+        What the caller calls it, for the message.
+    wanted : str
+        What it is to be, for the message.
+
+    Raises
+    ------
+    InputError
+        If `x` is no text, is empty, or holds a NUL or what the file system cannot encode (lone surrogates other
+        than those with which Python itself writes names that are not UTF-8).
+    """
+    try:
+        text = os.fspath(x)
+    except Exception as error:  # a path-like object of the caller's may raise anything
+        found = "" if isinstance(error, TypeError) else f" ({type(error).__name__}: {error})"
+        raise InputError(f"{name}: expected {wanted}, found {short(x)}{found}") from None
+    if not isinstance(text, str) or not text:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}")
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError as error:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)} ({error.reason})") from None
+    if "\0" in text:
+        raise InputError(f"{name}: expected {wanted}, found {short(text)}, which holds a NUL")
+    return Path(text)
+
+
+def short(x: Any) -> str:
+    """What a message shows of a value: its `repr`, cut where it is long, or its type if it has none."""
+    try:
+        text = repr(x)
+    except Exception:  # an object of the caller's, or an integer of more digits than Python writes
+        text = f"{type(x).__name__}, which cannot be shown"
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 20]} ... ({type(x).__name__})"
+
+
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
     """Make the error about a name that is none of the `known` ones: it lists them, and the nearest first."""
     listed = list(known)
-    nearest = difflib.get_close_matches(str(name), listed, n=1)
+    nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
     hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""
     more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
     return UnknownNameError(
-        f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {name!r}{hint}"
+        f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {short(name)}{hint}"
     )
 
 

@@ -17,12 +17,15 @@ from loewner._check import Floats
 from loewner._kernels import handles, kinematics, rigid, shapes, states
 from loewner._kernels.contact import SHAPE_ROUNDINGS
 from loewner.bodies import Bodies, Ints, Packed
-from loewner.errors import UnknownNameError
+from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
 from loewner.scenes import Pair, Scene
 
 # Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
+
+# Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
+MOST_PAIRS = 2**24
 
 # Entries of a symmetric matrix in the order of the kernels, and back.
 _UPPER = np.triu_indices(3)
@@ -125,6 +128,8 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     ------
     UnknownNameError
         If the scene names a link that the robot does not have, or a body as one of its links.
+    InputError
+        If there are more than `MOST_PAIRS` pairs.
     """
     structure_version = scene.structure_version
     _check_names(robot, scene)
@@ -136,7 +141,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
         robot, version, structure_version, names, bodies, link,
         balls=np.array([_ball(bodies._packed, k) for k in range(len(link))]).reshape(-1, 5),
         pairs=pairs,
-        margins=_margins(scene, [(names[a], names[b]) for a, b in pairs.tolist()]),
+        margins=_margins(scene, names, pairs),
         order=np.arange(len(pairs)),
         standing=np.zeros((count, states.BOUNDS), dtype=np.float32),
         standing_rows=np.zeros((start[-1] - start[0], shapes.HOT), dtype=np.float32),
@@ -150,19 +155,19 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
 
 
 def _check_names(robot: Robot, scene: Scene) -> None:
-    links, all_names = robot.link_names, (*scene.names, *robot.link_names)
+    links, all_names = set(robot.link_names), dict.fromkeys((*scene.names, *robot.link_names))
     for body, held in scene.attachments.items():
         if held.link not in links:
-            raise _check.unknown_name(f"link in attach of {body!r}", held.link, links)
+            raise _check.unknown_name(f"link in attach of {body!r}", held.link, robot.link_names)
         for name in held.touch_links:
             if name not in all_names:
-                raise _check.unknown_name(f"touch link in attach of {body!r}", name, links)
+                raise _check.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
     for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
         for name in (name for names in sorted(named) for name in names):
             if name not in all_names:
                 raise _check.unknown_name(f"body or link in {place}", name, all_names)
     for name in scene.names:
-        if name in robot.link_names:
+        if name in links:
             raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")
 
 
@@ -189,27 +194,49 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
     """Pairs of bodies, as places in `names`, the first of which moves."""
     # Links that are rigidly joined are one thing; its number is that of its first link.
     parent, kind = robot.tree[0], robot.tree[1]
-    thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))[link].tolist()
-    pairs = [
-        (a, b)
-        for a in range(len(link))
-        for b in range(a + 1, len(names))
-        if not (b < len(link) and thing[a] == thing[b]) and frozenset((names[a], names[b])) not in may_touch
-    ]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))[link]
+    moving, total = len(link), len(names)
+    others = total - 1 - np.arange(moving)  # each with all that come after it
+    if others.sum() > MOST_PAIRS:
+        raise InputError(
+            f"expected at most {MOST_PAIRS} pairs to check, found {others.sum()}: {moving} bodies that move, each "
+            f"against the others and against {total - moving} that stand; leave out bodies, or unite those that belong "
+            "together (Body.union)"
+        )
+    first = np.cumsum(others) - others  # place of each one's first pair
+    a = np.repeat(np.arange(moving), others)
+    b = np.arange(len(a)) - first[a] + a + 1
+    meet = np.ones(len(a), dtype=bool)
+    joined = np.flatnonzero(b < moving)
+    meet[joined] = thing[a[joined]] != thing[b[joined]]
+    place = {name: k for k, name in enumerate(names)}
+    for pair in may_touch:
+        at = sorted(place[name] for name in pair if name in place)
+        if len(at) == 2 and at[0] < moving:
+            meet[first[at[0]] + at[1] - at[0] - 1] = False
+    return np.stack([a[meet], b[meet]], axis=1).astype(np.int64)
 
 
-def _margins(scene: Scene, named: list[Pair]) -> Floats:
-    """What each pair keeps, metres; the scene's own margin is none of two links."""
-    own = scene.margins
-
-    def margin(a: str, b: str) -> float:
-        if a in scene or b in scene:
-            return scene.margin_of(a, b)
-        of_pair = own.get((min(a, b), max(a, b)))
-        return of_pair if of_pair is not None else max(own.get((a,), 0.0), own.get((b,), 0.0))
-
-    return np.array([margin(a, b) for a, b in named], dtype=float)
+def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
+    """What each pair keeps, metres, as `Scene.margin_of`; but the scene's own margin is none of two links."""
+    a, b = pairs.T
+    of_scene = np.array([name in scene for name in names], dtype=bool)
+    margins = np.where(of_scene[a] | of_scene[b], scene.margin, 0.0)
+    rules = scene.margins
+    if not rules:
+        return margins
+    own = np.array([rules.get((name,), np.nan) for name in names])
+    nearer = np.fmax(own[a], own[b])
+    margins = np.where(np.isnan(nearer), margins, nearer)
+    place = {name: k for k, name in enumerate(names)}
+    number = a * len(names) + b  # ascending, as the pairs are
+    for rule, margin in rules.items():
+        at = sorted(place[name] for name in rule if name in place)
+        if len(rule) == 2 and len(at) == 2:
+            found = np.searchsorted(number, at[0] * len(names) + at[1])
+            if found < len(pairs) and pairs[found].tolist() == at:
+                margins[found] = margin
+    return margins
 
 
 # -- bounds and rows --------------------------------------------------------------------------

@@ -45,6 +45,9 @@ MOST_STEPS = 2**24
 # Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
 BY_PAIR = 1024
 
+# Poses of bodies at most, of all those configurations together: 100 MB.
+POSES_AT_ONCE = 2**20 * 3 // 4
+
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
 
@@ -167,7 +170,8 @@ class CollisionChecker:
     Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
     `checked_pairs`.
 
-    A checker may be used by several threads at once.
+    A checker may be used by several threads at once, and its scene changed by others: each answer is about the scene as
+    it was at one moment.
 
     Examples
     --------
@@ -204,6 +208,7 @@ class CollisionChecker:
         self._robot = robot
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
+        skip_adjacent = None if skip_adjacent is None else _check.flag(skip_adjacent, "skip_adjacent")
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
@@ -243,7 +248,7 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Entries as `Robot.configuration_names`. Limits are not looked at: see `Robot.lower`.
+            Entries as `Robot.configuration_names`. Limits are no obstacle: see `Robot.lower`.
 
         Returns
         -------
@@ -253,11 +258,16 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, or an entry is not finite.
+            If the width is not dof, or an entry is not finite; or if there are more than 2^24 pairs to check.
         UnknownNameError
             If the scene attaches to, allows or sets a margin for a link that the robot does not have.
         ConvergenceError
             If a configuration could not be settled. It never counts as free instead.
+
+        Warns
+        -----
+        UserWarning
+            Once for a robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         checked = self.robot.checked(Q)
         out, _ = self._settle(verdicts.EXACT, checked)
@@ -396,13 +406,16 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         ready = self._ready()
         flat = _flat(checked)
-        _check.fits_memory(flat.shape[0] * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs")
+        _check.fits_memory(
+            len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
+        )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
-        for k in range(0, len(flat), BY_PAIR):
-            T = ready.poses(flat[k : k + BY_PAIR])
+        each = max(1, min(BY_PAIR, POSES_AT_ONCE // len(ready.names)))
+        for k in range(0, len(flat), each):
+            T = ready.poses(flat[k : k + each])
             for p, (a, b) in enumerate(ready.pairs.tolist()):
                 one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
-                out[k : k + BY_PAIR, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
+                out[k : k + each, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
@@ -431,10 +444,11 @@ class CollisionChecker:
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
-        # Parts, and then all of them in one: bounds; and the value, vectors and names.
-        columns_bytes = 16 + exact * (80 + 2 * np.array(ready.names).itemsize)
-        _check.fits_memory(2 * columns_bytes * len(flat), f"{len(flat)} configurations")
-        each = max(1, AT_ONCE // len(ready.pairs))
+        longest = max(map(len, ready.names))
+        exact = _check.flag(exact, "exact")
+        row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
+        _check.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
+        each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
         batch = checked.shape[:-1]
@@ -451,6 +465,7 @@ class CollisionChecker:
         ready = self._ready()
         flat = _flat(Q)
         total = len(flat)
+        _check.fits_memory(2 * total, f"{total} configurations")
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
@@ -461,7 +476,7 @@ class CollisionChecker:
         self._learn(ready, total)
         if mode == verdicts.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
-                out[k] = self._settle_with_care(ready, flat[k])
+                out[k], tiers[k] = self._settle_with_care(ready, flat[k]), verdicts.BY_SEARCH
         return out, tiers
 
     def _parts(self, a: Floats, b: Floats, step: float) -> Any:
@@ -522,15 +537,16 @@ class CollisionChecker:
 
     def _ready(self) -> CheckedPairs:
         """What the kernel takes, made anew if the scene has changed."""
-        # Read before all else: whatever another thread changes meanwhile is then noticed the next time.
-        ready, scene, version = self._prepared, self._scene, self._scene.version
-        if ready is not None and ready.version == version:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             return ready
+        # Of one moment: what another thread changes meanwhile is noticed the next time.
+        scene = self._scene.snapshot()
         if ready is None or ready.structure_version != scene.structure_version:
-            ready = prepared(self._robot, scene, self._skipped, version)
+            ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
-            ready = ready.placed(scene, version)
+            ready = ready.placed(scene, scene.version)
         self._prepared = ready
         return ready
 
@@ -615,6 +631,8 @@ def pairs_by_sampling(
     samples = _check.whole_number(samples, "samples", 1)
     if not 0 < _check.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
     counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
     known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import json
 import os
 import sys
@@ -26,6 +27,7 @@ import numpy as np
 import loewner
 from loewner import _check as border
 from loewner._check import Floats
+from loewner._files import read_regular
 from loewner._rotations import from_quaternion
 from loewner.compilation import PARTS, compile_kernels
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
@@ -42,6 +44,10 @@ WORTH_TELLING = 0.01
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
 AT_ONCE = 50_000
+
+# The largest file of configurations that is read [bytes].
+MOST_BYTES = 2**33
+
 LISTED = 20
 
 FIT_EXAMPLES = """examples:
@@ -112,10 +118,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     FREE...
     0
     """
-    options = _parser().parse_args(arguments)
     try:
-        status = int(options.run(options))
-        sys.stdout.flush()
+        options = _parser().parse_args(None if arguments is None else _words(arguments))
+        with _any_name_printed():
+            status = int(options.run(options))
+            sys.stdout.flush()
         return status
     except LoewnerError as error:
         print(f"loewner: error: {error}", file=sys.stderr)
@@ -126,6 +133,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python's own status for a crash is 1, which here says "colliding".
         traceback.print_exc()
     return ERROR
+
+
+@contextmanager
+def _any_name_printed() -> Iterator[None]:
+    """Escape what standard output cannot encode, such as names of files that are not UTF-8, instead of failing."""
+    out = sys.stdout
+    if not isinstance(out, io.TextIOWrapper):
+        yield
+        return
+    before = out.errors
+    out.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        out.reconfigure(errors=before)
+
+
+def _words(arguments: Any) -> list[str]:
+    words = border.listed(arguments, "arguments")
+    for word in words:
+        if not isinstance(word, str):
+            raise InputError(f"arguments: expected text only, found {border.short(word)}")
+    return words
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -337,6 +367,7 @@ def _covering_text(covering: loewner.Covering | None) -> str:
 
 
 def _make_folder(folder: Path) -> None:
+    border.path(folder, "--out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -577,13 +608,12 @@ def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
     """Numbers of a .npy or .csv file, in the order of the robot's columns."""
     if path.suffix.lower() not in (".npy", ".csv"):
         raise FileError(f"{path}: expected a .npy or .csv file, found {path.suffix or 'no suffix'}")
+    data = read_regular(path, "configurations", MOST_BYTES)
     try:
         if path.suffix.lower() == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(path.read_text().splitlines()) if any(row)]
-    except OSError as error:
-        raise FileError(f"{path}: expected configurations, found {(error.strerror or str(error)).lower()}") from None
-    except (ValueError, EOFError):
+            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode().splitlines()) if any(row)]
+    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = list(robot.configuration_names)
     if rows and any(";" in cell for cell in rows[0]):

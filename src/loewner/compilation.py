@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from loewner import _check
 from loewner._kernels._jit import CACHE_FOLDER
-from loewner.errors import FileError, UnknownNameError
+from loewner.errors import FileError
 
 _ARM = """<robot name="arm">
   <link name="base"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
@@ -97,15 +98,14 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
 
     Raises
     ------
-    UnknownNameError
+    InputError, UnknownNameError
         If there is no such part.
     FileError
         If a part cannot be compiled, or the folder not be written; with what the process said.
     """
-    wanted = set(parts)
-    if wanted - set(PARTS):
-        raise UnknownNameError(f"parts: expected some of {', '.join(PARTS)}, found {sorted(wanted - set(PARTS))[0]!r}")
+    wanted = [_check.choice(name, "parts", PARTS) for name in _check.listed(parts, "parts")]
     chosen = [name for name in PARTS if name in wanted]
+    _check.callback(progress, "progress")
     done = 0
     with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
         running = [pool.submit(_compile_apart, name) for name in chosen]

@@ -12,7 +12,7 @@ from loewner._guard import guarded
 from loewner._kernels import batch, boxtree, careful, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Ints, Packed
-from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a crowd that is worth handing to a thread.
 CHUNK = 4096
@@ -73,8 +73,7 @@ def overlapping_pairs(
     >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
     array([[0, 1]])
     """
-    if method not in MODES:
-        raise UnknownNameError(f"method: expected one of {', '.join(MODES)}, found {method!r}")
+    mode = MODES[_check.choice(method, "method", MODES)]
     keep = _check.positive_scalar(margin, "margin", zero=True)
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
@@ -87,7 +86,7 @@ def overlapping_pairs(
     counts: list[int] = []  # of the pairs found so far
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(MODES[method], keep, first, last, tree, steps, operands, counts)
+        return _settled(mode, keep, first, last, tree, steps, operands, counts)
 
     leaves = -(-n // boxtree.WIDE)
     keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxtree.WIDE))

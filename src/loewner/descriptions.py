@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,10 @@ from xml.parsers import expat
 
 import numpy as np
 
+from loewner import _check
 from loewner._check import Floats
+from loewner._files import read_regular
+from loewner._plausible import FARTHEST_LIMIT, doubt_about_rpy, warn
 from loewner._rotations import from_rpy
 from loewner.errors import FileError, GeometryError, InputError, LoewnerError, UnknownNameError
 
@@ -49,6 +51,22 @@ SRDF_TAGS = frozenset((
     "end_effector", "passive_joint", "joint_property", "link_sphere_approximation",
     "gripper", "handle", "contact", "position", "rotor_params", "specificities",
 ))  # fmt: skip
+
+# What a description may have at most: the largest robots known have a hundredth of it. Bytes of a file; elements, and
+# how deep they are nested; pairs of links that the rules of an SRDF, or links without shapes, may make; joints in all
+# groups together.
+MOST_BYTES = 2**25
+MOST_ELEMENTS = 250_000
+DEEPEST = 100
+MOST_PAIRS = 2**22
+MOST_MEMBERS = 2**22
+
+# A number in a description that is larger is none: lengths, factors and offsets [m, rad, 1]. What is made of some
+# thousands of them is still finite.
+LARGEST = 1e12
+
+# Names that a message lists at most.
+LISTED = 30
 
 # An SRDF that knows less than this share of the names it could know was written for another robot.
 LEAST_IN_COMMON = 0.25
@@ -190,18 +208,19 @@ class _Element:
         text = self.attributes.get(attribute, default)
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
-        try:
-            values = [float(word) for word in text.split()]
+        try:  # Python would take "1_0" for ten, and digits of all the world's scripts
+            values = [float(word) for word in text.split()] if text.isascii() and "_" not in text else []
         except ValueError:
             values = []
         if len(values) != count or any(math.isnan(v) for v in values):
-            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", repr(text))
+            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", _cut(text))
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
         values = self.numbers(attribute, count, default)
-        if not all(math.isfinite(v) for v in values):
-            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>", repr(self.attributes[attribute]))
+        if not all(abs(v) <= LARGEST for v in values):
+            found = _cut(self.attributes[attribute])
+            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>, none beyond {LARGEST:g}", found)
         return values
 
     def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:
@@ -212,27 +231,35 @@ def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
     """Root element of a robot description."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
-    if not isinstance(path, (str, os.PathLike)):
-        raise InputError(f"expected a path to {what}, found {path!r}")
-    path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"{path}: expected {what}, found {(error.strerror or str(error)).lower()}") from None
+    path = _check.path(path, "path", wanted=f"a path to {what}")
+    data = read_regular(path, what, MOST_BYTES)
     parser = expat.ParserCreate()
     document = _Element("", {}, 1, path)
     open_elements = [document]
+    count = 0
+
+    def refuse(found: str) -> NoReturn:
+        raise FileError(f"{path}, line {parser.CurrentLineNumber}: expected {what}, found {found}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_ELEMENTS or len(open_elements) > DEEPEST:
+            most = f"{MOST_ELEMENTS} elements" if count > MOST_ELEMENTS else f"{DEEPEST} elements inside each other"
+            refuse(f"more than {most}")
         element = _Element(tag, attributes, parser.CurrentLineNumber, path)
         open_elements[-1].children.append(element)
         open_elements.append(element)
 
+    # Entities can stand for more text than memory holds, or for other files; no description needs one of its own.
+    parser.EntityDeclHandler = lambda name, *rest: refuse(f"the declaration of an entity, {_cut(name)}")
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: open_elements.pop()
     try:
         parser.Parse(data, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:  # the last two: an encoding nobody knows
+    except FileError:
+        raise
+    except (expat.ExpatError, ValueError, LookupError, MemoryError) as error:  # an encoding that nobody knows, or large
         line = getattr(error, "lineno", 1)
         raise FileError(f"{path}, line {line}: expected {what}, found broken XML ({error})") from None
     root = document.children[0]
@@ -274,16 +301,14 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     Warns
     -----
     UserWarning
-        If a joint mimics one that does not exist.
+        If a joint mimics one that does not exist, or the angles of an origin seem to be in degrees.
     """
     root = _read_xml(path, "a URDF")
     links = _by_name(root.all("link"))
     if not links:
         root.fault("at least one <link>", "none")
     joints = {name: _joint(e, links) for name, e in _by_name(root.all("joint")).items()}
-    for name, joint in joints.items():
-        joints[name] = _with_known_mimic(joint, joints, root.path)
-    joints = {name: _without_chain(joint, joints, root.path) for name, joint in joints.items()}
+    joints = _without_chains(_with_known_mimics(joints, root.path), root.path)
     joint_above: dict[str, Joint] = {}
     for joint in joints.values():
         before = joint_above.setdefault(joint.child, joint)
@@ -293,6 +318,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
                 f"{before.name!r} and {joint.name!r}"
             )
     order = _parents_first(root, list(links), joint_above)
+    _doubt_angles(root)
     return Description(
         name=root.attributes.get("name", root.path.stem),
         path=root.path,
@@ -333,7 +359,7 @@ def _parents_first(root: _Element, links: list[str], joint_above: dict[str, Join
     """Order links depth first from the one root."""
     tops = [name for name in links if name not in joint_above]
     if len(tops) > 1:
-        root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {', '.join(tops)}")
+        root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {_some(tops)}")
     below: dict[str, list[str]] = {name: [] for name in links}
     for name in links:
         if name in joint_above:
@@ -344,8 +370,9 @@ def _parents_first(root: _Element, links: list[str], joint_above: dict[str, Join
         order.append(name)
         waiting.extend(reversed(below[name]))
     if len(order) < len(links):
-        lost = [name for name in links if name not in set(order)]
-        root.fault("a tree", f"a cycle: {', '.join(lost)} do not hang on a root")
+        reached = set(order)
+        lost = [name for name in links if name not in reached]
+        root.fault("a tree", f"a cycle: {_some(lost)} do not hang on a root")
     return order
 
 
@@ -386,7 +413,7 @@ def _axis(joint: _Element, kind: str) -> Floats:
         return np.array([1.0, 0.0, 0.0])
     if element is None:
         return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
-    axis = np.array(element.finite("xyz", 3, "1 0 0"))
+    axis = np.array(element.finite("xyz", 3))
     largest = np.abs(axis).max()
     if largest == 0:
         element.fault(f"an axis of length above 0 for joint {joint.text('name')!r}", "0 0 0")
@@ -404,6 +431,9 @@ def _limits(joint: _Element, kind: str) -> tuple[float, float]:
     (lower,), (upper,) = element.numbers("lower", 1, "0"), element.numbers("upper", 1, "0")
     if lower > upper:
         element.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
+    if lower > FARTHEST_LIMIT or upper < -FARTHEST_LIMIT:
+        expected = f"limits that leave joint {joint.text('name')!r} values within ±{FARTHEST_LIMIT:g}"
+        element.fault(expected, f"{lower:g} .. {upper:g}")
     return lower, upper
 
 
@@ -416,39 +446,69 @@ def _mimic(joint: _Element, kind: str) -> Mimic | None:
     return Mimic(element.text("joint"), element.finite("multiplier", 1, "1")[0], element.finite("offset", 1, "0")[0])
 
 
-def _with_known_mimic(joint: Joint, joints: Collection[str], path: Path) -> Joint:
-    """Give a joint that mimics one which does not exist a value of its own, as MoveIt and pinocchio do, and say so."""
-    if joint.mimic is None or joint.mimic.joint in joints:
-        return joint
-    warnings.warn(
-        f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "
-        f"{joint.mimic.joint!r}; it gets a value of its own. {known(joints)}",
-        stacklevel=4,
-    )
-    return replace(joint, mimic=None)
+def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+    """Give joints that mimic one which does not exist a value of their own, as MoveIt and pinocchio do, and say so."""
+    lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
+    for count, joint in enumerate(lost.values()):
+        if count == LISTED:
+            warn(f"{path}: {len(lost) - LISTED} more joints mimic one that does not exist")
+            break
+        warn(
+            f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "
+            f"{joint.mimic.joint if joint.mimic else None!r}; it gets a value of its own. {known(joints)}"
+        )
+    return {name: replace(joint, mimic=None) if name in lost else joint for name, joint in joints.items()}
 
 
-def _without_chain(joint: Joint, joints: dict[str, Joint], path: Path) -> Joint:
-    """Let a joint mimic the one at the end of its chain."""
-    if joint.mimic is None:
-        return joint
-    multiplier, offset, seen, at = 1.0, 0.0, [joint.name], joint
-    while at.mimic is not None:
-        offset += multiplier * at.mimic.offset
-        multiplier *= at.mimic.multiplier
-        at = joints[at.mimic.joint]
-        if at.name in seen:
-            raise InputError(
-                f"{path}, line {joint.line}: expected {joint.name!r} to mimic a joint with a value of its own, "
-                f"found a ring: {', '.join(seen)}"
-            )
-        seen.append(at.name)
-    if VALUES[at.kind] != ("",):
+def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+    """Let each joint that mimics another mimic the one at the end of its chain."""
+    found = {name: joint for name, joint in joints.items() if joint.mimic is None}
+    for start in joints.values():
+        chain: dict[str, Joint] = {}  # from the start up to one that is settled, in order
+        at = start
+        while at.name not in found:
+            if at.name in chain:
+                raise InputError(
+                    f"{path}, line {start.line}: expected {start.name!r} to mimic a joint with a value of its own, "
+                    f"found a ring: {_some(chain)}"
+                )
+            chain[at.name] = at
+            at = joints[at.mimic.joint if at.mimic else at.name]
+        for joint in reversed(chain.values()):
+            found[joint.name] = _mimicking(joint, found[joint.mimic.joint if joint.mimic else joint.name], path)
+    return {name: found[name] for name in joints}
+
+
+def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
+    """Let a joint mimic the one that the joint which it follows mimics, if that does."""
+    own = joint.mimic
+    assert own is not None
+    if VALUES[followed.kind] != ("",):
         raise InputError(
             f"{path}, line {joint.line}: expected a joint of one value for {joint.name!r} to mimic, "
-            f"found {at.name!r}, which is {at.kind}"
+            f"found {followed.name!r}, which is {followed.kind}"
         )
-    return replace(joint, mimic=Mimic(at.name, multiplier, offset))
+    if followed.mimic is None:
+        return joint
+    end = followed.mimic
+    mimic = Mimic(end.joint, own.multiplier * end.multiplier, own.multiplier * end.offset + own.offset)
+    if not (abs(mimic.multiplier) <= LARGEST and abs(mimic.offset) <= LARGEST):
+        raise InputError(
+            f"{path}, line {joint.line}: expected {joint.name!r}, which mimics {followed.name!r}, which mimics "
+            f"{end.joint!r}, to move by a finite multiple of it, found the multiplier {mimic.multiplier:g} and the "
+            f"offset {mimic.offset:g} (the largest allowed is {LARGEST:g})"
+        )
+    return replace(joint, mimic=mimic)
+
+
+def _doubt_angles(root: _Element) -> None:
+    """Say so if the origins of a URDF seem to be in degrees: once, for all of them are then."""
+    for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
+        origin = owner.first("origin")
+        doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))
+        if origin is not None and doubt:
+            warn(f"{root.path}, line {origin.line}: expected {doubt}")
+            return
 
 
 def _origin(element: _Element) -> Floats:
@@ -534,9 +594,7 @@ class _Names:
                 f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
                 f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
             )
-        warnings.warn(
-            f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}", stacklevel=4
-        )
+        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}")
 
 
 def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
@@ -570,7 +628,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     states = _states(root, names, groups)
     names.settle(root.path)
     for fault in _oddities(root, names):
-        warnings.warn(f"{root.path}: {fault}", stacklevel=3)
+        warn(f"{root.path}: {fault}")
     return Semantics(groups, states, disabled)
 
 
@@ -581,7 +639,7 @@ def _oddities(root: _Element, names: _Names) -> Iterator[str]:
         yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
     odd = [e for e in root.children if e.tag not in SRDF_TAGS]
     if odd:
-        found = ", ".join(dict.fromkeys(f"<{e.tag}>" for e in odd))
+        found = _some(f"<{e.tag}>" for e in odd)
         yield f"left out elements that an SRDF does not have: {found}, first in line {odd[0].line}"
     if not names.known:
         yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
@@ -589,8 +647,13 @@ def _oddities(root: _Element, names: _Names) -> Iterator[str]:
 
 def _disabled_pairs(root: _Element, names: _Names) -> frozenset[tuple[str, str]]:
     disabled: set[tuple[str, str]] = set()
-    for element in root.all("disable_default_collisions"):
-        link = names.link(element, "link")
+    alone = list(dict.fromkeys(names.link(e, "link") for e in root.all("disable_default_collisions")))
+    if len(alone) * len(names.robot.shapes) > MOST_PAIRS:
+        root.fault(
+            f"<disable_default_collisions> of at most {MOST_PAIRS} pairs",
+            f"{len(alone)} links with {len(names.robot.shapes)} others each",
+        )
+    for link in alone:
         if link is not None:
             disabled |= {_sorted_pair(link, other) for other in names.robot.shapes if other != link}
     for tag, change in (("enable_collisions", disabled.discard), ("disable_collisions", disabled.add)):
@@ -606,44 +669,87 @@ def _sorted_pair(a: str, b: str) -> tuple[str, str]:
 
 
 def _groups(root: _Element, names: _Names) -> dict[str, tuple[str, ...]]:
+    """Driven joints of each group, in the order of the URDF."""
     elements = _by_name(root.all("group"))
-    driven = names.robot.driven
+    place = {joint: k for k, joint in enumerate(names.robot.driven)}
+    depth: dict[str, int] = {}
+    for link in names.robot.shapes:
+        above = names.robot.joint_above.get(link)
+        depth[link] = 0 if above is None else depth[above.parent] + 1
+    own: dict[str, frozenset[str]] = {}
+    inner: dict[str, list[str]] = {}
+    total = 0
 
-    def members(group: str, within: tuple[str, ...]) -> set[str]:
-        if group in within:
-            elements[group].fault("groups that do not contain themselves", " in ".join((*within, group)))
-        found: set[str | None] = set()
-        for e in elements[group].children:
-            if e.tag == "joint":
-                found.add(names.joint(e))
-            elif e.tag == "link":
-                above = names.robot.joint_above.get(names.link(e, "name") or "")
-                found.add(above.name if above else None)
-            elif e.tag == "chain":
-                found |= _chain(names.robot, names.link(e, "base_link"), names.link(e, "tip_link"))
-            elif e.tag == "group":
-                inner = names.group(e, "name", elements)
-                if inner is None:
-                    continue
-                found |= members(inner, (*within, group))
-        return {name for name in found if name is not None}
+    def count(more: int, element: _Element) -> None:
+        nonlocal total
+        total += more
+        if total > MOST_MEMBERS:
+            element.fault(f"groups of at most {MOST_MEMBERS} joints, all together", "more")
 
-    inside = {name: members(name, ()) for name in elements}
-    return {name: tuple(j for j in driven if j in inside[name]) for name in elements}
+    for name, element in elements.items():
+        listed: list[str] = []
+        for e in element.children:
+            found = _named_joints(e, names, depth)
+            count(len(found), e)
+            listed += found
+        own[name] = frozenset(listed)
+        inside = (names.group(e, "name", elements) for e in element.all("group"))
+        inner[name] = [group for group in dict.fromkeys(inside) if group is not None]
+    members: dict[str, frozenset[str]] = {}
+    for name in _innermost_first(elements, inner):
+        members[name] = own.pop(name).union(*(members[group] for group in inner[name])) & place.keys()
+        count(len(members[name]), elements[name])
+    return {name: tuple(sorted(members[name], key=place.__getitem__)) for name in elements}
 
 
-def _chain(robot: Description, base: str | None, tip: str | None) -> set[str]:
+def _named_joints(element: _Element, names: _Names, depth: dict[str, int]) -> list[str]:
+    """Joints that an entry of a group means: one, the one above a link, or those between links."""
+    if element.tag == "joint":
+        joint = names.joint(element)
+        return [] if joint is None else [joint]
+    if element.tag == "link":
+        above = names.robot.joint_above.get(names.link(element, "name") or "")
+        return [] if above is None else [above.name]
+    if element.tag == "chain":
+        return _chain(names.robot, depth, names.link(element, "base_link"), names.link(element, "tip_link"))
+    return []
+
+
+def _innermost_first(elements: dict[str, _Element], inner: dict[str, list[str]]) -> list[str]:
+    """Order groups such that each comes after those inside it."""
+    order: list[str] = []
+    done: set[str] = set()
+    for start in elements:
+        within: dict[str, Iterator[str]] = {} if start in done else {start: iter(inner[start])}  # from outside inwards
+        while within:
+            name = next(reversed(within))
+            group = next(within[name], None)
+            if group is None:
+                del within[name]
+                done.add(name)
+                order.append(name)
+            elif group in within:
+                names = list(within)
+                ring = [*names[names.index(group) :], group]
+                more = f" ... and {len(ring) - LISTED} more" if len(ring) > LISTED else ""
+                elements[group].fault("groups that do not contain themselves", " in ".join(ring[:LISTED]) + more)
+            elif group not in done:
+                within[group] = iter(inner[group])
+    return order
+
+
+def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
     """Joints between two links."""
+    found: list[str] = []
     if base is None or tip is None:
-        return set()
-    above = []
-    for link in (base, tip):
-        joints = []
-        while link in robot.joint_above:
-            joints.append(robot.joint_above[link].name)
-            link = robot.joint_above[link].parent
-        above.append(set(joints))
-    return above[0] ^ above[1]
+        return found
+    while base != tip:
+        if depth[base] < depth[tip]:
+            base, tip = tip, base
+        above = robot.joint_above[base]
+        found.append(above.name)
+        base = above.parent
+    return found
 
 
 def _states(
@@ -672,5 +778,17 @@ def _states(
 
 def known(names: Iterable[str]) -> str:
     """Names for people."""
-    listed = ", ".join(sorted(names))
+    listed = _some(sorted(names))
     return f"known are {listed}" if listed else "there are none"
+
+
+def _some(names: Iterable[str]) -> str:
+    """Names for people, each once, as many as one would read."""
+    once = list(dict.fromkeys(names))
+    more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
+    return ", ".join(once[:LISTED]) + more
+
+
+def _cut(text: str) -> str:
+    """A text of a file for a message."""
+    return repr(text) if len(text) <= 80 else f"{text[:80]!r} and more"

@@ -19,7 +19,7 @@ from loewner._guard import guarded
 from loewner._kernels import near_points as _near
 from loewner._kernels import pair_contact as _contact
 from loewner.ellipsoids import Ellipsoids
-from loewner.errors import ConvergenceError, InputError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError
 
 OVERLAP_METHODS = ("perram-wertheim", "eigenvalue")
 NEAR_POINT_METHODS = {"rimon-boyd": _near.RIMON_BOYD, "lin-han": _near.LIN_HAN, "center-line": _near.CENTER_LINE}
@@ -98,10 +98,15 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     >>> bool(overlap(a, b))
     True
     """
-    if method not in OVERLAP_METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(OVERLAP_METHODS)}, found {method!r}")
-    if method == "eigenvalue":
-        return _overlap_by_eigenvalue(_Pair(E1, E2, "overlap", dim=None))
+    if _check.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
+        pair = _Pair(E1, E2, "overlap", dim=None)
+        try:
+            with np.errstate(all="ignore"):  # what leaves the floats misses the second ellipsoid, and is told so
+                return _overlap_by_eigenvalue(pair)
+        except np.linalg.LinAlgError as error:
+            raise ConvergenceError(
+                f'overlap: the eigenproblem has no solution in floats ({error}); use method="perram-wertheim"'
+            ) from None
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
 
@@ -184,16 +189,13 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     >>> near_points(a, b).distance.round(12).item()
     2.0
     """
-    if method not in NEAR_POINT_METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(NEAR_POINT_METHODS)}, found {method!r}")
+    code = NEAR_POINT_METHODS[_check.choice(method, "method", NEAR_POINT_METHODS)]
     tolerance = _check.positive_scalar(angle, "angle")
     pair = _Pair(E1, E2, "near_points")
     n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
-    _near.near_points_of_pairs(
-        NEAR_POINT_METHODS[method], pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status
-    )
+    _near.near_points_of_pairs(code, pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status)
     failed = np.flatnonzero(status == _near.UNCONVERGED)
     if failed.size:
         raise ConvergenceError(
@@ -238,18 +240,12 @@ class _Pair:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
         if dim is not None and E1.dim != dim:
             raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
-        try:
-            self.batch = np.broadcast_shapes(E1.batch_shape, E2.batch_shape)
-        except ValueError:
-            raise InputError(
-                f"{caller}: expected batch shapes that broadcast, found "
-                f"{_check.shape_text(E1.batch_shape)} and {_check.shape_text(E2.batch_shape)}"
-            ) from None
+        self.batch = _check.broadcast({"E1": E1.batch_shape, "E2": E2.batch_shape})
         n = E1.dim
         self.c1 = self._flat(E1.center, n)
         F1, F2 = self._flat(E1.factor, n, n), self._flat(E2.factor, n, n)
         largest = np.maximum(np.abs(F1).max(axis=(1, 2), initial=0.0), np.abs(F2).max(axis=(1, 2), initial=0.0))
-        self.scale = np.ldexp(1.0, np.frexp(largest)[1])
+        self.scale = np.ldexp(1.0, np.minimum(np.frexp(largest)[1], 1023))  # 2^1024 is beyond the floats
         with np.errstate(over="ignore"):
             self.offset = (self._flat(E2.center, n) - self.c1) / self.scale[:, None]
         if not np.isfinite(self.offset).all():
@@ -305,11 +301,10 @@ def _overlap_by_eigenvalue(pair: _Pair) -> NDArray[np.bool_]:
 
     # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar; the inverse by the singular values already at hand. A point off
     # E2 (or NaN) tells that the eigenvalue lost its digits, and then it decides nothing.
-    with np.errstate(all="ignore"):
-        coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
-        y = np.einsum("kij,kj->ki", V, coordinates)
-        miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
-        touches = (y**2).sum(axis=-1) <= 1.0
+    coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
+    y = np.einsum("kij,kj->ki", V, coordinates)
+    miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
+    touches = (y**2).sum(axis=-1) <= 1.0
     lost = np.flatnonzero(~inside & ~(miss <= EIGENVALUE_MISS))
     if lost.size:
         raise ConvergenceError(

@@ -12,7 +12,7 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._guard import guarded
 from loewner._kernels import rigid
-from loewner.errors import GeometryError, InputError
+from loewner.errors import BodyIndexError, GeometryError, InputError
 
 
 @guarded
@@ -96,10 +96,14 @@ class Ellipsoids:
         Q = _check.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
         if Q.shape[-1] != Q.shape[-2]:
             raise InputError(f"shape_matrix: expected square matrices, found shape {_check.shape_text(Q.shape)}")
-        if Q.size and np.abs(Q - np.swapaxes(Q, -1, -2)).max() > 1e-9 * np.abs(Q).max():
+        half, other = (
+            Q / 2,
+            np.swapaxes(Q, -1, -2) / 2,
+        )  # halves, since whole ones may add up to more than a float holds
+        if Q.size and np.abs(half - other).max() > 1e-9 * np.abs(half).max():
             raise GeometryError("shape_matrix: expected a symmetric matrix, found Q != Qᵀ")
         try:
-            return cls(center, np.linalg.cholesky((Q + np.swapaxes(Q, -1, -2)) / 2))
+            return cls(center, np.linalg.cholesky(half + other))
         except np.linalg.LinAlgError:
             raise GeometryError("shape_matrix: expected a positive definite matrix") from None
 
@@ -133,12 +137,14 @@ class Ellipsoids:
         F = axes[..., None, :] * np.eye(axes.shape[-1])
         if rotation is not None:
             R = _check.finite_array(rotation, "rotation", ("...", axes.shape[-1], axes.shape[-1]))
-            defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
-            if defect > rigid.ROTATION_TOLERANCE:
+            _check.broadcast({"rotation": R.shape[:-2], "semi_axes": axes.shape[:-1]})
+            with np.errstate(over="ignore", invalid="ignore"):
+                defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
+            if not defect <= rigid.ROTATION_TOLERANCE:
                 raise InputError(f"rotation: expected an orthogonal matrix, found a departure of {defect:.3g}")
             F = R @ F
         c = _check.finite_array(center, "center", ("...", axes.shape[-1]))
-        batch = np.broadcast_shapes(c.shape[:-1], F.shape[:-2])
+        batch = _check.broadcast({"center": c.shape[:-1], "semi_axes and rotation": F.shape[:-2]})
         return cls(np.broadcast_to(c, (*batch, c.shape[-1])), np.broadcast_to(F, (*batch, *F.shape[-2:])))
 
     # -- what it is ---------------------------------------------------------------------------
@@ -160,9 +166,17 @@ class Ellipsoids:
 
     def __getitem__(self, index: int | slice | tuple[int | slice, ...] | Floats) -> Ellipsoids:
         if not self.batch_shape:
-            raise IndexError("one ellipsoid cannot be indexed; a batch can")
-        c = self.center[index]
-        return Ellipsoids._trusted(c, self.factor[index].reshape(*c.shape, self.dim))
+            raise BodyIndexError("one ellipsoid cannot be indexed; a batch can")
+        try:
+            c, F = self.center[index], self.factor[index]
+        except Exception as error:  # an IndexError, or what an object of the caller's raises
+            raise BodyIndexError(
+                f"expected an index into a batch of shape {_check.shape_text(self.batch_shape)}, "
+                f"found {_check.short(index)} ({error})"
+            ) from None
+        if c.shape[-1:] != (self.dim,) or F.shape != (*c.shape, self.dim):
+            raise BodyIndexError(f"expected an index of the batch only, found {_check.short(index)}")
+        return Ellipsoids._trusted(c, F)
 
     def __repr__(self) -> str:
         if self.batch_shape or self.dim > _check.FEW:
@@ -172,8 +186,9 @@ class Ellipsoids:
     @property
     @guarded
     def shape_matrix(self) -> Floats:
-        """Q = F Fᵀ, shape (..., n, n), in square metres."""
-        return self.factor @ np.swapaxes(self.factor, -1, -2)
+        """Q = F Fᵀ, shape (..., n, n), in square metres; infinite or 0 where a float cannot hold the square."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.factor @ np.swapaxes(self.factor, -1, -2)
 
     @property
     @guarded
@@ -200,8 +215,9 @@ class Ellipsoids:
     @property
     @guarded
     def volume(self) -> Floats:
-        """Volume (area for n = 2), shape (...), in m^n."""
-        return np.exp(self.log_volume)
+        """Volume (area for n = 2), shape (...), in m^n; infinite or 0 beyond the floats, where `log_volume` is not."""
+        with np.errstate(over="ignore"):
+            return np.exp(self.log_volume)
 
     # -- what it answers ----------------------------------------------------------------------
 
@@ -223,10 +239,13 @@ class Ellipsoids:
         array([4., 0.])
         """
         d = _check.finite_array(direction, "direction", ("...", self.dim))
-        w = np.einsum("...ji,...j->...i", self.factor, d)
-        length = np.linalg.norm(w, axis=-1, keepdims=True)
-        if not (length > 0).all():
+        _check.broadcast({"direction": d.shape[:-1], "the batch": self.batch_shape})
+        if d.size and not d.any(axis=-1).all():
             raise InputError("direction: expected a non-zero vector, found zero")
+        w = np.einsum("...ji,...j->...i", _near_one(self.factor, (-2, -1))[0], _near_one(d, (-1,))[0])
+        w = _near_one(w, (-1,))[0]
+        length = np.linalg.norm(w, axis=-1, keepdims=True)
+        length[length == 0] = 1.0  # no float is as short as the way from the center to the support
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -246,12 +265,13 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([0, 0], [3, 2]).contains([[2.9, 0], [0, 2.1]])
         array([ True, False])
         """
-        x = _check.finite_array(points, "points", ("...", self.dim)) - self.center
-        batch = np.broadcast_shapes(x.shape[:-1], self.batch_shape)
-        x = np.broadcast_to(x, (*batch, self.dim))
+        p = _check.finite_array(points, "points", ("...", self.dim))
+        batch = _check.broadcast({"points": p.shape[:-1], "the batch": self.batch_shape})
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
-        u = np.linalg.solve(F, x[..., None])[..., 0]
-        return np.asarray((u * u).sum(axis=-1) <= 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is beyond the floats is outside
+            x = np.broadcast_to(p - self.center, (*batch, self.dim))
+            u = np.linalg.solve(F, x[..., None])[..., 0]
+            return np.asarray((u * u).sum(axis=-1) <= 1.0)
 
     def bounding_box(self) -> tuple[Floats, Floats]:
         """Lower and upper corner of the axis-aligned box, each of shape (..., n).
@@ -266,7 +286,8 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).bounding_box()
         (array([-2., -2.]), array([4., 2.]))
         """
-        half = np.sqrt((self.factor**2).sum(axis=-1))
+        F, exponent = _near_one(self.factor, (-1,))
+        half = np.ldexp(np.sqrt((F**2).sum(axis=-1)), exponent[..., 0])
         return self.center - half, self.center + half
 
     # -- how it moves -------------------------------------------------------------------------
@@ -289,7 +310,7 @@ class Ellipsoids:
         PoseError
             If T is no rigid motion.
         InputError
-            If the ellipsoids are not in space.
+            If the ellipsoids are not in space, or batch shapes do not broadcast.
 
         Examples
         --------
@@ -301,6 +322,7 @@ class Ellipsoids:
         if self.dim != 3:
             raise InputError(f"transformed: expected ellipsoids in 3-D, found dimension {self.dim}; use affine")
         P = _check.poses(T, "T")
+        _check.broadcast({"T": P.shape[:-2], "the batch": self.batch_shape})
         return self._mapped(P[..., :3, :3], P[..., :3, 3])
 
     def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
@@ -320,7 +342,9 @@ class Ellipsoids:
         Raises
         ------
         GeometryError
-            If A is singular.
+            If A is singular, or the image larger or thinner than floats can say.
+        InputError
+            On wrong shapes or entries that are not finite, or if batch shapes do not broadcast.
 
         Examples
         --------
@@ -331,9 +355,20 @@ class Ellipsoids:
         b_ = _check.finite_array(b, "b", ("...", self.dim))
         if A_.size and not (np.linalg.svd(A_, compute_uv=False)[..., -1] > 0).all():
             raise GeometryError("A: expected an invertible matrix, found a singular one")
+        _check.broadcast({"A": A_.shape[:-2], "b": b_.shape[:-1], "the batch": self.batch_shape})
         return self._mapped(A_, b_)
 
     def _mapped(self, A: Floats, b: Floats) -> Ellipsoids:
-        c = np.einsum("...ij,...j->...i", A, self.center) + b
-        F = A @ self.factor
+        with np.errstate(over="ignore", invalid="ignore"):
+            c = np.einsum("...ij,...j->...i", A, self.center) + b
+            F = A @ self.factor
+        there = np.isfinite(c).all() and np.isfinite(F).all()
+        if not there or (F.size and not (np.linalg.svd(F, compute_uv=False)[..., -1] > 0).all()):
+            raise GeometryError("expected a map to where floats can say the ellipsoid, found one beyond their range")
         return Ellipsoids._trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
+
+
+def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:
+    """`x` over a power of two near its largest entry along `axes`, which rounds nothing, and the power's exponent."""
+    exponent = np.frexp(np.abs(x).max(axis=axes, keepdims=True, initial=0.0))[1]
+    return np.ldexp(x, -exponent), exponent

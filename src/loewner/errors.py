@@ -45,7 +45,7 @@ class GeometryError(InputError):
     >>> loewner.Body.from_points([[0, 0, 0], [1, 0, 0]])
     Traceback (most recent call last):
         ...
-    loewner.errors.GeometryError: point_sets[0]: expected at least 4 points in dimension 3, found 2
+    loewner.errors.GeometryError: points: expected at least 4 points in dimension 3, found 2
     """
 
 

@@ -113,25 +113,25 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     """
     x = writeable(_check.finite_array(points, "points", (None, None)))
     check_enough(x, "points")
-    tolerance = _tolerance(tol)
+    tolerance = checked_tolerance(tol)
     n = x.shape[1]
+    if not isinstance(method, str) or method not in ("direct", "lifted-mvie"):
+        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_check.short(method)}")
     if method == "lifted-mvie":
         return _mvce_lifted(x, tolerance)
-    if method != "direct":
-        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {method!r}")
     center, factor = np.empty(n), np.empty((n, n))
-    code, gap, iterations, axis, width, size = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
+    code, gap, iterations, _, _, _ = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
     if code == mvce_kernel.FLAT:
-        raise flat_error("points", n, axis, width, size)
+        raise flat_error("points", x)
     return _finished("mvce", center, factor, gap, iterations, tolerance)
 
 
 def _mvce_lifted(points: Floats, tol: float) -> Fit:
     """The paper's Appendix B: the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
     m, n = points.shape
-    code, axis, width, size, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
+    code, _, _, _, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
     if code == mvce_kernel.FLAT:
-        raise flat_error("points", n, axis, width, size)
+        raise flat_error("points", points)
     lifted = np.column_stack([local, np.ones(m)])
     z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
     gap, iterations = mvie_kernel.solve_primal_dual(
@@ -191,7 +191,7 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     >>> fit.ellipsoid.semi_axes.round(4)
     array([3., 1.])
     """
-    tolerance = _tolerance(tol)
+    tolerance = checked_tolerance(tol)
     if b is not None:
         return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
     points = _check.finite_array(A, "points", (None, None))
@@ -252,7 +252,7 @@ def fit_pieces(
     GeometryError, ConvergenceError
         With the index of the piece.
     """
-    tolerance = _tolerance(tol)
+    tolerance, progress = checked_tolerance(tol), _check.callback(progress, "progress")
     V = _check.finite_array(vertices, "vertices", (None, 3))
     A = _check.finite_array(normals, "normals", (None, 3))
     _check.finite_array(offsets, "offsets", (len(A),))
@@ -292,7 +292,8 @@ def _fit_all(
     return inner, outer, info
 
 
-def _tolerance(tol: float) -> float:
+def checked_tolerance(tol: float) -> float:
+    """Check a gap in log-volume; see `mvce`."""
     value = _check.positive_scalar(tol, "tol")
     if not SMALLEST_TOLERANCE <= value <= 1.0:
         raise InputError(f"tol: expected a gap in log-volume between {SMALLEST_TOLERANCE:g} and 1, found {value:g}")
@@ -300,9 +301,9 @@ def _tolerance(tol: float) -> float:
 
 
 def _starts(x: Ints, name: str, total: int) -> Ints:
-    starts = writeable(np.ascontiguousarray(x, dtype=np.int64))
+    starts = writeable(_check.integer_array(x, name))
     if starts.ndim != 1 or len(starts) < 1 or starts[0] != 0 or starts[-1] != total or (np.diff(starts) < 0).any():
-        raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {np.asarray(x).tolist()[:8]}")
+        raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {starts.ravel()[:8].tolist()}")
     return starts
 
 

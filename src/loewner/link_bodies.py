@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,18 @@ import numpy as np
 import loewner._kernels._jit as compiled
 from loewner import bodies, meshes
 from loewner._check import Floats
+from loewner._files import read_regular
+from loewner._kernels.shapes import OUTER_CENTER, OUTER_RADIUS
+from loewner._plausible import doubt_about_size, warn
 from loewner.bodies import Body, Progress
 from loewner.descriptions import Description, Shape
-from loewner.errors import FileError, GeometryError
+from loewner.errors import ConvergenceError, FileError, InputError
 
 # Beside the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
 CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
+
+# The largest mesh file that is looked at [bytes].
+MOST_BYTES = 2**30
 
 # A glTF file keeps its points in other files, so that its own bytes do not tell its content.
 NOT_CACHED = (".gltf",)
@@ -70,6 +77,11 @@ def link_bodies(
         `package_dirs` is no folder.
     GeometryError
         If a mesh is flat or empty.
+
+    Warns
+    -----
+    UserWarning
+        If a body seems not to be in metres; once.
     """
     folders = list(package_dirs)
     for folder in folders:
@@ -85,7 +97,19 @@ def link_bodies(
                 progress(done, total)
         if parts:
             made[link] = parts[0] if len(parts) == 1 else _union(parts)
+    doubts = (f"{robot.path}, link {name!r}: expected {doubt}" for name, doubt in _doubts(made) if doubt)
+    for first in islice(doubts, 1):
+        warn(first)
     return made
+
+
+def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
+    """What speaks against metres, body by body."""
+    for name, body in made.items():
+        rows = body._packed.kernel[0]
+        if len(rows):
+            away = float(np.abs(rows[:, OUTER_CENTER : OUTER_CENTER + 3]).max())
+            yield name, doubt_about_size(float(rows[:, OUTER_RADIUS].max()), away)
 
 
 def _body(
@@ -99,7 +123,10 @@ def _body(
     cache: bool,
 ) -> Body:
     if shape.kind != "mesh":
-        return primitive(shape)
+        try:
+            return primitive(shape)
+        except (InputError, ConvergenceError) as error:
+            raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {error}") from None
     file = mesh_file(shape, link, urdf, folders)
     try:
         if not cache or file.suffix.lower() in NOT_CACHED:
@@ -112,7 +139,7 @@ def _body(
             kept.parent.mkdir(parents=True, exist_ok=True)
             body.save(kept)
         return body
-    except (FileError, GeometryError) as error:
+    except (FileError, InputError, ConvergenceError) as error:
         text = str(error) if str(file) in str(error) else f"{file}: {error}"
         raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {text}") from None
 
@@ -140,7 +167,7 @@ def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
     code = (compiled.CACHE_FOLDER.name, bodies.VERSION, file.suffix.lower())
     digest = hashlib.sha256(repr((code, decompose, tol)).encode())
     digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
-    digest.update(file.read_bytes())
+    digest.update(read_regular(file, "a mesh file", MOST_BYTES))
     return digest.hexdigest()[:32]
 
 
@@ -166,8 +193,14 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
     """Find the file that a URDF means."""
     looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
     for path in looked:
-        if path.is_file():
+        if os.path.isfile(path):  # Path.is_file raises where a name is too long, or no name at all
             return path
+    irregular = next((path for path in looked if os.path.exists(path)), None)
+    if irregular is not None:
+        raise FileError(
+            f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found {irregular}, "
+            "which is no regular file"
+        )
     raise FileError(
         f"{urdf}, line {shape.line}: expected the mesh {shape.file_name!r} of link {link!r}, found no such file; "
         f"looked at {', '.join(map(str, looked)) or 'no place'}. Other folders of packages can be given (package_dirs, "
@@ -178,7 +211,7 @@ def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.Pa
 def _candidates(name: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Iterator[Path]:
     """Places where a mesh may be: the packages given, those of ROS, then folder by folder up from the URDF."""
     scheme, separator, rest = name.rpartition("://")
-    home = urdf.resolve().parent
+    home = Path(os.path.realpath(urdf)).parent
     given = [Path(folder) for folder in folders]
     if separator and scheme in ("package", "model"):
         package, _, inside = rest.partition("/")

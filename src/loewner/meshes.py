@@ -7,7 +7,6 @@ surface (`cover`), because the decomposition itself cuts corners and those corne
 
 from __future__ import annotations
 
-import struct
 import warnings
 from dataclasses import dataclass
 from os import PathLike
@@ -17,21 +16,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
+from loewner import _check, mesh_files
 from loewner._check import Floats
-from loewner.errors import FileError, GeometryError, InputError, MissingExtraError, installing
+from loewner._files import shown
+from loewner.errors import GeometryError, InputError, MissingExtraError, installing
+from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
     import trimesh
 
-Triangles = NDArray[np.int64]
-
-SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".gltf", ".dae")
+SUFFIXES = mesh_files.SUFFIXES
 
 # A closed mesh this close to its convex hull, in volume, is taken for its hull. Collision meshes
 # that are hulls, then simplified and stored in float32, are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
+
+# A mesh smaller or larger than that across [m] is asked about: hardly any body is, but for one in another unit. Meshes
+# of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
+USUAL_SIZES = (1e-4, 1e3)
 
 # What sticks out of the nearest piece by more than GROWTH is cut into cells, down to CELL_SIZE; both
 # are relative to the diagonal of the mesh's box. So a piece grows by 0.1 % of it over a face and by
@@ -42,6 +45,10 @@ CELL_SIZE = 0.0025
 # A sample this far outside a piece, relative to the same diagonal, is inside but for rounding:
 # far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
 COVER_TOLERANCE = 1e-10
+
+
+# CoACD takes numbers of pieces and seeds of 31 bits.
+LARGEST_NUMBER = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     Parameters
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene
-        A file in STL, OBJ, PLY, GLB, glTF or Collada (DAE) format. The meshes of a scene are
+        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are
         placed by their transforms and joined. Where a file states its unit of length, it is
         converted; all others are taken to be in metres.
 
@@ -100,12 +107,11 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     Raises
     ------
     FileError
-        If the file is missing, empty, cut short or no mesh. (An OBJ file does not say how long
-        it is: one that was cut between two lines cannot be told from a whole one.)
+        If the file is missing, empty, cut short, larger than 2 GiB, no regular file or no mesh, or if it holds
+        anything else than what it says of itself; the message names the line or element. (An OBJ file does not say
+        how long it is: one that was cut between two lines cannot be told from a whole one.)
     GeometryError
         If a vertex is not finite, or there is no triangle.
-    MissingExtraError
-        If trimesh, or a package that it needs for this format, is not installed.
 
     Examples
     --------
@@ -117,14 +123,12 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        mesh = _read(Path(source))
-        name = str(source)
+        path = Path(source) if isinstance(source, str | Path) else _check.path(source, "source")
+        name = shown(path)
+        vertices, triangles = mesh_files.read(path)
     else:
-        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
         name = "mesh"
-    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
-    vertices, triangles = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+        vertices, triangles = _in_memory(source)
     if len(triangles) == 0:
         raise GeometryError(f"{name}: expected a mesh, found {len(vertices)} vertices and no triangle")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -132,10 +136,46 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
             f"{name}: expected triangles of vertices 0..{len(vertices) - 1}, "
             f"found indices {triangles.min()}..{triangles.max()}"
         )
+    _expect_finite(vertices, name)
+    return vertices, triangles
+
+
+def _in_memory(source: Any) -> tuple[Floats, Triangles]:
+    """Vertices in metres and triangles of a trimesh.Trimesh or trimesh.Scene."""
+    try:
+        mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
+    except Exception as error:  # of a scene that somebody put together; trimesh has no errors of its own
+        raise GeometryError(
+            f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
+        ) from None
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
+    vertices = _check.float_array(mesh.vertices, "mesh.vertices")
+    triangles = np.asarray(mesh.faces)
+    for array, what in ((vertices, "vertices"), (triangles, "faces")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_check.shape_text(array.shape)}")
+    if len(triangles) and triangles.dtype.kind not in "iu":
+        raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
+    return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
+
+
+def _ask_about_units(vertices: Floats, name: str) -> None:
+    """Warn of a size that looks like another unit of length; `vertices` are scaled already."""
+    size = float(np.ptp(vertices, axis=0).max())
+    if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
+        guess = "in millimetres (then give scale=0.001)" if size > 1 else "scaled to metres twice, or in kilometres"
+        warnings.warn(
+            f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess}? scale= is the factor to metres",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def _expect_finite(vertices: Floats, name: str) -> None:
     if not np.isfinite(vertices).all():
         bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
         raise GeometryError(f"{name}: expected finite vertices, found {vertices[bad].tolist()} at vertex {bad}")
-    return vertices * _metres(mesh), triangles
 
 
 def convex_pieces(
@@ -181,7 +221,8 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to decompose has holes: its inside is not solid then.
+        If a mesh to decompose has holes: its inside is not solid then. If the mesh, scaled, is more than 1000 m or less
+        than 0.1 mm across: it may be in another unit than metres.
 
     Notes
     -----
@@ -209,13 +250,20 @@ def convex_pieces(
     threshold = _check.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
-    if max_pieces is not None and max_pieces < 1:
-        raise InputError(f"max_pieces: expected at least 1, found {max_pieces}")
-    factors = _check.finite_array(scale, "scale", (3,) if np.ndim(scale) else ())
+    most = None if max_pieces is None else _check.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
+    seed = _check.whole_number(seed, "seed", 0, LARGEST_NUMBER)
+    decompose, cover = _check.flag(decompose, "decompose"), _check.flag(cover, "cover")
+    factors = _check.float_array(scale, "scale")
+    factors = _check.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
-        raise InputError(f"scale: expected factors other than 0, found {scale}")
+        raise InputError(f"scale: expected factors other than 0, found {_check.short(scale)}")
     vertices, triangles = load(source)
-    vertices, triangles = _welded(vertices * factors, triangles)
+    name = shown(source) if isinstance(source, str | PathLike) else "mesh"
+    with np.errstate(over="ignore"):
+        vertices = vertices * factors
+    _expect_finite(vertices, name)
+    _ask_about_units(vertices[triangles].reshape(-1, 3), name)
+    vertices, triangles = _welded(vertices, triangles)
     volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
     if volume < 0:  # turned inside out
         triangles, volume = triangles[:, ::-1], -volume
@@ -232,7 +280,7 @@ def convex_pieces(
             "them, or take its convex hull (decompose=False). Decomposing may take minutes",
             stacklevel=2,
         )
-    hulls = _coacd(vertices, triangles, threshold, max_pieces, seed)
+    hulls = _coacd(vertices, triangles, threshold, most, seed)
     size = _size(vertices)
     cells, owner, samples = _outside(vertices[triangles], hulls, GROWTH * size, CELL_SIZE * size)
     if cover and len(cells):
@@ -251,63 +299,6 @@ def _result(hulls: list[Polytope], covering: Covering, volume: float) -> tuple[l
 
 
 # -- files --------------------------------------------------------------------------------------
-
-
-def _read(path: Path) -> Any:
-    """Read a file through trimesh, refusing what trimesh would read in part."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"{path}: expected a mesh file, found {(error.strerror or str(error)).lower()}") from None
-    if path.suffix.lower() not in SUFFIXES:
-        raise FileError(f"{path}: expected one of {', '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
-    if not data:
-        raise FileError(f"{path}: expected a mesh file, found an empty one")
-    trimesh = _import("trimesh")
-    _refuse_cut_file(path, data)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about colours and materials
-            scene = trimesh.load_scene(path, process=False)
-    except ImportError as error:
-        if error.name in {"collada", "lxml", "networkx"}:
-            raise MissingExtraError(_install_hint(error.name)) from None
-        raise FileError(f"{path}: expected a {path.suffix} mesh, found something else") from None
-    except Exception as error:  # each format's reader has its own exceptions; all mean the same here
-        what = " ".join(str(error).split())[:200]
-        raise FileError(
-            f"{path}: expected a {path.suffix} mesh, found a file that cannot be read ({type(error).__name__}: {what})"
-        ) from None
-    if not scene.geometry:
-        raise FileError(f"{path}: expected a {path.suffix} mesh, found none in it")
-    return scene.to_mesh()
-
-
-def _refuse_cut_file(path: Path, data: bytes) -> None:
-    """Notice the cut files that trimesh reads without complaint, as the triangles before the cut."""
-    suffix = path.suffix.lower()
-    if suffix == ".stl":
-        count = struct.unpack("<I", data[80:84])[0] if len(data) >= 84 else 0
-        if len(data) >= 84 and len(data) >= 84 + 50 * count and not _is_text_stl(data):
-            return
-        if not _is_text_stl(data):
-            found = f"{len(data)} bytes where its header asks for {84 + 50 * count}" if len(data) >= 84 else "no header"
-            raise FileError(f"{path}: expected an STL mesh, found {found}")
-        if data.count(b"endfacet") * 2 != data.count(b"facet") or b"endsolid" not in data:
-            raise FileError(f"{path}: expected a whole text STL, found one cut before its endsolid")
-    elif suffix == ".obj":
-        last = data.rsplit(b"\n", 1)[-1].split()
-        if last and last[0] in (b"v", b"f") and len(last) < 4:
-            raise FileError(f"{path}: expected a whole OBJ file, found one cut within its last line")
-    elif suffix == ".glb" and len(data) >= 12 and data[:4] == b"glTF":
-        length = struct.unpack("<I", data[8:12])[0]
-        if len(data) < length:
-            raise FileError(f"{path}: expected {length} bytes as its header says, found {len(data)}")
-
-
-def _is_text_stl(data: bytes) -> bool:
-    # Binary headers may begin with "solid" too; a text file names its first facet soon after.
-    return data[:512].lstrip().startswith(b"solid") and (b"facet" in data[:1024] or b"endsolid" in data[:1024])
 
 
 def _import(package: str) -> Any:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from loewner import _check
 from loewner._check import Floats
 from loewner._guard import guarded
+from loewner._plausible import FARTHEST_LIMIT
 from loewner.bodies import Ints
 from loewner.checkers import CollisionChecker
 from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
@@ -24,6 +25,9 @@ from loewner.robots import Robot
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
+
+# OMPL takes shares of the extent strictly between 0 and 1.
+SMALLEST_SHARE = 1e-12
 
 # Configurations and pairs that a message names at most.
 NAMED = 5
@@ -94,8 +98,7 @@ def plan(
            [2., 0.]])
     """
     timeout = _check.positive_scalar(timeout, "timeout")
-    if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32 - 1:
-        raise InputError(f"seed: expected an integer from 0 to 2^32 - 2, found {seed!r}")
+    seed, simplify = _check.whole_number(seed, "seed", 0, 2**32 - 2), _check.flag(simplify, "simplify")
     make = _planner(planner)
     robot = _checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
@@ -104,11 +107,12 @@ def plan(
             f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_check.shape_text(np.shape(goal))}"
         )
     space = _Space.of(checker, joints, q, goals, resolution)
-    space.check_still(goals)
-    fault = space.fault(q)
-    if fault:
-        raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
-    goals = space.usable(goals)
+    # Limits before all else: to values in degrees, nothing else that could be said would be to the point.
+    _refuse_start(space.outside(q))
+    goals_inside = space.usable(goals, space.outside)
+    space.check_still(goals_inside)
+    _refuse_start(space.fault(q))
+    goals = space.usable(goals, space.fault)
     with _quietly():
         _ompl("util").RNG.setSeed(int(seed) + 1)  # 0 is none to OMPL
         found = _search(space, make, q, goals, timeout, simplify)
@@ -188,8 +192,10 @@ class _Space:
         robot = checker.robot
         columns = _columns(robot, joints)
         ends = np.vstack([q, goals])
-        lower = np.where(np.isfinite(robot.lower), robot.lower, ends.min(axis=0) - np.pi)[columns]
-        upper = np.where(np.isfinite(robot.upper), robot.upper, ends.max(axis=0) + np.pi)[columns]
+        # What some programs write for no limit, 1e16 or the largest number, is none to search within either.
+        below, above = robot.lower > -FARTHEST_LIMIT, robot.upper < FARTHEST_LIMIT
+        lower = np.where(below, robot.lower, np.maximum(ends.min(axis=0) - np.pi, robot.lower))[columns]
+        upper = np.where(above, robot.upper, np.minimum(ends.max(axis=0) + np.pi, robot.upper))[columns]
         moving = lower < upper
         if not moving.any():
             raise InputError("joints: expected one or more that can move, found none")
@@ -215,15 +221,21 @@ class _Space:
                 f"among the joints that move; found {goal:g}"
             )
 
-    def fault(self, q: Floats) -> str:
-        """Why a configuration cannot be on a path: it is outside the limits, or collides; "" if it can."""
+    def outside(self, q: Floats) -> str:
+        """Which joints that move are outside their limits; "" if none is."""
         values = q[self.columns]
         outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
-        if len(outside):
-            return ", ".join(
-                f"{self._name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
-                for k in outside
-            )
+        named = ", ".join(
+            f"{self._name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
+            for k in outside[:NAMED]
+        )
+        return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
+
+    def fault(self, q: Floats) -> str:
+        """Why a configuration cannot be on a path: it is outside the limits, or collides; "" if it can."""
+        outside = self.outside(q)
+        if outside:
+            return outside
         try:
             if not self.checker.collide(q):
                 return ""
@@ -233,9 +245,9 @@ class _Space:
         more = f", and {len(pairs) - NAMED} more pairs" if len(pairs) > NAMED else ""
         return f"a collision of {', '.join(pairs[:NAMED])}{more}"
 
-    def usable(self, goals: Floats) -> Floats:
-        """Those goals that have no fault."""
-        faults = [self.fault(q) for q in goals]
+    def usable(self, goals: Floats, fault: Callable[[Floats], str]) -> Floats:
+        """Those goals that have no fault of a kind."""
+        faults = [fault(q) for q in goals]
         good = goals[[not fault for fault in faults]]
         if len(good):
             return good
@@ -274,7 +286,9 @@ class _Space:
         information.setStateValidityChecker(valid)
         information.setMotionValidator(_motion_validator()(information, self))
         # Planners that divide motions by themselves take a share of the space's extent.
-        information.setStateValidityCheckingResolution(min(1.0, self.resolution / information.getMaximumExtent()))
+        information.setStateValidityCheckingResolution(
+            float(np.clip(self.resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
+        )
         information.setup()
         return information
 
@@ -296,6 +310,8 @@ def _search(
         add(state)  # takes a copy
     problem.setGoal(region)
     planner = make(information)
+    if not isinstance(planner, base.Planner):
+        raise InputError(f"planner: expected a function that returns a planner of OMPL, found {_check.short(planner)}")
     planner.setProblemDefinition(problem)
     planner.setup()
     planner.solve(timeout)
@@ -322,18 +338,25 @@ def _check_path(space: _Space, found: Floats, q: Floats, goals: Floats) -> None:
         )
 
 
+def _refuse_start(fault: str) -> None:
+    if fault:
+        raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
+
+
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
     """Columns of a group, of some joints or of all, in ascending order."""
     if isinstance(joints, str):
         if joints not in robot.groups and joints not in robot.joint_names:
             raise _check.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
-        names = set(robot.groups.get(joints, (joints,)))
+        names = list(robot.groups.get(joints, (joints,)))
     else:
-        names = set(robot.joint_names if joints is None else joints)
+        names = list(robot.joint_names) if joints is None else _check.listed(joints, "joints")
     if not names:
-        raise InputError("joints: expected one or more, found none" + (f" in group {joints!r}" if joints else ""))
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
     for name in names:
-        if name not in robot.joint_names:
+        if not isinstance(name, str) or name not in robot.joint_names:
             raise _check.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
@@ -353,7 +376,7 @@ def _planner(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
         for name, each in sorted(vars(geometric).items())
         if isinstance(each, type) and issubclass(each, base.Planner)
     }
-    if planner not in known:
+    if not isinstance(planner, str) or planner not in known:
         raise _check.unknown_name("planner", planner, known)
     made: Callable[[Any], Any] = known[planner]
     return made

@@ -84,9 +84,9 @@ def body(
     """
     if not isinstance(body, Body):
         raise InputError(f"body: expected loewner.Body, found {type(body).__name__}")
-    T = _check.pose(T_world_body, "T_world_body")
-    ax = _axes() if ax is None else ax
-    _draw(ax, body, T, colour, ellipsoids)
+    T, ellipsoids = _check.pose(T_world_body, "T_world_body"), _check.flag(ellipsoids, "ellipsoids")
+    ax = _axes(ax)
+    _draw(ax, body, T, _colour(colour), ellipsoids)
     _frame(ax, _corners(body, T))
     return ax
 
@@ -139,7 +139,8 @@ def pair(
         if not isinstance(operand, Body):
             raise InputError(f"{name}: expected loewner.Body, found {type(operand).__name__}")
     Ta, Tb = _check.pose(T_world_a, "T_world_a"), _check.pose(T_world_b, "T_world_b")
-    ax = _axes() if ax is None else ax
+    ellipsoids, near = _check.flag(ellipsoids, "ellipsoids"), _check.flag(near, "near")
+    ax = _axes(ax)
     _draw(ax, a, Ta, COLOURS[0], ellipsoids)
     _draw(ax, b, Tb, COLOURS[1], ellipsoids)
     _frame(ax, np.concatenate([_corners(a, Ta), _corners(b, Tb)]))
@@ -200,7 +201,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
         (name, scene[name], poses[held.link] @ held.T_link_body, COLOURS[0]) for name, held in scene.attachments.items()
     ]
     drawn += [(name, scene[name], scene.pose(name), SCENE) for name in scene.static_names]
-    ax = _axes() if ax is None else ax
+    ax = _axes(ax)
     for name, body, T, colour in drawn:
         curved = any(piece.triangles is None for piece in body.pieces)
         _draw(ax, body, T, COLLIDING if name in touching else colour, curved)
@@ -258,7 +259,7 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
     """
     groups = {str(name): _tiers_of(group, name) for name, group in _named(counts, "counts").items()}
     total = np.array([sum(group.values()) for group in groups.values()])
-    ax = _flat_axes() if ax is None else ax
+    ax = _flat_axes(ax)
     left = np.zeros(len(groups))
     for tier in [tier for tier in TIERS if any(tier in group for group in groups.values())]:
         share = np.array([group.get(tier, 0) for group in groups.values()]) * 100 / total
@@ -309,21 +310,24 @@ def costs(
     if len(x) == 0:
         raise InputError("sizes: expected one or more, found none")
     curves = {name: _times(times, name, len(x)) for name, times in _named(seconds, "seconds").items()}
-    ax = _flat_axes() if ax is None else ax
+    _expect_text(size, "size")
+    _expect_text(item, "item")
+    ax = _flat_axes(ax)
     from matplotlib.ticker import EngFormatter
 
     styles = 0
-    for name, times in curves.items():
-        if times.ndim == 0:
-            ax.axhline(float(times), color=LEVEL, linestyle="--", label=name)
-            continue
-        colour, marker = CURVES[styles % len(CURVES)]
-        ax.plot(x, times, color=colour, marker=marker, markersize=4, label=name)
-        styles += 1
-    ax.set(xscale="log", yscale="log", xlabel=size, ylabel=f"time per {item}")
-    ax.yaxis.set_major_formatter(EngFormatter("s"))
-    ax.grid(alpha=0.3)
-    ax.legend(frameon=False)
+    with np.errstate(over="ignore"):  # near the largest floats the axis ends at infinity
+        for name, times in curves.items():
+            if times.ndim == 0:
+                ax.axhline(float(times), color=LEVEL, linestyle="--", label=name)
+                continue
+            colour, marker = CURVES[styles % len(CURVES)]
+            ax.plot(x, times, color=colour, marker=marker, markersize=4, label=name)
+            styles += 1
+        ax.set(xscale="log", yscale="log", xlabel=size, ylabel=f"time per {item}")
+        ax.yaxis.set_major_formatter(EngFormatter("s"))
+        ax.grid(alpha=0.3)
+        ax.legend(frameon=False)
     return ax
 
 
@@ -377,7 +381,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
         for rule, found in _named(counts, "counts").items()
     }
     families = list(dict.fromkeys(name for found in checked.values() for name in found))
-    ax = _flat_axes() if ax is None else ax
+    ax = _flat_axes(ax)
     for k, (rule, found) in enumerate(checked.items()):
         asked = {name: pair for name, pair in found.items() if pair[1] > 0}
         share = np.array([right / total for right, total in asked.values()])
@@ -412,6 +416,8 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
 
     Raises
     ------
+    InputError
+        If there is no figure, or the path is none.
     FileError
         If it cannot be written.
 
@@ -421,8 +427,10 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     >>> plots.save(plots.body(Body.sphere(0.5)), "sphere.png").name
     'sphere.png'
     """
-    target = Path(path)
+    target = _check.path(path, "path")
     figure = getattr(figure, "figure", figure)
+    if not hasattr(figure, "savefig"):
+        raise InputError(f"figure: expected a matplotlib figure or axes, found {type(figure).__name__}")
     from matplotlib import rc_context
 
     # SVG alone would carry the date, and names drawn at random.
@@ -435,12 +443,39 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _axes() -> Any:
-    return _figure(6, 6).add_subplot(projection="3d")
+def _axes(given: Any) -> Any:
+    """Axes in space: those given, or new ones."""
+    if given is None:
+        return _figure(6, 6).add_subplot(projection="3d")
+    if getattr(given, "name", None) != "3d" or not hasattr(given, "add_collection3d"):
+        raise InputError(f"ax: expected matplotlib axes in space, found {_check.short(given)}")
+    return given
 
 
-def _flat_axes() -> Any:
-    return _figure(6, 4).add_subplot()
+def _flat_axes(given: Any) -> Any:
+    """Axes in the plane: those given, or new ones."""
+    if given is None:
+        return _figure(6, 4).add_subplot()
+    if getattr(given, "name", None) != "rectilinear" or not hasattr(given, "barh"):
+        raise InputError(f"ax: expected matplotlib axes in the plane, found {_check.short(given)}")
+    return given
+
+
+def _colour(x: Any) -> Any:
+    from matplotlib.colors import is_color_like
+
+    try:
+        known = isinstance(x, (str, tuple)) and is_color_like(x)
+    except Exception:  # what an object of the caller's raises
+        known = False
+    if not known:
+        raise InputError(f"colour: expected a colour of matplotlib, found {_check.short(x)}")
+    return x
+
+
+def _expect_text(x: Any, name: str) -> None:
+    if not isinstance(x, str):
+        raise InputError(f"{name}: expected text, found {_check.short(x)}")
 
 
 def _figure(width: float, height: float) -> Any:
@@ -481,7 +516,9 @@ def _times(x: Any, name: str, count: int) -> Floats:
         raise InputError(f"seconds[{name!r}]: expected shape ({count},), as sizes, or a number; found shape {found}")
     measured = times[~np.isnan(times)]
     if not len(measured) or not (np.isfinite(measured) & (measured > 0)).all():
-        raise InputError(f"seconds[{name!r}]: expected times above zero, or NaN but not for all; found {x!r}")
+        raise InputError(
+            f"seconds[{name!r}]: expected times above zero, or NaN but not for all; found {_check.short(x)}"
+        )
     return times
 
 
@@ -489,8 +526,8 @@ def _counted(x: Any, name: str) -> tuple[int, int]:
     """How many were right, of how many."""
     try:
         right, total = (_check.whole_number(n, name, 0) for n in x)
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected two whole numbers (right, asked), found {x!r}") from None
+    except Exception:  # other than two of them, or what an object of the caller's raises
+        raise InputError(f"{name}: expected two whole numbers (right, asked), found {_check.short(x)}") from None
     if right > total:
         raise InputError(f"{name}: expected right <= asked, found {right} of {total}")
     return right, total

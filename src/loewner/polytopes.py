@@ -139,10 +139,13 @@ class Polytope:
         code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
-        from scipy.spatial import ConvexHull
+        from scipy.spatial import ConvexHull, QhullError
 
         # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
-        dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        try:
+            dual = ConvexHull((rows @ frame) / (bounds - rows @ x)[:, None])
+        except QhullError as error:
+            raise GeometryError(f"A, b: no vertices found: {str(error).strip().splitlines()[0]}") from None
         equations = np.unique(dual.equations, axis=0)
         return cls(*_hull(x - (equations[:, :-1] / equations[:, -1:]) @ frame.T, "A, b"))
 
@@ -171,13 +174,26 @@ def writeable(array: NDArray[Any]) -> NDArray[Any]:
     return array if array.flags.writeable else array.copy()
 
 
-def flat_error(name: str, n: int, axis: int, width: float, size: float) -> GeometryError:
-    """Say how flat the points are, and in how many directions they do extend."""
-    what = {0: "in one place", 1: "on a line", 2: "in a plane"}.get(axis, f"in a flat of dimension {axis}")
+def flat_error(name: str, points: Floats) -> GeometryError:
+    """Say how flat the points are, and in how many directions they do extend.
+
+    The kernels stop at the first direction without a width, which need not be the last: a sheet across the first
+    direction tried has none there. So the directions are found anew, the widest first.
+    """
+    n = points.shape[1]
+    offsets = points - points[0]
+    length = float(np.abs(offsets).max())
+    widths = np.zeros(n)
+    if length > 0:
+        directions = np.linalg.svd(offsets / length, full_matrices=len(points) < n)[2]
+        widths = np.sort(np.ptp(offsets @ directions.T, axis=0))[::-1]
+    noise = 2 * n * EPS * float(np.abs(points).max())
+    rank = min(int((widths > max(FLATNESS * widths[0], noise)).sum()), n - 1)
+    what = {0: "in one place", 1: "on a line", 2: "in a plane"}.get(rank, f"in a flat of dimension {rank}")
     return GeometryError(
         f"{name}: expected points that span all {n} dimensions, found all of them {what}: "
-        f"the next width is {width:.3g} m against a length of {size:.3g} m (flat means at most {FLATNESS:g} of it, "
-        "or lost in the rounding of the coordinates)"
+        f"the next width is {widths[rank]:.3g} m against a length of {widths[0]:.3g} m (flat means at most "
+        f"{FLATNESS:g} of it, or lost in the rounding of the coordinates)"
     )
 
 
@@ -193,8 +209,10 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
         i = int(np.flatnonzero(nothing & (bounds < 0))[0])
         raise GeometryError(f"A, b: empty: row {i} says 0 <= {bounds[i]:g}")
     scale = -np.frexp(size[~nothing])[1]
-    check_size(float(np.abs(np.ldexp(bounds[~nothing], scale)).max(initial=0.0)), "b")
-    return np.ldexp(rows[~nothing], scale[:, None]), np.ldexp(bounds[~nothing], scale)
+    with np.errstate(over="ignore"):  # infinite is too large, and told so
+        scaled = np.ldexp(bounds[~nothing], scale)
+    check_size(float(np.abs(scaled).max(initial=0.0)), "b")
+    return np.ldexp(rows[~nothing], scale[:, None]), scaled
 
 
 def interior_point(A: Floats, b: Floats) -> Floats:
@@ -214,7 +232,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     x = np.zeros(n)
     if (b > 0).all():
         return x
-    magnify = 1.0 / np.abs(b).max()
+    magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # of a cone, or of one point, every scale is its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
         slack = b - A @ x
@@ -231,7 +249,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
         slack = b - A @ x
         least = float(slack.min())
         noise = float((4 * n * EPS * (np.abs(b) + np.abs(A) @ np.abs(x))).max())
-        if least > noise or least < -1e-3 / magnify:
+        if least > noise or least < -1e-3 / magnify or least == noise == 0.0:  # the last: flat, and without rounding
             break
         magnify = min(magnify * 1e6, 1.0 / max(abs(least), noise))
     distance = (b - A @ x) / np.linalg.norm(A, axis=1)
@@ -265,9 +283,9 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
     check_enough(points, name, least_dim=2)
     points = writeable(points)
-    code, axis, width, size, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
+    code, _, _, _, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
     if code == FLAT:
-        raise flat_error(name, points.shape[1], axis, width, size)
+        raise flat_error(name, points)
     try:
         qhull = ConvexHull(coordinates)
     except QhullError as error:
@@ -318,7 +336,7 @@ class Hulls:
 
 
 @guarded
-def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
+def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names: Sequence[str] | None = None) -> Hulls:
     """Convex hulls of many sets of points in 3-D, packed into flat arrays.
 
     Parameters
@@ -327,17 +345,21 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None) -> Hulls:
         In metres.
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
+    names : sequence of str, optional
+        What the caller calls each set, for messages; otherwise ``point_sets[i]``.
 
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points`; the message begins with the index of the set.
+        As `Polytope.from_points`; the message begins with the name of the set.
     """
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints, Ints]]:
-        names = [f"point_sets[{i}]" for i in range(first, last)]
-        sets = point_sets[first:last]
-        return [_hull(_check.finite_array(x, name, (None, 3)), name) for x, name in zip(sets, names, strict=True)]
+        made = []
+        for i in range(first, last):
+            name = f"point_sets[{i}]" if names is None else names[i]
+            made.append(_hull(_check.finite_array(point_sets[i], name, (None, 3)), name))
+        return made
 
     parts = list(chain.from_iterable(in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)))
 

@@ -17,7 +17,7 @@ from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import batch, careful, distances, verdicts
 from loewner._threads import in_shares
 from loewner.bodies import Bodies, Body, Packed, take
-from loewner.errors import ConvergenceError, InputError, PoseError, UnknownNameError
+from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
@@ -180,13 +180,13 @@ def _prepare(
 
 def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
     """Operands whose pairs are given by row numbers."""
-    rows = np.asarray(chosen)
-    if rows.ndim == 0 or rows.shape[-1] != 2 or (rows.dtype.kind not in "iu" and rows.size):
-        found = f"shape {_check.shape_text(rows.shape)} of {rows.dtype}"
+    rows = _check.integer_array(chosen, "pairs")
+    if rows.ndim == 0 or rows.shape[-1] != 2:
+        found = _check.shape_text(rows.shape)
         raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
     count = rows.size // 2
     _check.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
-    flat = np.ascontiguousarray(rows.reshape(-1, 2).T, dtype=np.int64)
+    flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
         if T.ndim > 3:
@@ -388,8 +388,7 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    if method not in METHODS:
-        raise UnknownNameError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
+    _check.choice(method, "method", METHODS)
     code = _rule_code(rule)
     keep = _check.positive_scalar(margin, "margin", zero=True)
     if method == "exact" and pairs is None:
@@ -492,7 +491,7 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
-    code = _rule_code(rule)
+    code, exact = _rule_code(rule), _check.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
     shape = asked.shape
     if asked.rows.shape[1]:
@@ -529,9 +528,7 @@ def distance(
 
 
 def _rule_code(rule: str) -> int:
-    if not isinstance(rule, str) or rule not in RULES:
-        raise UnknownNameError(f"rule: expected one of {', '.join(RULES)}, found {rule!r}")
-    return RULES[rule]
+    return RULES[_check.choice(rule, "rule", RULES)]
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:

@@ -18,10 +18,12 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._guard import guarded
 from loewner._kernels import kinematics
+from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
 from loewner.bodies import Body, Progress
-from loewner.descriptions import VALUES, Description, Joint, Semantics, read_srdf, read_urdf
+from loewner.descriptions import MOST_PAIRS, VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
+from loewner.fits import checked_tolerance
 from loewner.link_bodies import link_bodies
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
@@ -60,7 +62,7 @@ class Robot:
         "j/qw", "j/qx", "j/qy", "j/qz".
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
-        outside are allowed everywhere.
+        outside are allowed everywhere; one that is far outside is told once (see `checked`).
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry.
     groups : dict
@@ -109,6 +111,7 @@ class Robot:
     # For messages: which joint a mimicking one follows; links that have visual geometry only.
     _mimics: dict[str, str] = field(repr=False)
     _only_visual: tuple[str, ...] = field(repr=False)
+    _watch: Watch = field(repr=False)
 
     @classmethod
     @guarded
@@ -165,21 +168,22 @@ class Robot:
         -----
         UserWarning
             If the SRDF names some links or joints that the robot does not have, or none that it has; if it is said to
-            be for a robot of another name, or has elements that no SRDF has.
+            be for a robot of another name, or has elements that no SRDF has. If a body seems not to be in metres, or
+            an origin not in radians.
 
         Examples
         --------
         >>> Robot.from_urdf("arm.urdf")
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
-        tol = _check.positive_scalar(tol, "tol")
+        tol, cache, decompose = checked_tolerance(tol), _check.flag(cache, "cache"), _check.flag(decompose, "decompose")
+        _check.callback(progress, "progress")
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
-        folders = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        if not isinstance(folders, Iterable):
-            raise InputError(f"package_dirs: expected a path or several, found {package_dirs!r}")
-        folders = list(folders)
-        bodies = link_bodies(robot, folders, decompose=decompose, tol=tol, cache=cache, progress=progress)
+        given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
+        listed = _check.listed(given, "package_dirs", wanted="a path or several")
+        places = [_check.path(folder, "package_dirs") for folder in listed]
+        bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
@@ -189,13 +193,15 @@ class Robot:
                 lower[column.start + 3 : column.stop], upper[column.start + 3 : column.stop] = -1.0, 1.0
         lower.setflags(write=False)
         upper.setflags(write=False)
+        entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
+        names = tuple(f"{name}/{value}" if value else name for name, value in entries)
+        turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
+        free = [kinds[name] in ("planar", "floating") for name, _ in entries]
         return cls(
             name=robot.name,
             link_names=tuple(robot.shapes),
             joint_names=tuple(columns),
-            configuration_names=tuple(
-                f"{name}/{value}" if value else name for name in columns for value in VALUES[kinds[name]]
-            ),
+            configuration_names=names,
             lower=lower,
             upper=upper,
             bodies=bodies,
@@ -206,10 +212,11 @@ class Robot:
             tree=_tree(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
-            package_dirs=tuple(Path(folder).absolute() for folder in folders),
+            package_dirs=tuple(place.absolute() for place in places),
             _columns=columns,
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
+            _watch=Watch(robot.name, names, lower, upper, turns, free),
         )
 
     @property
@@ -220,7 +227,7 @@ class Robot:
     def __repr__(self) -> str:
         return (
             f"Robot({self.name!r}, {len(self.link_names)} links, {len(self.bodies)} with bodies, "
-            f"{len(self.joint_names)} joints, dof {self.dof})"
+            f"{len(self.joint_names)} joints, dof {self.dof}{', quaternions wxyz' if self._quaternions else ''})"
         )
 
     def placed(self, T_world_base: ArrayLike) -> Robot:
@@ -307,15 +314,13 @@ class Robot:
         InputError
             If they are no pairs of two different links.
         """
-        if isinstance(pairs, str) or not isinstance(pairs, Iterable):
-            raise InputError(f"{name}: expected pairs of names of links, found {pairs!r}")
-        found = set()
-        for pair in pairs:
-            names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+        found, known = set(), set(self.link_names)
+        for pair in _check.listed(pairs, name, wanted="pairs of names of links"):
+            names = tuple(_check.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
-                raise InputError(f"{name}: expected pairs of names of links, found {pair!r} among them")
+                raise InputError(f"{name}: expected pairs of names of links, found {_check.short(pair)} among them")
             for link in names:
-                if link not in self.link_names:
+                if not isinstance(link, str) or link not in known:
                     raise _check.unknown_name("link", link, self.link_names)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
@@ -339,7 +344,12 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite, or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+
+        Warns
+        -----
+        UserWarning
+            As `checked`.
 
         Examples
         --------
@@ -359,6 +369,8 @@ class Robot:
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
         """Configurations as kernels take them: C-order float64, finite, quaternions of norm 1.
 
+        All that takes configurations has them checked by this.
+
         Parameters
         ----------
         Q : array_like, shape (..., dof)
@@ -369,10 +381,22 @@ class Robot:
         -------
         ndarray, shape (..., dof)
             `Q` itself where it can be.
+
+        Raises
+        ------
+        InputError
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+
+        Warns
+        -----
+        UserWarning
+            Once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn, a
+            length by more than a metre and ten times the way between the limits; or if a joint that turns without
+            limit is beyond ±50 rad. It names the joint, and asks about degrees or millimetres.
         """
         # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
-        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and all(map(math.isfinite, Q.tolist())):
+        if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
         array = _check.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
@@ -380,11 +404,15 @@ class Robot:
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
                 f"found {_check.shape_text(array.shape)}"
             )
-        if not np.isfinite(array).all():
-            *row, column = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            where = f"{name}[{', '.join(map(str, row))}]" if row else name
-            found = f"{array[(*row, column)]} for {self.configuration_names[column]}"
-            raise InputError(f"{where}: expected finite numbers, found {found}")
+        if not self._watch.passes(array):
+            refused = self._watch.refused(array)
+            if refused is not None:
+                *row, column = refused
+                where = f"{name}[{', '.join(map(str, row))}]" if row else name
+                value = array[refused]
+                wanted = f"numbers within ±{LARGEST_VALUE:g}" if np.isfinite(value) else "finite numbers"
+                raise InputError(f"{where}: expected {wanted}, found {value} for {self.configuration_names[column]}")
+            self._watch.tell(array, name)
         for joint, quaternion in self._quaternions.items():
             norm = np.linalg.norm(array[..., quaternion], axis=-1)
             if np.abs(norm - 1).max(initial=0.0) > QUATERNION_TOLERANCE:
@@ -447,7 +475,9 @@ class Robot:
                 raise _check.unknown_name("state", values, self.states)
             values = self.states[values][1]
         if values is not None and not isinstance(values, Mapping):
-            raise InputError(f"values: expected a dict by names of joints or the name of a state, found {values!r}")
+            raise InputError(
+                f"values: expected a dict by names of joints or the name of a state, found {_check.short(values)}"
+            )
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
             q[quaternion.start] = 1.0
@@ -470,7 +500,9 @@ class Robot:
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform.
+        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where
+        it has one limit only, over a way of 2π from there, or to the far end of that range if that is farther. A limit
+        beyond ±1e6 counts as none, and holds all the same.
 
         Parameters
         ----------
@@ -497,13 +529,40 @@ class Robot:
         n = _check.whole_number(n, "n", 0)
         _check.fits_memory(n * self.dof * 8, f"{n} configurations")
         rng = np.random.default_rng(_check.whole_number(seed, "seed", 0))
-        lower = np.where(np.isfinite(self.lower), self.lower, np.minimum(-np.pi, self.upper - 2 * np.pi))
-        upper = np.where(np.isfinite(self.upper), self.upper, np.maximum(np.pi, lower + 2 * np.pi))
-        Q = rng.uniform(lower, upper, (n, self.dof))
+        lower, upper = self.usual_range(np.pi)
+        Q = rng.uniform(lower, upper, (n, self.dof)).clip(lower, upper)
         for quaternion in self._quaternions.values():
             drawn = rng.normal(size=(n, 4))
             Q[:, quaternion] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
         return Q
+
+    @guarded
+    def usual_range(self, reach: float) -> tuple[Floats, Floats]:
+        """Finite limits to search within, shape (dof,) each, inside `lower` and `upper`.
+
+        Parameters
+        ----------
+        reach : float
+            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; twice
+            as far from the other limit if that is farther.
+
+        Returns
+        -------
+        lower, upper : ndarray, shape (dof,)
+            In radians or metres.
+
+        Examples
+        --------
+        >>> Robot.from_urdf("arm.urdf").usual_range(3.0)
+        (array([ 0., -3.]), array([2., 3.]))
+        """
+        reach = _check.positive_scalar(reach, "reach")
+        if reach > FARTHEST_LIMIT:
+            raise InputError(f"reach: expected at most {FARTHEST_LIMIT:g}, found {reach:g}")
+        below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
+        lower = np.where(below, self.lower, np.minimum(-reach, np.where(above, self.upper, 0.0) - 2 * reach * above))
+        upper = np.where(above, self.upper, np.maximum(reach, lower + 2 * reach))
+        return np.maximum(lower, self.lower), np.minimum(upper, self.upper)
 
     @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
@@ -523,7 +582,9 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf").distances([0, 0], [[3, 4], [0, 1]])
         array([5., 1.])
         """
-        return self._distances(self.checked(Q0, "Q0"), self.checked(Q1, "Q1"))
+        a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
+        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        return self._distances(a, b)
 
     def _distances(self, a: Floats, b: Floats) -> Any:
         if a.ndim == b.ndim == 1 and self.runs_straight:
@@ -565,6 +626,7 @@ class Robot:
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _check.finite_array(t, "t", ("...",))[..., None]
+        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
             p, q = a[..., quaternion], b[..., quaternion]
@@ -622,6 +684,11 @@ def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
             around.setdefault(top[parent], set()).add(link)
         else:
             pairs.add((min(link, parent), max(link, parent)))
+    if sum(math.comb(len(links), 2) for links in around.values()) > MOST_PAIRS:
+        raise InputError(
+            f"{robot.path}: expected at most {MOST_PAIRS} pairs of links that are joined through links without bodies, "
+            f"found more: {max(len(links) for links in around.values())} links around one place"
+        )
     for links in around.values():
         pairs.update(combinations(sorted(links), 2))
     return frozenset(pairs)

@@ -10,7 +10,9 @@ import functools
 import json
 import math
 import re
+import reprlib
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,14 +24,25 @@ import numpy as np
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._files import replacing
+from loewner._files import read_regular, replacing
 from loewner._guard import guarded
+from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.bodies import ARRAYS, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scenes import Scene
 
 Maker = Callable[..., Body]
+
+# What a file may have at most: bytes; entries, those that an alias stands for counted each time; and how deep they are
+# nested. A scene of a hundred thousand boxes has half of it. YAML is read at some seconds a megabyte.
+MOST_YAML_BYTES = 2**24
+MOST_JSON_BYTES = 2**28
+MOST_ENTRIES = 2_000_000
+DEEPEST = 50
+
+# Keys that a message lists at most.
+LISTED = 30
 
 TOP_KEYS = ("margin", "bodies", "allow", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
@@ -72,6 +85,11 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     MissingExtraError
         If PyYAML is not installed, or what a mesh needs.
 
+    Warns
+    -----
+    UserWarning
+        If a body seems not to be in metres, or an angle not in radians.
+
     Examples
     --------
     >>> from pathlib import Path
@@ -79,7 +97,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     >>> load_scene("table.yaml")
     Scene(1 bodies, 0 of them attached)
     """
-    file = Path(path)
+    file = _check.path(path, "path")
     root = _Entry(file, "", _composed(file))
     top = root.mapping(TOP_KEYS, required=("bodies",))
     scene = Scene()
@@ -128,7 +146,9 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     0.01
     """
     yaml = _yaml()
-    file = Path(path)
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
+    file = _check.path(path, "path")
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -160,9 +180,9 @@ def _yaml() -> Any:
 def _composed(file: Path) -> Any:
     """Root node of a YAML file; nodes know their lines, and nothing in the file is run or built."""
     yaml = _yaml()
-    data = _bytes(file, "a scene in YAML")
+    data = read_regular(file, "a scene in YAML", MOST_YAML_BYTES)
     try:
-        root = yaml.compose(data, Loader=yaml.SafeLoader)
+        root = yaml.compose(data, Loader=_loader())
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
@@ -179,11 +199,42 @@ def _composed(file: Path) -> Any:
     return root
 
 
-def _bytes(file: Path, wanted: str) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise FileError(f"{file}: expected {wanted}, found {(error.strerror or str(error)).lower()}") from None
+@functools.cache
+def _loader() -> Any:
+    """The class that reads YAML, made when PyYAML is needed for the first time."""
+    yaml = _yaml()
+    parent: Any = yaml.SafeLoader
+
+    class Loader(parent):  # type: ignore[misc]
+        """Counts what it composes, so that neither depth nor aliases of aliases make more than a file may hold."""
+
+        def __init__(self, data: bytes) -> None:
+            super().__init__(data)
+            self.depth = self.entries = 0
+            self.entries_of: dict[str, int] = {}
+
+        def compose_node(self, above: Any, index: Any) -> Any:
+            event = self.peek_event()
+            before = self.entries
+            self.depth += 1
+            self.entries += 1
+            if self.depth > DEEPEST:
+                self.refuse(f"more than {DEEPEST} entries inside each other", event)
+            node = super().compose_node(above, index)
+            self.depth -= 1
+            if isinstance(event, yaml.AliasEvent):
+                # Inside what it stands for, an alias is one entry: no part of a scene is read any deeper.
+                self.entries = before + self.entries_of.get(event.anchor, 1)
+            elif event.anchor is not None:
+                self.entries_of[event.anchor] = self.entries - before
+            if self.entries > MOST_ENTRIES:
+                self.refuse(f"more than {MOST_ENTRIES} entries, aliases counted each time", event)
+            return node
+
+        def refuse(self, what: str, event: Any) -> None:
+            raise yaml.composer.ComposerError(None, None, what, event.start_mark)
+
+    return Loader
 
 
 @dataclass(frozen=True)
@@ -226,7 +277,7 @@ class _Entry:
 
     def described(self) -> str:
         if self.node.id == "scalar":
-            return repr(self.node.value) if self.node.value else "nothing"
+            return _cut(repr(self.node.value)) if self.node.value else "nothing"
         return f"a {self.node.id} of {len(self.node.value)}"
 
     def mapping(self, known: tuple[str, ...] | None, required: tuple[str, ...] = ()) -> dict[str, _Entry]:
@@ -236,13 +287,13 @@ class _Entry:
             at_key = _Entry(self.file, self.key, key_node)
             key = at_key.expect("scalar", "a name as key")
             if known is not None and key not in known:
-                raise at_key.error(f"expected keys among {', '.join(known)}, found {key!r}")
+                raise at_key.error(f"expected keys among {', '.join(known)}, found {_cut(repr(key))}")
             if key in found:
-                raise at_key.error(f"expected each key once, found {key!r} again")
+                raise at_key.error(f"expected each key once, found {_cut(repr(key))} again")
             found[key] = _Entry(self.file, f"{self.key}/{key}" if self.key else key, node)
         for key in required:
             if key not in found:
-                raise self.error(f"expected the key {key}, found {', '.join(found) or 'none'}")
+                raise self.error(f"expected the key {key}, found {_some(found) or 'none'}")
         return found
 
     def items(self, *lengths: int) -> list[_Entry]:
@@ -263,7 +314,8 @@ class _Entry:
         """A finite number. YAML 1.1 takes 1e-3 for text; here the text decides, unless it is quoted."""
         value = self.expect("scalar", "a number")
         try:
-            number = float(value) if self.node.style is None else math.nan
+            plain = self.node.style is None and value.isascii() and "_" not in value
+            number = float(value) if plain else math.nan
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
@@ -295,7 +347,7 @@ def _add(scene: Scene, name: str, entry: _Entry, made: dict[Any, Body]) -> None:
     keys = entry.mapping(None)
     shapes = [key for key in keys if key in SHAPES]
     if len(shapes) != 1:
-        found = " and ".join(shapes) or ", ".join(keys) or "nothing"
+        found = " and ".join(shapes) or _some(keys) or "nothing"
         raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {found}")
     known = (*shapes, *BODY_KEYS, *(MESH_KEYS if shapes == ["mesh"] else ()))
     keys = entry.mapping(known)
@@ -327,7 +379,8 @@ def _recipe(shape: str, keys: dict[str, _Entry]) -> tuple[Any, Callable[[], Body
     if shape == "points":
         points = entry.rows(3)
         return (shape, *map(tuple, points)), functools.partial(Body.from_points, np.array(points).reshape(-1, 3))
-    file = entry.file.parent / entry.text()
+    with entry.blamed():
+        file = entry.file.parent / _check.path(entry.text(), shape)
     if shape == "saved":
         return (shape, file), functools.partial(Body.load, file)
     scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
@@ -357,7 +410,11 @@ def _pose(entry: _Entry, keys: dict[str, _Entry]) -> Floats:
     if "position" in given:
         T[:3, 3] = keys["position"].numbers(3)
     if "rpy" in given:
-        T[:3, :3] = from_rpy(*keys["rpy"].numbers(3))
+        rpy = keys["rpy"].numbers(3)
+        doubt = doubt_about_rpy(rpy)
+        if doubt:
+            warn(f"{entry.file}, line {keys['rpy'].node.start_mark.line + 1}: expected {doubt}")
+        T[:3, :3] = from_rpy(*rpy)
     if "quaternion_wxyz" in given:
         with keys["quaternion_wxyz"].blamed():
             T[:3, :3] = from_quaternion(keys["quaternion_wxyz"].numbers(4), "rotation")
@@ -512,9 +569,9 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     >>> [(problem.group, problem.index) for problem in read_motion_bench_maker("problems.json")]
     [('shelf', 1)]
     """
-    file = Path(path)
+    file = _check.path(path, "path")
     try:
-        content = json.loads(_bytes(file, "problems in JSON"), object_pairs_hook=functools.partial(_once, file))
+        content = json.loads(_json_text(file), object_pairs_hook=functools.partial(_once, file))
     except json.JSONDecodeError as error:
         raise FileError(f"{file}, line {error.lineno}: expected JSON, found a fault in it ({error.msg})") from None
     except (ValueError, RecursionError) as error:
@@ -522,6 +579,9 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     top = _Place(str(file), content)
     robot, joints, groups = (top.at(key) for key in ("robot", "joints", "problems"))
     names = tuple(joint.of(str, "a name") for joint in joints.items())
+    for name, count in Counter(names).most_common(1):
+        if count > 1:
+            raise FileError(f"{joints.where}: expected each joint once, found {_cut(repr(name))} again")
     make = functools.cache(_obstacle)
     return tuple(
         _problem(place, group, robot.of(str, "a name"), names, make)
@@ -530,14 +590,41 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     )
 
 
+def _json_text(file: Path) -> str:
+    """Text of a JSON file that is not nested too deep."""
+    data = read_regular(file, "problems in JSON", MOST_JSON_BYTES)
+    text = data.decode(json.detect_encoding(data))
+    if text.startswith("\ufeff"):
+        text = text[1:]
+    # What opens minus what closes; brackets in names can only make it too large, in files that nobody writes.
+    depth = deepest = 0
+    for bracket in re.finditer(r"[\[{\]}]", text):
+        depth += 1 if bracket[0] in "[{" else -1
+        deepest = max(deepest, depth)
+    if deepest > DEEPEST:
+        raise FileError(f"{file}: expected problems in JSON, found more than {DEEPEST} entries inside each other")
+    return text
+
+
 def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Make a mapping of its pairs. JSON lets a key come twice, and the first value would be lost."""
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in mapping if keys.count(key) > 1)
-        raise FileError(f"{file}: expected each key once in a mapping, found {twice!r} again")
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise FileError(f"{file}: expected each key once in a mapping, found {_cut(repr(twice))} again")
     return mapping
+
+
+def _some(names: Any) -> str:
+    """Names for people, as many as one would read."""
+    listed = list(names)
+    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
+    return ", ".join(map(_cut, listed[:LISTED])) + more
+
+
+def _cut(text: str) -> str:
+    """A text of a file for a message."""
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 @dataclass(frozen=True)
@@ -550,14 +637,17 @@ class _Place:
     def of(self, kind: Any, wanted: str) -> Any:
         # To Python a bool is an int; to a file it is not.
         if not isinstance(self.value, kind) or (isinstance(self.value, bool) and kind is not bool):
-            raise FileError(f"{self.where}: expected {wanted}, found {str(self.value)[:80]!r}")
+            raise FileError(f"{self.where}: expected {wanted}, found {_cut(self._text())!r}")
         return self.value
+
+    def _text(self) -> str:
+        return self.value if isinstance(self.value, str) else reprlib.repr(self.value)
 
     def at(self, key: str) -> _Place:
         mapping = self.of(dict, "a mapping")
         if key not in mapping:
-            raise FileError(f"{self.where}: expected the key {key}, found {', '.join(mapping) or 'none'}")
-        return _Place(f"{self.where}, {key}", mapping[key])
+            raise FileError(f"{self.where}: expected the key {key}, found {_some(mapping) or 'none'}")
+        return _Place(f"{self.where}, {_cut(key)}", mapping[key])
 
     def has(self, key: str) -> bool:
         return key in self.of(dict, "a mapping")
@@ -568,7 +658,7 @@ class _Place:
     def known(self, keys: tuple[str, ...]) -> None:
         for key in self.of(dict, "a mapping"):
             if key not in keys:
-                raise FileError(f"{self.where}: expected keys among {', '.join(keys)}; found {key!r}")
+                raise FileError(f"{self.where}: expected keys among {', '.join(keys)}; found {_cut(repr(key))}")
 
     def number(self) -> float:
         value = self.of((int, float), "a number")

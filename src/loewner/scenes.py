@@ -7,6 +7,8 @@ Names of links are taken on trust here, and checked by whoever pairs the scene w
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,11 +19,19 @@ from numpy.typing import ArrayLike
 from loewner import _check, crowds, queries
 from loewner._check import Floats
 from loewner._guard import guarded
+from loewner._kernels.shapes import OUTER_RADIUS
+from loewner._plausible import doubt_about_size, warn
 from loewner.bodies import Bodies, Body, Ints
 from loewner.errors import InputError
 from loewner.queries import Distance
 
 Pair = tuple[str, str]
+
+# Held while a scene changes or is copied, for microseconds each. One for all scenes: none has to be kept out of copies
+# and pickles, and a process that forks meanwhile has one to see to.
+_CHANGING = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_CHANGING.acquire, after_in_parent=_CHANGING.release, after_in_child=_CHANGING.release)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +80,18 @@ class Contact:
         Returns
         -------
         tuple of Contact
+
+        Raises
+        ------
+        InputError
+            If there are not as many pairs of names as exact distances.
         """
-        rows = zip(names, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
+        if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
+            raise InputError(f"found: expected exact distances of a row of pairs, found {_check.short(found)}")
+        listed = [_pair_as_given(pair) for pair in _check.listed(names, "names")]
+        if len(listed) != len(found.normal):
+            raise InputError(f"names: expected {len(found.normal)} pairs, as found, found {len(listed)}")
+        rows = zip(listed, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
         return tuple(cls(a, b, distance, *vectors) for (a, b), distance, *vectors in rows)
 
 
@@ -117,6 +137,9 @@ class Scene:
     `distance`) are about the bodies that stand in the world; where a body that is attached to a link is, only a
     robot's configuration tells.
 
+    Any thread may change a scene while others ask: each change is seen whole or not at all, and each query is about the
+    scene as it was at one moment. A body that seems not to be in metres is told when it is added, once a scene.
+
     Examples
     --------
     >>> scene = Scene()
@@ -141,6 +164,10 @@ class Scene:
         self._margins: dict[tuple[str, ...], float] = {}
         self._version = self._structure_version = 0
         self._packed: tuple[int, Bodies] | None = None
+        self._doubted = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.snapshot().__dict__
 
     def __repr__(self) -> str:
         return f"Scene({len(self)} bodies, {len(self._attachments)} of them attached)"
@@ -167,25 +194,30 @@ class Scene:
     @property
     def static_names(self) -> tuple[str, ...]:
         """Names of the bodies that stand in the world, in the same order: all but the attached ones."""
-        return tuple(name for name in self._bodies if name not in self._attachments)
+        with _CHANGING:
+            return tuple(name for name in self._bodies if name not in self._attachments)
 
     @property
     def static_bodies(self) -> Bodies:
         """The bodies of `static_names`, packed; the same object until `structure_version` grows."""
-        if self._packed is None or self._packed[0] != self._structure_version:
-            packed = Bodies(self._bodies[name] for name in self.static_names)
-            self._packed = self._structure_version, packed
-        return self._packed[1]
+        with _CHANGING:
+            packed, version = self._packed, self._structure_version
+            standing = [self._bodies[name] for name in self.static_names]
+        if packed is None or packed[0] != version:
+            self._packed = packed = version, Bodies(standing)
+        return packed[1]
 
     @property
     def static_poses(self) -> Floats:
         """Poses in the world of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
-        return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
+        with _CHANGING:
+            return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
 
     @property
     def attachments(self) -> dict[str, Attachment]:
         """How each attached body hangs on the robot, by name of the body."""
-        return {name: self._attachments[name] for name in self._bodies if name in self._attachments}
+        with _CHANGING:
+            return {name: self._attachments[name] for name in self._bodies if name in self._attachments}
 
     @property
     def version(self) -> int:
@@ -214,7 +246,8 @@ class Scene:
         InputError
             If the body is attached to a link.
         """
-        return self._poses[self._placed(name)].copy()
+        with _CHANGING:
+            return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
         """Return another scene with the same bodies, which changes on its own from now on.
@@ -224,12 +257,27 @@ class Scene:
         Scene
             With the same bodies, margins and rules; the bodies themselves are shared, since they never change.
         """
-        other = Scene(margin=self._margin)
-        other._bodies = dict(self._bodies)
-        other._poses = dict(self._poses)
-        other._attachments = dict(self._attachments)
-        other._allowed = set(self._allowed)
-        other._margins = dict(self._margins)
+        other = self.snapshot()
+        other._version = other._structure_version = 0
+        other._packed = None
+        return other
+
+    def snapshot(self) -> Scene:
+        """A copy that also has the versions, of one moment: what queries look at while other threads change this one.
+
+        Returns
+        -------
+        Scene
+            It shares with this one what is packed already.
+        """
+        other = Scene()
+        with _CHANGING:
+            other.__dict__.update(self.__dict__)
+            other._bodies = dict(self._bodies)
+            other._poses = dict(self._poses)
+            other._attachments = dict(self._attachments)
+            other._allowed = set(self._allowed)
+            other._margins = dict(self._margins)
         return other
 
     # -- changes ------------------------------------------------------------------------------
@@ -253,19 +301,38 @@ class Scene:
             If the name is taken or no text, `body` no body, or the margin negative or not finite.
         PoseError
             If the pose is no rigid motion.
+
+        Warns
+        -----
+        UserWarning
+            If the body seems not to be in metres: kilometres large or away, or far smaller than a millimetre. Once for
+            a scene.
         """
         _check_name(name, "name")
-        if name in self._bodies:
-            raise InputError(f"name: expected a new name, found {name!r}, which the scene has already; remove it first")
         if not isinstance(body, Body):
             raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
         T = _check.pose(T_world_body, f"T_world_body of {name!r}")
         keep = None if margin is None else _check.positive_scalar(margin, f"margin of {name!r}", zero=True)
-        self._bodies[name] = body
-        self._poses[name] = T
-        if keep is not None:
-            self._margins[(name,)] = keep
-        self._changed()
+        with _CHANGING:
+            if name in self._bodies:
+                raise InputError(
+                    f"name: expected a new name, found {name!r}, which the scene has already; remove it first"
+                )
+            self._bodies[name] = body
+            self._poses[name] = T
+            if keep is not None:
+                self._margins[(name,)] = keep
+            self._changed()
+        if not self._doubted:
+            self._doubt(name, body, T)
+
+    def _doubt(self, name: str, body: Body, T: Floats) -> None:
+        """Say what speaks against metres, once."""
+        radius = float(body._packed.kernel[0][:, OUTER_RADIUS].max(initial=0.0))
+        doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
+        if doubt:
+            self._doubted = True
+            warn(f"body {name!r}: expected {doubt} (told once a scene)")
 
     def remove(self, name: str) -> None:
         """Take a body out, and with it all margins and allowed pairs that name it.
@@ -279,13 +346,14 @@ class Scene:
         UnknownNameError
             If there is no such body.
         """
-        del self._bodies[self._known(name)]
-        self._poses.pop(name, None)
-        self._attachments.pop(name, None)
-        # A body that later comes under the same name must not inherit leave to touch.
-        self._allowed = {pair for pair in self._allowed if name not in pair}
-        self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
-        self._changed()
+        with _CHANGING:
+            del self._bodies[self._known(name)]
+            self._poses.pop(name, None)
+            self._attachments.pop(name, None)
+            # A body that later comes under the same name must not inherit leave to touch.
+            self._allowed = {pair for pair in self._allowed if name not in pair}
+            self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
+            self._changed()
 
     def move(self, name: str | Mapping[str, ArrayLike | None], T_world_body: ArrayLike | None = None) -> None:
         """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.
@@ -307,10 +375,11 @@ class Scene:
                 raise InputError("T_world_body: expected none beside a mapping from names to poses, found one")
             moves = name
         else:
-            moves = {name: T_world_body}
-        checked = {self._placed(key): _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
-        self._poses.update(checked)
-        self._version += 1
+            moves = {self._known(name): T_world_body}
+        checked = {key: _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        with _CHANGING:
+            self._poses.update({self._placed(key): T for key, T in checked.items()})
+            self._version += 1
 
     def attach(
         self, name: str, link: str, T_link_body: ArrayLike | None = None, *, touch_links: Iterable[str] = ()
@@ -338,16 +407,19 @@ class Scene:
         """
         self._known(name)
         _check_name(link, "link")
-        if isinstance(touch_links, str):
-            raise InputError(f"touch_links: expected several names of links, found one text, {touch_links!r}")
-        touching = {link, *touch_links}
-        for touched in touching:
-            _check_name(touched, "touch_links")
+        touching = {
+            link,
+            *(
+                _check_name(touched, "touch_links")
+                for touched in _check.listed(touch_links, "touch_links", wanted="several names of links")
+            ),
+        }
         T = _check.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
-        self._attachments[name] = Attachment(link, T, tuple(sorted(touching)))
-        self._poses.pop(name, None)
-        self._changed()
+        with _CHANGING:
+            self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
+            self._poses.pop(name, None)
+            self._changed()
 
     def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Put an attached body back into the world.
@@ -364,18 +436,21 @@ class Scene:
         InputError
             If the body is not attached.
         """
-        if self._known(name) not in self._attachments:
-            raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
-        self._poses[name] = _check.pose(T_world_body, f"T_world_body of {name!r}")
-        del self._attachments[name]
-        self._changed()
+        T = _check.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
+        with _CHANGING:
+            if self._known(name) not in self._attachments:
+                raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
+            self._poses[name] = T
+            del self._attachments[name]
+            self._changed()
 
     # -- rules --------------------------------------------------------------------------------
 
     @property
     def allowed(self) -> frozenset[Pair]:
         """Pairs whose contact is allowed, each sorted by name."""
-        return frozenset(self._allowed)
+        with _CHANGING:
+            return frozenset(self._allowed)
 
     def allow(self, a: str, b: str) -> None:
         """Allow two to touch: from now on no query counts their contact.
@@ -385,8 +460,10 @@ class Scene:
         a, b : str
             Names of bodies, present or to come, or of links.
         """
-        self._allowed.add(_pair(a, b))
-        self._changed()
+        pair = _pair(a, b)
+        with _CHANGING:
+            self._allowed.add(pair)
+            self._changed()
 
     def forbid(self, a: str, b: str) -> None:
         """Take back what `allow` allowed.
@@ -402,12 +479,13 @@ class Scene:
             If the pair was not allowed. A slip in a name would otherwise leave another pair allowed, unnoticed.
         """
         pair = _pair(a, b)
-        if pair not in self._allowed:
-            raise _check.unknown_name(
-                "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
-            )
-        self._allowed.remove(pair)
-        self._changed()
+        with _CHANGING:
+            if pair not in self._allowed:
+                raise _check.unknown_name(
+                    "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
+                )
+            self._allowed.remove(pair)
+            self._changed()
 
     @property
     def margin(self) -> float:
@@ -417,7 +495,8 @@ class Scene:
     @property
     def margins(self) -> dict[tuple[str, ...], float]:
         """The margins of single bodies or links, under ``(name,)``, and of pairs, under sorted ``(a, b)``."""
-        return dict(self._margins)
+        with _CHANGING:
+            return dict(self._margins)
 
     def set_margin(self, margin: float | None, a: str | None = None, b: str | None = None) -> None:
         """Set the margin of a pair, of one body or link, or of the whole scene.
@@ -442,14 +521,17 @@ class Scene:
                 raise InputError(f"a: expected a name beside b = {b!r}, found None")
             if keep is None:
                 raise InputError("margin: expected a number of metres for the whole scene, found None")
-            self._margin = keep
-        else:
-            names = (_check_name(a, "a"),) if b is None else _pair(a, b)
+            with _CHANGING:
+                self._margin = keep
+                self._changed()
+            return
+        names = (_check_name(a, "a"),) if b is None else _pair(a, b)
+        with _CHANGING:
             if keep is None:
                 self._margins.pop(names, None)
             else:
                 self._margins[names] = keep
-        self._changed()
+            self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
         """Metres that two bodies or links keep.
@@ -467,9 +549,10 @@ class Scene:
             Metres.
         """
         pair = _pair(a, b)
-        if pair in self._margins:
-            return self._margins[pair]
-        return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
+        with _CHANGING:
+            if pair in self._margins:
+                return self._margins[pair]
+            return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
 
     # -- queries ------------------------------------------------------------------------------
 
@@ -487,8 +570,9 @@ class Scene:
         ConvergenceError
             If the exact search could not settle a pair. It never answers "free" instead.
         """
-        first, second = self._meeting().T
-        bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
+        now = self._standing_now()
+        first, second = now._meeting().T
+        bodies, poses, names = now.static_bodies, now.static_poses, now.static_names
         found = queries.distance(bodies[first], poses[first], bodies[second], poses[second], exact=True)
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
@@ -500,7 +584,7 @@ class Scene:
         bool
             Touching, or coming within the margin, is colliding.
         """
-        return len(self._meeting()) > 0
+        return len(self._standing_now()._meeting()) > 0
 
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
         """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
@@ -527,7 +611,16 @@ class Scene:
         >>> round(scene.distance("a", "b", exact=True).distance, 9)
         1.0
         """
-        return queries.distance(self[a], self.pose(a), self[b], self.pose(b), exact=exact)
+        with _CHANGING:
+            one, T_one, other, T_other = self[a], self.pose(a), self[b], self.pose(b)
+        return queries.distance(one, T_one, other, T_other, exact=exact)
+
+    def _standing_now(self) -> Scene:
+        """A snapshot whose bodies are packed; the packing is kept for the next one."""
+        now = self.snapshot()
+        _ = now.static_bodies
+        self._packed = now._packed  # it says itself which version it is of
+        return now
 
     def _meeting(self) -> Ints:
         """Pairs of bodies in the world that count as colliding, as places in `static_names`, shape (m, 2)."""
@@ -556,7 +649,8 @@ class Scene:
 
     def _known(self, name: Any) -> str:
         if not isinstance(name, str) or name not in self._bodies:
-            raise _check.unknown_name("body", name, self._bodies)
+            with _CHANGING:
+                raise _check.unknown_name("body", name, self._bodies)
         return name
 
     def _placed(self, name: Any) -> str:
@@ -571,8 +665,16 @@ class Scene:
 
 def _check_name(name: Any, what: str) -> str:
     if not isinstance(name, str) or not name:
-        raise InputError(f"{what}: expected a name, found {name!r}")
+        raise InputError(f"{what}: expected a name, found {_check.short(name)}")
     return name
+
+
+def _pair_as_given(pair: Any) -> Pair:
+    try:
+        a, b = pair
+    except Exception:  # other than two, or what an object of the caller's raises
+        raise InputError(f"names: expected pairs of names, found {_check.short(pair)}") from None
+    return _check_name(a, "names"), _check_name(b, "names")
 
 
 def _pair(a: Any, b: Any) -> Pair:

@@ -14,10 +14,10 @@ import numpy as np
 
 from loewner import _check
 from loewner._check import Floats
-from loewner.errors import UnknownNameError
 
 POINTS_PER_BODY = 20
 LARGEST_SHIFT = 2.0  # metres
+BYTES_PER_PAIR = 4 * 8 * (2 * POINTS_PER_BODY * 3 + 1)  # uniform numbers, and on the way three times as many
 DATA_SETS = {"radius": "radius uniform in [0, 1]", "volume": "uniform in the volume of the ball"}
 
 
@@ -73,7 +73,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     Raises
     ------
     InputError
-        If `pairs` or `seed` is not such a number.
+        If `pairs` or `seed` is not such a number, or the pairs do not fit into memory.
     UnknownNameError
         If the data set is none of the two.
 
@@ -84,9 +84,9 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     >>> np.array_equal(small.points_2, large.points_2[:5])
     True
     """
-    n, seed = _check.whole_number(pairs, "pairs", 1), _check.whole_number(seed, "seed", 0)
-    if dataset not in DATA_SETS:
-        raise UnknownNameError(f"dataset: expected one of {', '.join(DATA_SETS)}, found {dataset!r}")
+    n, seed = _check.whole_number(pairs, "pairs", 1), _check.whole_number(seed, "seed", 0, _check.LARGEST_SEED)
+    _check.choice(dataset, "dataset", DATA_SETS)
+    _check.fits_memory(n * BYTES_PER_PAIR, f"{n} pairs of hulls")
     # One row of numbers per pair, whatever the number of pairs.
     uniform = np.random.default_rng(seed).random((n, 2 * POINTS_PER_BODY * 3 + 1))
     balls = _points_in_ball(uniform[:, :-1].reshape(n, 2, POINTS_PER_BODY, 3), dataset)

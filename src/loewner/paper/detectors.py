@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner import _check
 from loewner._check import Floats
 from loewner._kernels import detectors as _detectors
 from loewner._kernels import shapes
@@ -67,7 +68,15 @@ class Confusion:
         Parameters
         ----------
         collides, truth : ndarray of bool, shape (n,)
+
+        Raises
+        ------
+        InputError
+            If they are not as many, or no booleans.
         """
+        collides, truth = _truths(collides, "collides"), _truths(truth, "truth")
+        if collides.shape != truth.shape:
+            raise InputError(f"truth: expected shape {collides.shape}, as collides, found {truth.shape}")
         tp, fp = int((collides & truth).sum()), int((collides & ~truth).sum())
         fn = int((~collides & truth).sum())
         return cls(tp, fp, fn, len(truth) - tp - fp - fn)
@@ -81,6 +90,15 @@ class Confusion:
     def total(self) -> int:
         """Number of pairs counted."""
         return sum(self.counts)
+
+
+def _truths(x: Any, name: str) -> Bools:
+    array = _check.plain_array(x, name)
+    if array.dtype != np.bool_ or array.ndim != 1:
+        raise InputError(
+            f"{name}: expected booleans of shape (n,), found {array.dtype} of shape {_check.shape_text(array.shape)}"
+        )
+    return array
 
 
 @dataclass(frozen=True)
@@ -156,8 +174,10 @@ class Pairs:
         UnknownNameError
             If there is no such heuristic.
         """
-        if heuristic not in HEURISTICS:
-            raise UnknownNameError(f"heuristic: expected one of {', '.join(HEURISTICS)}, found {heuristic!r}")
+        _check.choice(heuristic, "heuristic", HEURISTICS)
+        for name, bodies in (("a", a), ("b", b)):
+            if not isinstance(bodies, Bodies):
+                raise InputError(f"{name}: expected loewner.Bodies, found {type(bodies).__name__}")
         if len(a) != len(b):
             raise InputError(f"bodies: expected equally many on both sides, found {len(a)} and {len(b)}")
         faces_1, points_1 = _unpacked(a)
@@ -183,7 +203,17 @@ class Pairs:
         Returns
         -------
         Pairs
+
+        Raises
+        ------
+        InputError
+            If there is no such pair.
         """
+        index = _check.integer_array(index, "index")
+        if index.ndim != 1 or (index.size and not (index.min() >= 0 and index.max() < len(self))):
+            raise InputError(
+                f"index: expected pairs from 0 to {len(self) - 1}, shape (k,), found {_check.short(index)}"
+            )
         return Pairs(
             self.inner_1[index],
             self.outer_1[index],
@@ -234,8 +264,8 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
 
     Raises
     ------
-    UnknownNameError
-        If there is no such detector.
+    InputError
+        If `pairs` are none, or the angle is no number above zero; UnknownNameError if there is no such detector.
 
     Examples
     --------
@@ -245,7 +275,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     >>> bool((answers.collides == found.truth)[~answers.ambiguous].all())
     True
     """
-    n = len(pairs)
+    n = len(_expect_pairs(pairs))
     collides, ambiguous = np.zeros(n, np.uint8), np.zeros(n, np.uint8)
     _bound(detector, pairs, angle, collides, ambiguous)()
     return Answers(collides.astype(bool), ambiguous.astype(bool))
@@ -256,7 +286,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
     The median of at least three passes; below some hundred pairs the call itself shows in it.
     """
-    n = len(pairs)
+    n = len(_expect_pairs(pairs))
     if n == 0:
         return float("nan")
     call = _bound(detector, pairs, angle, np.zeros(n, np.uint8), np.zeros(n, np.uint8))
@@ -287,6 +317,7 @@ def estimate(pairs: Pairs) -> Answers:
     >>> bool((paper.estimate(found.pairs).collides == found.estimate.answers.collides).all())
     True
     """
+    _expect_pairs(pairs)
     F_inner = contact_function(pairs.inner_1, pairs.inner_2)
     F_outer = contact_function(pairs.outer_1, pairs.outer_2)
     ambiguous = (F_outer <= 1.0) & (F_inner > 1.0)
@@ -310,10 +341,18 @@ def shrunk(outer: Ellipsoids, faces: Faces, center: Floats) -> Ellipsoids:
     return Ellipsoids(center, scale[:, None, None] * outer.factor)
 
 
+def _expect_pairs(pairs: Any) -> Pairs:
+    if not isinstance(pairs, Pairs):
+        raise InputError(f"pairs: expected loewner.paper.Pairs, found {type(pairs).__name__}")
+    return pairs
+
+
 def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguous: object) -> Callable[[], None]:
     """Bind a kernel to its arrays."""
-    if detector not in DETECTORS:
-        raise UnknownNameError(f"detector: expected one of {', '.join(map(str, DETECTORS))}, found {detector!r}")
+    if isinstance(detector, bool) or not isinstance(detector, (int, np.integer)) or int(detector) not in DETECTORS:
+        known, found = ", ".join(map(str, DETECTORS)), _check.short(detector)
+        raise UnknownNameError(f"detector: expected one of {known}, found {found}")
+    angle = _check.positive_scalar(angle, "angle")
     inner_1, inner_2 = (pairs.heuristic_1, pairs.heuristic_2) if detector == 1 else (pairs.inner_1, pairs.inner_2)
     arguments: list[Any] = [x for E in (inner_1, pairs.outer_1, inner_2, pairs.outer_2) for x in (E.center, E.factor)]
     if detector == 1:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner import _check
 from loewner._files import replacing
 from loewner.bodies import Bodies
 from loewner.errors import FileError
@@ -167,10 +168,14 @@ def run(
     >>> len(paper.tables.rows(found))  # tables 1 to 4 and the estimate's, (a) and (b)
     10
     """
+    _check.callback(progress, "progress")
+    counts = None if json is None else _check.path(json, "json")
     data = sample(pairs, seed, dataset)
     # What could keep the results from being written is found out before the work, not after it.
-    if json is not None and not Path(json).parent.is_dir():
-        raise FileError(f"{json}: expected a name in an existing folder, found no folder {Path(json).parent}")
+    if counts is not None and not folder_exists(counts.parent):
+        raise FileError(f"{counts}: expected a name in an existing folder, found no folder {counts.parent}")
+    if counts is not None and folder_exists(counts):
+        raise FileError(f"{counts}: expected the name of a file, found a folder")
     if out is not None:
         from loewner.paper import report
 
@@ -202,8 +207,8 @@ def run(
         tuple(results),
         _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth),
     )
-    if json is not None:
-        write_atomically(Path(json), (_json.dumps(found.as_dict(), indent=2) + "\n").encode())
+    if counts is not None:
+        write_atomically(counts, (_json.dumps(found.as_dict(), indent=2) + "\n").encode())
     if out is not None:
         tell("report", 0, 1)
         report.write(found, out)
@@ -235,6 +240,14 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
         Confusion.of(answers.collides[chosen], truth[chosen]),
         *microseconds,
     )
+
+
+def folder_exists(path: Path) -> bool:
+    """False also for names that no file system takes, such as those too long for it."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def write_atomically(target: Path, content: bytes) -> None:

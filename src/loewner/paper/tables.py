@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from loewner._proportions import wilson
+from loewner.errors import InputError
 from loewner.paper.detectors import Confusion
 from loewner.paper.experiment import Experiment, Result
 
@@ -100,6 +101,7 @@ def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
 
 def tables(experiment: Experiment) -> tuple[Table, ...]:
     """All tables: 1 (a), 1 (b) ... 4 (b), then the library's estimate (a), (b)."""
+    _expect_experiment(experiment)
     found: list[Table] = []
     fourth = experiment.detectors[3]
     for result in experiment.detectors:
@@ -127,10 +129,16 @@ def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
         In the order of `CLASSES`; the checks are those of the library's estimate, which are exact.
     p_value : float
     """
+    _expect_experiment(experiment)
     hard, truth = experiment.estimate.answers.ambiguous, experiment.truth
     inner = experiment.estimate.answers.collides & ~hard
     counts = tuple(int(c.sum()) for c in (inner, hard & truth, hard & ~truth, ~hard & ~inner))
     return counts, homogeneity(counts, PAPER_CLASSES)
+
+
+def _expect_experiment(experiment: object) -> None:
+    if not isinstance(experiment, Experiment):
+        raise InputError(f"experiment: expected loewner.paper.Experiment, found {type(experiment).__name__}")
 
 
 COLUMNS = ("table", "detector", *CELLS, "right", "consistent with the paper", "us per check", "paper, ms")

@@ -16,14 +16,19 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from loewner import _check
 from loewner._check import Floats
 from loewner._rotations import from_quaternion, from_rpy
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
 from loewner.queries import Verdict
+from loewner.viewer import guard
 from loewner.viewer.drawing import Rgb, light, place
 
 # How often the page looks for what has changed from Python, in seconds.
 LOOK_EVERY = 0.1
+
+# Port numbers are below this.
+PORTS = 65536
 
 TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 
@@ -56,8 +61,7 @@ class Viewer:
     colliding: bool
 
     def __init__(self, title: str, host: str, port: int) -> None:
-        self.server = _serve(title, host, port)
-        self._host = host
+        self.server, self._guard = _serve(title, guard.listening(host), _checked_port(port))
         self.lock = threading.RLock()
         self.answered, self.seconds = 0, 0.0
         self._events: queue.SimpleQueue[tuple[str, Any] | None] = queue.SimpleQueue()
@@ -73,15 +77,16 @@ class Viewer:
             raise
         self.refresh()
         self._thread.start()
+        if self._guard.token is not None:
+            print(self._warning(), flush=True)
 
     # -- for the caller ---------------------------------------------------------------------------
 
     @property
     def url(self) -> str:
-        """Address of the page, on this machine."""
+        """Address of the page, on this machine; with the token, if others can reach it."""
         self._check_open()
-        host = "localhost" if self._host in ("127.0.0.1", "0.0.0.0", "") else self._host
-        return f"http://{host}:{self.server.get_port()}"
+        return self._guard.where.url(self._guard.port, self._guard.token)
 
     def close(self) -> None:
         """Close the page and stop its server; a second time does nothing."""
@@ -111,6 +116,15 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _warning(self) -> str:
+        """Who can open a page that is not for this machine alone."""
+        where, port = self._guard.where, self._guard.port
+        reach = "any of this machine's addresses" if where.everywhere else where.host
+        address = where.url(port, self._guard.token, socket.gethostname() if where.everywhere else where.host)
+        return (
+            f"loewner viewer: whoever can reach {reach} and has this address may see and move what is shown: {address}"
+        )
 
     # -- for the two kinds of page ----------------------------------------------------------------
 
@@ -283,27 +297,46 @@ def _lines(notes: list[str]) -> str:
     return "".join(f'<div data-loewner="note">{escape(note)}</div>' for note in notes)
 
 
-def _serve(title: str, host: str, port: int) -> Any:
+def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Guard]:
+    """Start the server, with the guard before it."""
     try:
         import viser
     except ImportError as error:
         package = (error.name or "viser").partition(".")[0]
         raise MissingExtraError(f"the viewer needs {package}: {installing('viewer')}") from None
-    if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < 65536:
-        raise InputError(f"port: expected a whole number from 0 (any free port) to 65535, found {port!r}")
     # viser would quietly take another port, and wait for ever at an address that is none.
     try:
-        with socket.create_server((host, int(port))):
+        with socket.create_server((where.address, port), family=where.family):
             pass
     except OSError as error:
         raise InputError(
-            f"port: expected a free port at {host}, could not have {port} "
+            f"port: expected a free port at {where.host}, could not have {port} "
             f"({os.strerror(error.errno) if error.errno and error.errno > 0 else error}); choose another, or 0 for any"
         ) from None
     # Browsers open connections ahead of need and drop them; that is no error worth a traceback.
-    logging.getLogger("websockets.server").addFilter(lambda r: r.getMessage() != "opening handshake failed")
-    server = viser.ViserServer(host=host, port=int(port), label=title, verbose=False)
-    if port not in (0, server.get_port()):
+    logging.getLogger("websockets.server").addFilter(_worth_logging)
+    server = viser.ViserServer(host=where.address, port=port, label=title, verbose=False)
+    try:
+        if port not in (0, server.get_port()):
+            raise InputError(
+                f"port: expected a free port at {where.host}, found {port} in use; choose another, or 0 for any"
+            )
+        guarding = guard.Guard(where, server.get_port(), None if where.loopback else guard.new_token())
+        guard.install(server, guarding)
+    except BaseException:
         server.stop()
-        raise InputError(f"port: expected a free port at {host}, found {port} in use; choose another, or 0 for any")
-    return server
+        raise
+    server.gui.configure_theme(show_share_button=False)
+    return server, guarding
+
+
+def _worth_logging(record: logging.LogRecord) -> bool:
+    return record.getMessage() != "opening handshake failed"
+
+
+def _checked_port(port: Any) -> int:
+    if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < PORTS:
+        raise InputError(
+            f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {_check.short(port)}"
+        )
+    return int(port)

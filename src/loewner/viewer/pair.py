@@ -43,8 +43,9 @@ def show_pair(
         What the bodies were made from, in their frames: a layer of its own, off at first, for it is the pieces that
         are checked. A body without one shows its pieces in that layer.
     host : str
-        Address to listen at. The default is seen by this machine alone; "0.0.0.0" lets others in, who may then move
-        the bodies too.
+        Address to listen at. The default, "::1" and "localhost" are for this machine alone. With any other, others
+        may see the page and move the bodies if they have its address: it ends in a random token, and is printed once.
+        "0.0.0.0" is all addresses of this machine.
     port : int
         0 is any free port.
     block : bool
@@ -57,9 +58,10 @@ def show_pair(
     Raises
     ------
     MissingExtraError
-        If viser is not installed.
+        If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If an operand is no body, the margin is negative, or the port is taken; PoseError if a pose is no rigid motion.
+        If an operand is no body, the margin is negative, the host is none of this machine's, or the port is taken;
+        PoseError if a pose is no rigid motion.
     FileError, GeometryError
         If a mesh cannot be read.
 
@@ -72,8 +74,9 @@ def show_pair(
     (True, 'FREE')
     >>> page.close()
     """
+    waits = _check.flag(block, "block")
     viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
-    if block:
+    if waits:
         viewer.wait()
     return viewer
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loewner import _check
 from loewner._check import Floats
 from loewner.bodies import Body
 from loewner.checkers import CollisionChecker, StateDistance
@@ -62,9 +63,10 @@ def show_robot(
     Raises
     ------
     MissingExtraError
-        If viser is not installed.
+        If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If the configuration does not fit, there is nothing to check, or the port is taken.
+        If the configuration does not fit, there is nothing to check, the host is none of this machine's, or the port
+        is taken.
 
     Examples
     --------
@@ -74,8 +76,9 @@ def show_robot(
     (True, 'FREE')
     >>> page.close()
     """
+    waits = _check.flag(block, "block")
     viewer = RobotViewer(checker, q, host=host, port=port)
-    if block:
+    if waits:
         viewer.wait()
     return viewer
 

@@ -1,0 +1,732 @@
+"""`Body` and `Bodies`: what users hold."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _check, fits, meshes, polytopes
+from loewner._check import Floats
+from loewner._guard import guarded
+from loewner._kernels import shapes
+from loewner.bodies import files
+from loewner.bodies.layout import Ints
+from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
+from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
+from loewner.ellipsoids import Ellipsoids
+from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One convex piece of a body.
+
+    Attributes
+    ----------
+    kind : str
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere".
+    vertices : ndarray, shape (v, 3), or None
+        Extreme points; None for curved pieces.
+    normals, offsets : ndarray, shapes (f, 3) and (f,), or None
+        Faces: unit outward normals and offsets, normals @ x <= offsets.
+    triangles : ndarray of int, shape (t, 3), or None
+        Hull surface as indices into `vertices`, counter-clockwise from outside.
+    inner, outer : Ellipsoids
+        Largest ellipsoid inside, smallest around.
+    inner_gap, outer_gap : float
+        Certified bounds on the log-volume distance from the optimum.
+
+    Examples
+    --------
+    >>> piece = Body.box([2, 2, 2]).pieces[0]
+    >>> piece.kind, piece.vertices.shape, piece.normals.shape
+    ('polytope', (8, 3), (6, 3))
+    >>> piece.inner.semi_axes, piece.inner_gap < 1e-12
+    (array([1., 1., 1.]), True)
+    """
+
+    kind: str
+    vertices: Floats | None
+    normals: Floats | None
+    offsets: Floats | None
+    triangles: Ints | None
+    inner: Ellipsoids
+    outer: Ellipsoids
+    inner_gap: float
+    outer_gap: float
+
+
+class _Bodies:
+    """What one body and a sequence of bodies have in common."""
+
+    _packed: Packed
+
+    @property
+    def inner(self) -> Ellipsoids:
+        """Inner ellipsoids, one row per piece."""
+        return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
+
+    @property
+    def outer(self) -> Ellipsoids:
+        """Outer ellipsoids, one row per piece."""
+        return Ellipsoids._trusted(self._packed.outer_center, self._packed.outer_factor)
+
+    @property
+    def gaps(self) -> Floats:
+        """Certified log-volume gaps (inner, outer) of the fits, shape (pieces, 2)."""
+        return self._packed.gaps
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held by all arrays, in bytes."""
+        return self._packed.nbytes
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """All pieces, in order."""
+        return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
+
+
+@guarded
+class Body(_Bodies):
+    """A union of convex pieces, each with its inner and outer ellipsoid.
+
+    Make one by `from_points`, `from_pieces`, `from_mesh`, `box`, `sphere`, `cylinder`, `capsule`,
+    `cone`, `ellipsoid`, `union` or `load`. Lengths are metres, in the body's own frame.
+
+    Examples
+    --------
+    >>> body = Body.box([1, 2, 3])
+    >>> body.inner[0].semi_axes
+    array([1.5, 1. , 0.5])
+    """
+
+    def __init__(self, packed: Packed, covering: meshes.Covering | None = None) -> None:
+        if not isinstance(packed, Packed):
+            raise InputError("Body: make one by Body.from_points, from_mesh, box, sphere, ... or load")
+        if len(packed.piece_start) != 2:
+            raise InputError(f"Body: expected the pieces of one body, found {len(packed.piece_start) - 1} bodies")
+        self._packed = packed
+        self.covering = covering
+
+    def __repr__(self) -> str:
+        kinds = [KIND_NAMES[k] for k in self._packed.layout[:, shapes.KIND]]
+        text = kinds[0] if len(kinds) == 1 else f"{len(kinds)} pieces"
+        return f"Body({text}, {len(self._packed.points)} vertices)"
+
+    @classmethod
+    def from_points(cls, points: ArrayLike, *, tol: float = 1e-4) -> Body:
+        """Convex hull of points, as one piece.
+
+        Parameters
+        ----------
+        points : array_like, shape (m, 3)
+            In metres; at least four, not all in a plane.
+        tol : float
+            Certified log-volume gap of both fits.
+
+        Raises
+        ------
+        GeometryError
+            If there are too few points, or they are flat, collinear or all the same.
+
+        Examples
+        --------
+        >>> Body.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.1, 0.1, 0.1]])
+        Body(polytope, 4 vertices)
+        """
+        return cls(_from_point_sets([points], np.array([0, 1]), tol, names=["points"]))
+
+    @classmethod
+    def from_pieces(cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4) -> Body:
+        """Union of the convex hulls of several point sets, each of shape (m_i, 3).
+
+        Parameters
+        ----------
+        point_sets : iterable of array_like, each of shape (m_i, 3)
+            In metres.
+        tol : float
+            Certified log-volume gap of all fits.
+
+        Raises
+        ------
+        GeometryError
+            If there is no set, or one is flat; the message gives its number.
+
+        Examples
+        --------
+        >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+        >>> Body.from_pieces([corners, corners + [2, 0, 0]])
+        Body(2 pieces, 8 vertices)
+        """
+        sets = _check.listed(point_sets, "point_sets")
+        if not sets:
+            raise GeometryError("point_sets: expected at least one piece, found none")
+        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol))
+
+    @classmethod
+    def from_mesh(
+        cls,
+        source: Any,
+        *,
+        decompose: bool = True,
+        tol: float = 1e-4,
+        scale: ArrayLike = 1.0,
+        cover: bool = True,
+        threshold: float = 0.05,
+        max_pieces: int | None = None,
+        seed: int = 0,
+    ) -> Body:
+        """Body of a triangle mesh.
+
+        Parameters
+        ----------
+        source : path, trimesh.Trimesh or trimesh.Scene
+            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
+        decompose : bool
+            True: split a non-convex mesh into convex pieces (CoACD); the pieces approximate the
+            mesh, and `body.covering` says how well. False: the convex hull, which contains it.
+        tol : float
+            Certified log-volume gap of all fits.
+        scale : float, or array_like of shape (3,)
+            Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+        cover : bool
+            Grow the pieces of a decomposition until they hold the mesh's whole surface.
+        threshold : float
+            CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
+        max_pieces : int, optional
+            Limit on the number of pieces of a decomposition.
+        seed : int
+            Seed of CoACD's search.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, empty, truncated or no mesh.
+        MissingExtraError
+            If a package of the extra "meshes" is needed and missing.
+
+        See Also
+        --------
+        loewner.meshes.convex_pieces : The pieces alone, and how they are made.
+
+        Examples
+        --------
+        >>> import trimesh
+        >>> body = Body.from_mesh(trimesh.creation.box((0.1, 0.2, 0.3)))
+        >>> body, body.covering.kind
+        (Body(polytope, 8 vertices), 'convex')
+        """
+        sets, covering = meshes.convex_pieces(
+            source,
+            scale=cast(Floats, scale),  # checked there
+            decompose=decompose,
+            cover=cover,
+            threshold=threshold,
+            max_pieces=max_pieces,
+            seed=seed,
+        )
+        names = [f"piece {i} of the mesh" for i in range(len(sets))]
+        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol, names=names), covering)
+
+    @classmethod
+    def box(cls, size: ArrayLike) -> Body:
+        """Axis-aligned box about the origin with full edge lengths `size`, shape (3,), in metres.
+
+        Parameters
+        ----------
+        size : array_like, shape (3,)
+            Full edge lengths along x, y, z, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.box([2, 4, 6]).outer.volume / Body.box([2, 4, 6]).inner.volume  # 3 sqrt(3)
+        array([5.19615242])
+        """
+        half = _check.positive_vector(size, "size", 3) / 2
+        signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+        hull = polytopes.hulls([signs * half])
+        # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
+        F = np.diag(half)
+        return cls(
+            _assemble_polytopes(
+                hull,
+                np.array([0, 1]),
+                np.zeros((1, 3)),
+                F[None] * (1 - CLOSED_FORM_ROUNDING),
+                np.zeros((1, 3)),
+                F[None] * (np.sqrt(3.0) * (1 + CLOSED_FORM_ROUNDING)),
+                np.full((1, 2), 6 * CLOSED_FORM_ROUNDING),
+            )
+        )
+
+    @classmethod
+    def sphere(cls, radius: float) -> Body:
+        """Ball about the origin, radius in metres; its own inner and outer ellipsoid.
+
+        Parameters
+        ----------
+        radius : float
+            In metres.
+
+        Raises
+        ------
+        InputError
+            If the radius is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.sphere(0.5).outer.semi_axes
+        array([[0.5, 0.5, 0.5]])
+        """
+        r = _check.positive_scalar(radius, "radius")
+        return _primitive(shapes.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
+
+    @classmethod
+    def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
+        """Ellipsoid about the origin along the axes, semi-axes of shape (3,), in metres.
+
+        Parameters
+        ----------
+        semi_axes : array_like, shape (3,)
+            Along x, y, z, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.ellipsoid([1, 2, 3])
+        Body(ellipsoid, 0 vertices)
+        """
+        s = _check.positive_vector(semi_axes, "semi_axes", 3)
+        return _primitive(shapes.ELLIPSOID, 0.0, s, s, s, 0.0)
+
+    @classmethod
+    def cylinder(cls, radius: float, length: float) -> Body:
+        """Cylinder about the origin along z, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            In metres; the axis runs from -length/2 to length/2.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.cylinder(radius=1, length=4).inner.semi_axes
+        array([[2., 1., 1.]])
+        """
+        r = _check.positive_scalar(radius, "radius")
+        h = _check.positive_scalar(length, "length") / 2
+        wide = r * np.sqrt(1.5)
+        return _primitive(shapes.CYLINDER, 0.0, [r, r, h], [r, r, h], [wide, wide, np.sqrt(3.0) * h], 0.0)
+
+    @classmethod
+    def cone(cls, radius: float, length: float) -> Body:
+        """Cone along z with its apex at +length/2 and its base at -length/2, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            Of the base, and from base to apex, in metres.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.cone(radius=1, length=4).inner.center
+        array([[ 0.,  0., -1.]])
+        """
+        r = _check.positive_scalar(radius, "radius")
+        H = _check.positive_scalar(length, "length")
+        narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
+        return _primitive(shapes.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
+
+    @classmethod
+    def capsule(cls, radius: float, length: float) -> Body:
+        """Capsule about the origin along z; `length` is that of the straight part, in metres.
+
+        Parameters
+        ----------
+        radius, length : float
+            In metres; from tip to tip it measures length + 2 radius.
+
+        Raises
+        ------
+        InputError
+            If a length is not positive and finite.
+
+        Examples
+        --------
+        >>> Body.capsule(radius=1, length=4).inner.semi_axes
+        array([[3., 1., 1.]])
+        """
+        r = _check.positive_scalar(radius, "radius")
+        h = _check.positive_scalar(length, "length") / 2
+        a, b = around_capsules(np.array(r), np.array(h))
+        return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
+
+    @classmethod
+    def union(cls, bodies: Iterable[Body]) -> Body:
+        """One body of all the pieces of several, in the frame they share.
+
+        Parameters
+        ----------
+        bodies : iterable of Body
+            At least one.
+
+        Raises
+        ------
+        InputError
+            If one is no body.
+        GeometryError
+            If there is none.
+
+        Examples
+        --------
+        >>> Body.union([Body.sphere(1.0), Body.box([4, 0.5, 0.5])])
+        Body(2 pieces, 8 vertices)
+        """
+        if isinstance(bodies, Body):
+            raise InputError("bodies: expected several bodies in a list, found one body")
+        listed = _check.listed(bodies, "bodies")
+        if not listed:
+            raise GeometryError("bodies: expected at least one body, found none")
+        packed = join([_expect_body(b, "bodies")._packed for b in listed])
+        start = np.array([0, len(packed.layout)])
+        return cls(Packed(**{**arrays_of(packed), "piece_start": start}, maps=packed.maps))
+
+    def transformed(self, T: ArrayLike) -> Body:
+        """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
+
+        The moved vertices are rounded to float64, so the ellipsoids are grown and shrunk by what
+        that rounding can do to containment.
+
+        Parameters
+        ----------
+        T : array_like, shape (4, 4)
+            Translation in metres.
+
+        Returns
+        -------
+        Body
+
+        Raises
+        ------
+        PoseError
+            If T is no rigid motion.
+        GeometryError
+            If the translation leaves no digits for a piece that is thin.
+
+        Examples
+        --------
+        >>> T = np.eye(4)
+        >>> T[0, 3] = 5.0
+        >>> Body.sphere(1.0).transformed(T).outer.center
+        array([[5., 0., 0.]])
+        """
+        return Body(moved(self._packed, _check.pose(T, "T")), self.covering)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> Body.sphere(1.0).save("ball.npz")
+        >>> Body.load("ball.npz")
+        Body(sphere, 0 vertices)
+        """
+        files.save(self._packed, path, self.covering)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Body:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        FileError
+            If the file is missing, broken, altered, newer, or holds several bodies.
+
+        Examples
+        --------
+        >>> Body.load("none.npz")
+        Traceback (most recent call last):
+            ...
+        loewner.errors.FileError: none.npz: expected a file, found none
+        """
+        packed, covering = files.load(path)
+        if len(packed.piece_start) != 2:
+            raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
+        return cls(packed, covering)
+
+
+@guarded
+class Bodies(_Bodies):
+    """A packed sequence of n bodies; broadcasts with the last batch axis of the poses.
+
+    Parameters
+    ----------
+    bodies : iterable of Body
+
+    Examples
+    --------
+    >>> bodies = Bodies([Body.sphere(1.0), Body.box([1, 1, 1])])
+    >>> len(bodies), bodies[1]
+    (2, Body(polytope, 8 vertices))
+    """
+
+    def __init__(self, bodies: Iterable[Body]) -> None:
+        listed = [_expect_body(b, "bodies")._packed for b in _check.listed(bodies, "bodies")]
+        self._packed = join(listed) if listed else empty()
+
+    @classmethod
+    def _wrap(cls, packed: Packed) -> Bodies:
+        self = object.__new__(cls)
+        self._packed = packed
+        return self
+
+    @classmethod
+    def from_points(
+        cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4, progress: Progress | None = None
+    ) -> Bodies:
+        """One convex body per point set; hulls and fits in one go, on all threads.
+
+        Parameters
+        ----------
+        point_sets : sequence of array_like, each of shape (m_i, 3)
+        tol : float
+            Certified log-volume gap of all fits.
+        progress : callable, optional
+            Called as ``progress(done, total)`` now and then.
+
+        Raises
+        ------
+        GeometryError
+            If a set is flat or too small; the message gives its number.
+
+        Examples
+        --------
+        >>> Bodies.from_points(np.random.default_rng(0).normal(size=(100, 12, 3)))
+        Bodies(100 bodies, 100 pieces)
+        """
+        sets = _check.listed(point_sets, "point_sets")
+        _check.callback(progress, "progress")
+        return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress=progress))
+
+    @classmethod
+    def spheres(cls, radii: ArrayLike) -> Bodies:
+        """One ball about the origin per radius, shape (n,), in metres; as `Body.sphere`.
+
+        Parameters
+        ----------
+        radii : array_like, shape (n,)
+            In metres.
+
+        Examples
+        --------
+        >>> Bodies.spheres([0.5, 1.0])
+        Bodies(2 bodies, 2 pieces)
+        """
+        r = _check.positive_vector(radii, "radii", None)
+        axes = np.repeat(r[:, None], 3, axis=1)
+        return cls._wrap(primitives(shapes.POINT, r, axes, axes, axes, 0.0))
+
+    @classmethod
+    def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
+        """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; as `Body.ellipsoid`.
+
+        Parameters
+        ----------
+        semi_axes : array_like, shape (n, 3)
+            Along x, y, z, in metres.
+
+        Examples
+        --------
+        >>> Bodies.ellipsoids([[1, 2, 3], [1, 1, 1]])
+        Bodies(2 bodies, 2 pieces)
+        """
+        s = _check.positive_array(semi_axes, "semi_axes", (None, 3))
+        return cls._wrap(primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
+
+    def __len__(self) -> int:
+        return len(self._packed.piece_start) - 1
+
+    def __iter__(self) -> Iterator[Body]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> Any:
+        if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
+            if not -len(self) <= index < len(self):
+                raise BodyIndexError(
+                    f"expected an index from {-len(self)} to {len(self) - 1}, found {_check.short(index)}"
+                )
+            return Body(take(self._packed, np.array([index % len(self)])))
+        try:
+            rows = np.arange(len(self))[index]
+        except Exception as error:  # an IndexError, or what an object of the caller's raises
+            found = _check.short(index)
+            raise BodyIndexError(
+                f"expected indices from {-len(self)} to {len(self) - 1}, found {found} ({error})"
+            ) from None
+        if rows.ndim != 1:
+            raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_check.short(index)}")
+        return Bodies._wrap(take(self._packed, rows))
+
+    def __repr__(self) -> str:
+        return f"Bodies({len(self)} bodies, {len(self._packed.layout)} pieces)"
+
+    @property
+    def piece_start(self) -> Ints:
+        """Body i owns the pieces piece_start[i] .. piece_start[i+1]; shape (n + 1,)."""
+        return self._packed.piece_start
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Examples
+        --------
+        >>> Bodies.spheres([0.5, 1.0]).save("balls.npz")
+        >>> Bodies.load("balls.npz")
+        Bodies(2 bodies, 2 pieces)
+        """
+        files.save(self._packed, path, None)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Bodies:
+        """Read what `save` of a body or of bodies wrote.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        FileError
+            If the file is missing, broken, altered or newer.
+        """
+        return cls._wrap(files.load(path)[0])
+
+
+# -- making -----------------------------------------------------------------------------------
+
+
+def _expect_body(body: Any, name: str) -> Body:
+    if not isinstance(body, Body):
+        raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
+    return body
+
+
+def _from_point_sets(
+    sets: Sequence[ArrayLike],
+    piece_start: Ints,
+    tol: float,
+    *,
+    names: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Packed:
+    """Hulls, fits, packing; `names` as for `polytopes.hulls`."""
+    if not sets:
+        return empty()
+    hull = polytopes.hulls(sets, names=names)
+    inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
+        hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
+    )
+    gaps = np.stack([inner_gap, outer_gap], axis=1)
+    return _assemble_polytopes(hull, piece_start, inner_c, inner_F, outer_c, outer_F, gaps)
+
+
+def _assemble_polytopes(
+    hull: polytopes.Hulls,
+    piece_start: Ints,
+    inner_c: Floats,
+    inner_F: Floats,
+    outer_c: Floats,
+    outer_F: Floats,
+    gaps: Floats,
+) -> Packed:
+    count = len(hull.vert_start) - 1
+    layout = np.zeros((count, 5), dtype=np.int64)
+    layout[:, shapes.KIND] = shapes.POLYTOPE
+    layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
+    layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
+    return Packed(
+        layout=layout,
+        points=np.ascontiguousarray(hull.vertices),
+        planes=np.ascontiguousarray(np.column_stack([hull.normals, hull.offsets])),
+        piece_start=np.asarray(piece_start, dtype=np.int64),
+        frames=np.zeros((count, 13)),
+        triangles=np.asarray(hull.triangles, dtype=np.int64),
+        triangle_start=np.asarray(hull.triangle_start, dtype=np.int64),
+        inner_center=inner_c,
+        inner_factor=inner_F,
+        outer_center=outer_c,
+        outer_factor=outer_F,
+        gaps=gaps,
+    )
+
+
+def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
+    """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
+    image, smaller, larger = (np.array([axes], dtype=float) for axes in (frame, inner, outer))
+    return Body(primitives(kind, np.array([rounding]), image, smaller, larger, lift))
+
+
+def _piece(p: Packed, i: int) -> Piece:
+    kind = int(p.layout[i, shapes.KIND])
+    polytope = kind == shapes.POLYTOPE
+    points = slice(p.layout[i, shapes.POINTS_FROM], p.layout[i, shapes.POINTS_TO])
+    planes = slice(p.layout[i, shapes.PLANES_FROM], p.layout[i, shapes.PLANES_TO])
+    return Piece(
+        kind=KIND_NAMES[kind],
+        vertices=p.points[points] if polytope else None,
+        normals=p.planes[planes, :3] if polytope else None,
+        offsets=p.planes[planes, 3] if polytope else None,
+        triangles=p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]] if polytope else None,
+        inner=Ellipsoids._trusted(p.inner_center[i], p.inner_factor[i]),
+        outer=Ellipsoids._trusted(p.outer_center[i], p.outer_factor[i]),
+        inner_gap=float(p.gaps[i, 0]),
+        outer_gap=float(p.gaps[i, 1]),
+    )

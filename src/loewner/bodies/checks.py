@@ -1,0 +1,401 @@
+"""Are arrays from a file bodies? Everything that a verdict rests on is looked at before a kernel sees it.
+
+A file is data: whoever writes one can give it a checksum too. So nothing is taken on trust that would let a kernel read
+past an array, loop for ever, or call FREE what is not. Every law that `save` keeps is tested, with tolerances for the
+rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file that a version of loewner wrote passes.
+
+What cannot be tested without fitting again: that an ellipsoid is the largest or the smallest, and so the last digits
+of `gaps`. These say how sharp the bounds are; no verdict rests on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._check import Floats
+from loewner._kernels import directions, rigid, shapes
+from loewner.bodies.layout import LARGEST, Ints, Maps, direction_maps
+from loewner.bodies.pack import ARRAYS, KIND_NAMES, Packed
+from loewner.bodies.primitives import ellipsoids_in_frame
+from loewner.errors import InputError
+
+# Relative allowances of the tests: for what rounding cannot explain, and in roundings times the aspect of the piece,
+# the digits that coordinates of a thin piece lack. However thin, no more than MOST_DOUBT.
+DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
+
+# Flatter ellipsoids than this cannot be inverted in float64; polytopes as flat as this are refused when they are made.
+MOST_ASPECT = 1e15
+
+# Capsules and spheres move by poses that may stretch by this; their radius then stays, the ellipsoids stretch along.
+BEND = 4 * rigid.ROTATION_TOLERANCE
+
+# Points and planes of a block of polytopes, about, and products formed at a time.
+BLOCK, AT_ONCE = 1 << 14, 1 << 16
+
+# Axes of curved pieces are at right angles to this: a hundred moves by poses that are just accepted as rigid.
+MOST_SKEW = 1e-4
+
+# Candidates looked at per plane and vertex, on average, to find the farthest vertex of large polytopes: the direction
+# map leaves some forty. Points that are no vertices of a hull could leave all, for every plane.
+MOST_CANDIDATES = 512
+
+# Letters stand for counts: pieces, bodies, points, planes, triangles.
+EXPECTED: dict[str, tuple[int | str, ...]] = {
+    "layout": ("P", 5),
+    "points": ("V", 3),
+    "planes": ("F", 4),
+    "piece_start": ("n + 1",),
+    "frames": ("P", 13),
+    "triangles": ("T", 3),
+    "triangle_start": ("P + 1",),
+    "inner_center": ("P", 3),
+    "inner_factor": ("P", 3, 3),
+    "outer_center": ("P", 3),
+    "outer_factor": ("P", 3, 3),
+    "gaps": ("P", 2),
+}
+INTEGERS = ("layout", "piece_start", "triangles", "triangle_start")
+assert tuple(EXPECTED) == ARRAYS
+
+
+def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse arrays whose shapes do not belong together; shapes are known before any number is."""
+    P = found["layout"][0] if found["layout"] else -1
+    counts = {"P": P, "P + 1": P + 1}
+    for name, shape in EXPECTED.items():
+        least = 1 if name.endswith("start") else 0
+        fits = len(found[name]) == len(shape) and found[name][0] >= least
+        for want, have in zip(shape, found[name], strict=False):
+            fits = fits and have == (counts.setdefault(want, have) if isinstance(want, str) else want)
+        if not fits:
+            text = ", ".join(str(counts.get(s, s)) if isinstance(s, str) else str(s) for s in shape)
+            raise InputError(f"{name}: expected shape ({text}), found {found[name]}")
+
+
+def checked(arrays: dict[str, Any]) -> Packed:
+    """Make a pack of arrays that come from outside.
+
+    Parameters
+    ----------
+    arrays : dict
+        Those of `ARRAYS`: int64 or float64, of shapes that `check_shapes` accepts.
+
+    Raises
+    ------
+    InputError
+        If they break a law; the message names array and piece.
+    """
+    with np.errstate(all="ignore"):  # what overflows is found and refused
+        _check_numbers(arrays)
+        _check_ranges(arrays)
+        _check_curved(arrays)
+        maps = _check_polytopes(arrays)
+        return Packed(**arrays, maps=maps)
+
+
+def _refuse(bad: NDArray[np.bool_], what: str, found: NDArray[Any] | None = None, rows: Ints | None = None) -> None:
+    """Raise about the first row that is bad; `rows` are the numbers to call them by."""
+    if bad.any():
+        i = int(np.argmax(bad))
+        value = "another" if found is None else found[i]
+        raise InputError(f"{what}, found {value} at {i if rows is None else rows[i]}")
+
+
+def _check_numbers(arrays: dict[str, Any]) -> None:
+    """All numbers are finite, and small enough that no product of three overflows."""
+    for name in ARRAYS:
+        array, most = arrays[name], np.inf if name == "gaps" else 10 * LARGEST
+        # Both comparisons fail for NaN, which the largest and the smallest number then are.
+        if name not in INTEGERS and array.size and not (array.max() < most and array.min() > -most):
+            largest = np.abs(array).reshape(len(array), -1).max(axis=1)
+            _refuse(~(largest < most), f"{name}: expected finite numbers below {most:g}", largest)
+    gaps = arrays["gaps"]
+    if gaps.size and gaps.min() < -DOUBT:
+        _refuse((gaps < -DOUBT).any(axis=1), "gaps: expected numbers >= 0", gaps)
+
+
+def _rises(name: str, x: Ints, total: int, least: int) -> None:
+    """Refuse starts of ranges that do not lead from 0 to the total, each range at least so long."""
+    # Compared rather than subtracted: the difference of absurd numbers may overflow.
+    bad = np.concatenate([[x[0] != 0], (x[1:] < x[:-1]) | (x[1:] > total)])
+    _refuse(bad, f"{name}: expected numbers that rise from 0 to {total}", x)
+    if x[-1] != total:
+        raise InputError(f"{name}: expected numbers that rise from 0 to {total}, found {x[-1]} at the end")
+    lengths = np.diff(x)
+    _refuse(lengths < least, f"{name}: expected at least {least} in each", lengths)
+
+
+def _check_ranges(arrays: dict[str, Any]) -> None:
+    """Every index leads where it should: nothing overlaps, nothing is left over, nothing is outside."""
+    layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
+    kind = layout[:, shapes.KIND]
+    _refuse((kind < 0) | (kind >= len(KIND_NAMES)), f"layout: expected kinds 0 to {len(KIND_NAMES) - 1}", kind)
+    _rises("piece_start", arrays["piece_start"], len(layout), 1)
+    _rises("triangle_start", triangle_start, len(triangles), 0)
+    counts = {"triangles": np.diff(triangle_start)}
+    for what, first in (("points", shapes.POINTS_FROM), ("planes", shapes.PLANES_FROM)):
+        start, stop = layout[:, first], layout[:, first + 1]
+        ends = np.concatenate([start[:1], stop]) if len(layout) else np.zeros(1, dtype=np.int64)
+        _rises(f"layout, {what}", ends, len(arrays[what]), 0)
+        _refuse(start[1:] != stop[:-1], f"layout, {what}: expected each piece's where the last one's end", start[1:])
+        counts[what] = stop - start
+    polytope = kind == shapes.POLYTOPE
+    for what, count in counts.items():
+        _refuse(polytope & (count < 4), f"layout: expected at least four {what} of a polytope", count)
+        _refuse(~polytope & (count != 0), f"layout: expected no {what} of a curved piece", count)
+    points = np.repeat(counts["points"], counts["triangles"])[:, None]
+    _refuse(
+        ((triangles < 0) | (triangles >= points)).any(axis=1), "triangles: expected the piece's own points", triangles
+    )
+
+
+def _inverses(factors: Floats, name: str, rows: Ints) -> tuple[Floats, Floats]:
+    """Inverses of factors, and the doubt that their aspects leave."""
+    try:
+        inverse = np.linalg.inv(factors)
+    except np.linalg.LinAlgError:
+        raise InputError(f"{name}: expected ellipsoids with an interior, found a flat one") from None
+    aspect = np.linalg.norm(factors, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
+    _refuse(~(aspect < MOST_ASPECT), f"{name}: expected ellipsoids with an interior", aspect, rows)
+    return np.asarray(inverse), _doubt(aspect)
+
+
+def _doubt(aspect: Floats) -> Floats:
+    return np.minimum(DOUBT + ROUNDINGS * aspect, MOST_DOUBT)
+
+
+# -- polytopes --------------------------------------------------------------------------------
+
+
+def _check_polytopes(arrays: dict[str, Any]) -> Maps:
+    """Inner ellipsoid in the hull of the points, that in the outer one; triangles and planes are the hull's."""
+    layout, points = arrays["layout"], arrays["points"]
+    rows = np.flatnonzero(layout[:, shapes.KIND] == shapes.POLYTOPE)
+    _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
+    if len(rows) == 0:
+        return {}
+    # Block by block: what is formed on the way stays in the processor's caches.
+    size = layout[rows, shapes.POINTS_TO] + layout[rows, shapes.PLANES_TO]
+    blocks = np.split(rows, np.flatnonzero(np.diff(size // BLOCK)) + 1)
+    doubt = np.concatenate([_check_ellipsoids(arrays, block) for block in blocks])
+    _check_planes(arrays, rows, doubt)
+    return direction_maps(layout, points)
+
+
+def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
+    """The part of `_check_polytopes` about the ellipsoids of some successive polytopes; returns its doubts."""
+    layout = arrays["layout"][rows]
+    start, stop = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
+    points = arrays["points"][start[0] : stop[-1]]
+    owner, start = np.repeat(np.arange(len(rows)), stop - start), start - start[0]
+
+    outer = arrays["outer_factor"][rows]
+    inverse, doubt = _inverses(outer, "outer_factor", rows)
+    local = _local(inverse, arrays["outer_center"][rows], points, owner)
+    farthest = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
+    _refuse(~(farthest <= 1 + doubt), "outer ellipsoid: expected the piece inside", farthest, rows)
+
+    inverse, doubt = _inverses(arrays["inner_factor"][rows], "inner_factor", rows)
+    # In the inner ellipsoid's coordinates it is the unit ball, and the piece is a few units large.
+    local = _local(inverse, arrays["inner_center"][rows], points, owner)
+    size = np.sqrt(np.maximum.reduceat(_dot(local, local), start))
+    _check_surface(arrays, rows, start, local, size, doubt)
+
+    # The optimal ones differ by no more than 27 in volume (John).
+    volumes = np.log(np.abs(np.linalg.det(inverse @ outer)))
+    gaps = arrays["gaps"][rows]
+    least = volumes - np.log(27.0)
+    _refuse(~(gaps[:, 0] + gaps[:, 1] >= least - 100 * doubt), "gaps: expected what the volumes allow", gaps, rows)
+    return doubt
+
+
+def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
+    """Points in the coordinates of their piece's ellipsoid, shape (3, V): that is the order that NumPy is quick in."""
+    away = np.ascontiguousarray((points - center[owner]).T)
+    columns = np.ascontiguousarray(inverse.transpose(1, 2, 0))
+    return np.stack([_dot(columns[k].take(owner, axis=1), away) for k in range(3)])
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Products of vectors that are columns."""
+    total = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return np.asarray(total)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _check_surface(arrays: dict[str, Any], rows: Ints, start: Ints, local: Floats, size: Floats, doubt: Floats) -> None:
+    """The triangles are a surface of all the points with the inner ellipsoid, here the unit ball, inside.
+
+    A surface that closes up and runs once around the origin meets every ray; if the ball stays behind the plane of each
+    of its triangles, it is in the hull of their corners (the lemma of docs/containment.md).
+    """
+    first, last = arrays["triangle_start"][rows], arrays["triangle_start"][rows + 1]
+    triangles = arrays["triangles"][first[0] : last[-1]]
+    piece, first = np.repeat(np.arange(len(rows)), last - first), first - first[0]
+    corners = np.ascontiguousarray((triangles + start[piece][:, None]).T)
+
+    used = np.zeros(local.shape[1], dtype=bool)
+    used[corners.ravel()] = True
+    _refuse(~used, "triangles: expected every point in one", used)
+    # Closed: what an edge adds up one way is taken off by the neighbour, which runs along it the other way. Numbers
+    # that nobody can foresee stand for the ends, so that nothing else adds up to zero (but once in 2**60).
+    tails, heads = np.random.default_rng().integers(0, 2**64, size=(2, local.shape[1]), dtype=np.uint64)
+    rest = sum(tails[corners[k]] * heads[corners[k - 2]] - heads[corners[k]] * tails[corners[k - 2]] for k in range(3))
+    _refuse(
+        np.add.reduceat(rest, first) != 0, "triangles: expected a closed surface, each edge run both ways", rows=rows
+    )
+
+    a, b, c = (local.take(corner, axis=1) for corner in corners)
+    ab, ac = b - a, c - a
+    normal = _cross(ab, ac)
+    height, length = _dot(normal, a), np.sqrt(_dot(normal, normal))
+    edge = np.sqrt(np.maximum(_dot(ab, ab), _dot(ac, ac)))
+    # The face that a triangle is cut from is flat to some 1e-11 of its width (`hulls.FACE_WIDTH`), and a normal of a
+    # short triangle turns by that over its length.
+    slack = (doubt * size**2)[piece] * np.maximum(edge, 1e-6)
+    outside = (length - height - slack) / np.maximum(length, 1e-300)
+    worst = np.maximum.reduceat(outside, first)
+    _refuse(~(worst <= doubt), "inner ellipsoid: expected it inside the piece", worst, rows)
+
+    ra, rb, rc = (np.sqrt(_dot(x, x)) for x in (a, b, c))
+    across = ra * rb * rc + _dot(b, c) * ra + _dot(c, a) * rb + _dot(a, b) * rc
+    angle = 2 * np.arctan2(height, across)  # solid angle (Van Oosterom and Strackee 1983)
+    turns = np.add.reduceat(angle, first) / (4 * np.pi)
+    _refuse(~(np.abs(turns - 1) < 0.1), "triangles: expected a surface once around the piece", turns, rows)
+
+
+def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
+    """Normals are of unit length, and each offset is that of the farthest vertex."""
+    layout, points, planes = arrays["layout"][rows], arrays["points"], arrays["planes"]
+    normals = planes[:, :3]
+    squared = _dot(normals.T, normals.T)
+    _refuse(~(np.abs(squared - 1) <= DOUBT), "planes: expected unit normals", normals)
+    farthest = np.empty(len(planes))
+    from_point, from_plane = layout[:, shapes.POINTS_FROM], layout[:, shapes.PLANES_FROM]
+    counts = np.column_stack([layout[:, shapes.POINTS_TO] - from_point, layout[:, shapes.PLANES_TO] - from_plane])
+    small = np.flatnonzero(counts[:, 0] <= shapes.LARGE)
+    # Pieces with as many points and planes as each other go together.
+    code = counts[small, 0] * (len(planes) + 1) + counts[small, 1]
+    order = small[np.argsort(code, kind="stable")]
+    for group in np.split(order, np.flatnonzero(np.diff(counts[order], axis=0).any(axis=1)) + 1) if len(order) else []:
+        vertices, faces = counts[group[0]]
+        step = max(1, AT_ONCE // int(vertices * faces))
+        for some in np.split(group, range(step, len(group), step)):
+            of_faces = from_plane[some, None] + np.arange(faces)
+            of_points = from_point[some, None] + np.arange(vertices)
+            heights = points[of_points] @ normals[of_faces].transpose(0, 2, 1)
+            farthest[of_faces] = heights.max(axis=1)
+    left = MOST_CANDIDATES * (len(points) + len(planes))
+    centers, factors = arrays["inner_center"][rows], arrays["inner_factor"][rows]
+    for i in np.flatnonzero(counts[:, 0] > shapes.LARGE):
+        faces = slice(from_plane[i], from_plane[i] + counts[i, 1])
+        its = (points[from_point[i] : from_point[i] + counts[i, 0]] - centers[i]) @ np.linalg.inv(factors[i]).T
+        most, looked = _farthest(its, normals[faces] @ factors[i], left)
+        farthest[faces] = most + normals[faces] @ centers[i]
+        left -= looked
+    x, y, z = np.abs(points.T)
+    reach = np.maximum.reduceat(np.maximum(np.maximum(x, y), z), from_point)
+    allowed = np.repeat(np.where(counts[:, 0] > shapes.LARGE, doubt, DOUBT) * reach, counts[:, 1])
+    off = np.abs(planes[:, 3] - farthest)
+    _refuse(~(off <= allowed), "planes: expected each to touch its piece", off)
+
+
+def _farthest(vertices: Floats, normals: Floats, most: int) -> tuple[Floats, int]:
+    """Largest normal·vertex for each normal, and how many were looked at.
+
+    By a direction map, in coordinates where the piece is round: there it leaves few candidates, whatever the piece.
+    """
+    chosen, nodes = directions.direction_map(vertices)
+    node, s, t = _cells(normals)
+    for bit in reversed(range(directions.DEEPEST)):
+        inner = nodes[node, 1] < 0
+        child = nodes[node, 0].astype(np.int64) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
+        node = np.where(inner, child, node)
+    first, last = nodes[node].astype(np.int64).T
+    total = int((last - first).sum())
+    if total > most:
+        raise InputError("points: expected the vertices of convex pieces, found too many that are none")
+    farthest = np.empty(len(normals))
+    order = np.argsort(node, kind="stable")
+    for same in np.split(order, np.flatnonzero(np.diff(node[order])) + 1):
+        leaf = vertices[chosen[first[same[0]] : last[same[0]]]]
+        step = max(1, 1_000_000 // len(leaf))
+        for k in range(0, len(same), step):
+            farthest[same[k : k + step]] = (normals[same[k : k + step]] @ leaf.T).max(axis=1)
+    return farthest, total
+
+
+def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
+    """Face of the cube and grid cell that each direction goes through, as `directions` numbers them."""
+    axis = np.argmax(np.abs(normals), axis=1)
+    one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    each = np.arange(len(normals))
+    major = normals[each, axis]
+    grid = directions.GRID
+    cells = [
+        np.clip(normals[each, k] / np.abs(major) * (grid / 2) + grid / 2, 0, grid - 1).astype(np.int64)
+        for k in (one, two)
+    ]
+    return 2 * axis + (major < 0), cells[0], cells[1]
+
+
+# -- curved pieces ----------------------------------------------------------------------------
+
+
+def _check_curved(arrays: dict[str, Any]) -> None:
+    """Curved pieces are what their kind says, and their ellipsoids are the closed forms or on the safe side of them."""
+    kind = arrays["layout"][:, shapes.KIND]
+    rows = np.flatnonzero(kind != shapes.POLYTOPE)
+    if len(rows) == 0:
+        return
+    kind, frames = kind[rows], arrays["frames"][rows]
+    rounding, center, image = frames[:, 0], frames[:, 1:4], frames[:, 4:].reshape(-1, 3, 3)
+    round_kind = kind >= shapes.SEGMENT
+    _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
+    _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
+
+    # Directions and lengths of the axes; scaled first, so that no square over- or underflows. Columns of `image` are
+    # axes; here the first index is the coordinate, then comes the axis.
+    image = np.ascontiguousarray(image.transpose(1, 2, 0))
+    largest = np.maximum(np.maximum(np.abs(image[0]), np.abs(image[1])), np.abs(image[2]))
+    _refuse(~((largest[0] > 0) & (largest[1] > 0) & (largest[2] > 0)), "frames: expected three axes", rows=rows)
+    scaled = image / largest
+    norms = np.sqrt(_dot(scaled, scaled))
+    axes, lengths = scaled / norms, norms * largest
+    skew = np.maximum.reduce([np.abs(_dot(axes[:, j], axes[:, k])) for j, k in ((0, 1), (1, 2), (2, 0))])
+    _refuse(~(skew <= MOST_SKEW), "frames: expected axes at right angles", skew, rows)
+    inverse = np.stack([_cross(axes[:, j], axes[:, k]) for j, k in ((1, 2), (2, 0), (0, 1))])
+    volume = _dot(inverse[0], axes[:, 0])
+    _refuse(~(volume > 0), "frames: expected right-handed axes", volume, rows)
+    inverse /= volume
+    equal = np.abs(lengths - rounding) <= 10 * BEND * rounding
+    _refuse(~(equal[0] & equal[1]) & round_kind, "frames: expected axes as long as the radius", lengths.T, rows)
+    _refuse(~equal[2] & (kind == shapes.POINT), "frames: expected axes as long as the radius", lengths.T, rows)
+
+    inner, outer, lift = ellipsoids_in_frame(kind, rounding, lengths.T)
+    aspect = np.maximum.reduce(outer.T) / np.minimum.reduce(outer.T)
+    doubt = _doubt(np.maximum(aspect, 1.0)) + BEND * round_kind
+    for name, semi_axes in (("inner", inner.T), ("outer", outer.T)):
+        away = (arrays[f"{name}_center"][rows] - center).T
+        factor = np.ascontiguousarray(arrays[f"{name}_factor"][rows].transpose(1, 2, 0))
+        # Both in the coordinates where the closed form is the unit ball: there the factor is a multiple of 1.
+        moved = np.stack([_dot(inverse[j], away) - (lift if j == 2 else 0.0) for j in range(3)]) / semi_axes
+        local = np.stack([_dot(inverse[j][:, None], factor) / semi_axes[j] for j in range(3)])
+        scale = (local[0, 0] + local[1, 1] + local[2, 2]) / 3
+        for j in range(3):
+            local[j, j] -= scale
+        rest = np.sqrt((local * local).sum(axis=(0, 1))) + np.sqrt(_dot(moved, moved))
+        if name == "inner":
+            _refuse(~(scale + rest <= 1 + doubt), "inner ellipsoid: expected it inside the piece", scale, rows)
+            _refuse(~(scale - rest > 0), "inner ellipsoid: expected one with an interior", scale, rows)
+        else:
+            _refuse(~(scale - rest >= 1 - doubt), "outer ellipsoid: expected the piece inside", scale, rows)

@@ -1,0 +1,173 @@
+"""What kernels see of packed pieces: tables, vertices in blocks, trees, and the address of it all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._check import Floats
+from loewner._kernels import blocks, directions, handles, rigid, shapes, trees
+from loewner.errors import GeometryError
+
+if TYPE_CHECKING:
+    from loewner.bodies.pack import Packed
+
+Ints = NDArray[np.int64]
+Maps = dict[int, tuple[Ints, Floats]]
+
+# Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function
+# forms; nothing anybody collides is near either end.
+SMALLEST, LARGEST = 1e-30, 1e30
+
+# Sizes at which the certificate may work in single precision first (docs/certified.md).
+SINGLE_SIZES = 1e-3, 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class KernelArrays:
+    """The arrays that kernels get of a pack, and their handle.
+
+    Attributes
+    ----------
+    arrays : tuple of ndarray
+        Those of `loewner._kernels.shapes`, in its order. They are not read-only: to Numba that would be another type,
+        and everything compiled twice.
+    table : ndarray of int64
+        Where the arrays are and how long; the handle is its address, so it must live as long.
+    handle : int
+        See `loewner._kernels.handles`.
+    """
+
+    arrays: Any
+    table: Ints
+    handle: int
+
+    @classmethod
+    def of(cls, p: Packed) -> KernelArrays:
+        """Make the arrays of a pack whose direction maps are known.
+
+        Raises
+        ------
+        GeometryError
+            If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
+        """
+        table = _table(p)
+        layout, points = _kernel_points(p)
+        hot = np.ascontiguousarray(table[:, : shapes.HOT])
+        start = p.piece_start.copy()
+        single = _single(hot)
+        vertices = blocks.aligned(len(points) if len(single) else 0, np.float32)
+        vertices[:] = points[: len(vertices)]
+        arrays = (table, layout, points, start, hot, single, *_trees(table, start), vertices)
+        addresses = handles.table_of(arrays)
+        return cls(arrays, addresses, addresses.ctypes.data)
+
+
+def direction_maps(layout: Ints, points: Floats) -> Maps:
+    """Direction maps of the large polytopes, by number of the piece."""
+    first, last = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
+    return {
+        int(i): directions.direction_map(np.ascontiguousarray(points[first[i] : last[i]]))
+        for i in np.flatnonzero(last - first > shapes.LARGE)
+    }
+
+
+def starts(lengths: Ints) -> Ints:
+    """Where ranges of these lengths begin, end to end, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+
+
+def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
+    """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
+    maps = p.maps or {}
+    first = p.layout[:, shapes.POINTS_FROM]
+    lengths = p.layout[:, shapes.POINTS_TO] - first
+    columns = -(-lengths // blocks.BLOCK) * blocks.BLOCK
+    room = columns.copy()
+    for i, (chosen, nodes) in maps.items():
+        columns[i] = len(chosen)
+        room[i] = len(chosen) + -(-nodes.size // (3 * blocks.BLOCK)) * blocks.BLOCK
+    begin = starts(room)
+    # A block is filled up with repeats of the last point: they change no maximum.
+    vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
+    for i, (chosen, _) in maps.items():
+        vertex[begin[i] : begin[i] + len(chosen)] = chosen
+    points = blocks.aligned(3 * len(vertex))
+    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, blocks.BLOCK, 3)
+    points.reshape(-1, 3, blocks.BLOCK)[:] = by_block.transpose(0, 2, 1)
+    for i, (chosen, nodes) in maps.items():
+        at = 3 * (begin[i] + len(chosen))
+        points[at : at + nodes.size] = nodes.ravel()
+    kind = p.layout[:, shapes.KIND].copy()
+    kind[list(maps)] = shapes.MAPPED
+    return np.column_stack([kind, begin[:-1], begin[:-1] + columns]), points
+
+
+def _table(p: Packed) -> Floats:
+    """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
+    table = np.zeros((len(p.layout), shapes.COLUMNS))
+    # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
+    largest = np.abs(p.outer_factor).max(axis=(1, 2), initial=0.0)
+    if not (largest < LARGEST).all():
+        raise _wrong_sizes(largest, largest)
+    upper = np.triu_indices(3)
+    for center, factor, at_center, at_shape in (
+        (p.outer_center, p.outer_factor, shapes.OUTER_CENTER, shapes.OUTER_SHAPE),
+        (p.inner_center, p.inner_factor, shapes.INNER_CENTER, shapes.INNER_SHAPE),
+    ):
+        table[:, at_center : at_center + 3] = center
+        Q = factor @ factor.transpose(0, 2, 1)
+        table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
+    table[:, shapes.ROUNDING] = p.frames[:, 0]
+    table[:, shapes.FRAME_CENTER : shapes.FRAME_CENTER + 12] = p.frames[:, 1:]
+    if len(table) == 0:
+        return table
+    # Singular values are computed with a backward error of a few roundings of the largest.
+    outer = np.linalg.svd(p.outer_factor, compute_uv=False)
+    inner = np.linalg.svd(p.inner_factor, compute_uv=False)
+    slack = 32 * 2.0**-53
+    # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
+    bend = 2 * rigid.ROTATION_TOLERANCE
+    table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
+    table[:, shapes.INNER_GRIP] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
+    table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
+    table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
+    # The inner ellipsoid lies in the piece and the piece in the outer one.
+    table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
+    reach = table[:, shapes.REACH]
+    if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
+        raise _wrong_sizes(outer[:, 0], reach)
+    return table
+
+
+def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
+    """Make the error about pieces too small or too large for the kernels."""
+    return GeometryError(
+        f"pieces: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {least.min():g} .. {most.max():g}"
+    )
+
+
+def _single(hot: Floats) -> NDArray[np.float32]:
+    """The kernels' hot columns in single precision, if all sizes suit it; otherwise no rows."""
+    least, most = SINGLE_SIZES
+    if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
+        return np.empty((0, shapes.HOT), dtype=np.float32)
+    rounded = hot.copy()
+    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INNER_GRIP]] *= 1 + 2.0**-22
+    return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
+
+
+def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
+    """Trees over the pieces of the bodies that have many."""
+    n = len(piece_start) - 1
+    if np.diff(piece_start).max(initial=0) < trees.FEW:
+        return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
+    center = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    # The widths along the axes are the roots of the diagonal; all of it rounds outward.
+    half = np.sqrt(table[:, [shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]])
+    half += 2.0**-53 * 64 * table[:, shapes.REACH, None]
+    grown: tuple[Floats, Ints, Ints] = trees.planted(piece_start, center - half, center + half)
+    return grown

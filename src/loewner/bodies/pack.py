@@ -1,0 +1,212 @@
+"""Pieces of many bodies in flat arrays: taken, joined and moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from loewner import _check, _memory
+from loewner._check import Floats
+from loewner._kernels import shapes
+from loewner.bodies.layout import Ints, KernelArrays, Maps, direction_maps, starts
+from loewner.errors import GeometryError
+
+KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Pieces of n bodies as arrays; what kernels see is `kernel`.
+
+    Attributes
+    ----------
+    layout : ndarray of int64, shape (P, 5)
+        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
+    points, planes : ndarray, shapes (V, 3) and (F, 4)
+        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+    piece_start : ndarray of int64, shape (n + 1,)
+        Body i owns the pieces piece_start[i] .. piece_start[i+1].
+    frames : ndarray, shape (P, 13)
+        Rounding radius, center and factor of the unit shape's image (zero for polytopes).
+    triangles, triangle_start
+        Hull triangles of the polytopes, as indices into the piece's own points.
+    inner_center, inner_factor, outer_center, outer_factor
+        The ellipsoids, shapes (P, 3) and (P, 3, 3).
+    gaps : ndarray, shape (P, 2)
+        Certified log-volume gaps of the inner and the outer fit.
+    maps
+        What `loewner._kernels.directions.direction_map` makes of the large polytopes, by number of the piece; None:
+        still to be made.
+    """
+
+    layout: Ints
+    points: Floats
+    planes: Floats
+    piece_start: Ints
+    frames: Floats
+    triangles: Ints
+    triangle_start: Ints
+    inner_center: Floats
+    inner_factor: Floats
+    outer_center: Floats
+    outer_factor: Floats
+    gaps: Floats
+    maps: Maps | None = None
+
+    def __post_init__(self) -> None:
+        _memory.expect_start()
+        for name in ARRAYS:
+            getattr(self, name).setflags(write=False)
+        if self.maps is None:
+            object.__setattr__(self, "maps", direction_maps(self.layout, self.points))
+        made = KernelArrays.of(self)
+        object.__setattr__(self, "kernel_arrays", made)
+        object.__setattr__(self, "kernel", made.arrays)
+        object.__setattr__(self, "handle", made.handle)
+
+    def __reduce__(self) -> Any:
+        """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
+        return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays, with those that are made for the kernels."""
+        maps = [array for made in (self.maps or {}).values() for array in made]
+        return sum(int(array.nbytes) for array in (*arrays_of(self).values(), *maps, *self.kernel))
+
+    # Set in __post_init__; the last two are parts of the first, at hand for single calls.
+    kernel_arrays: KernelArrays = field(init=False)
+    kernel: Any = field(init=False)
+    handle: int = field(init=False)
+
+
+ARRAYS = tuple(f.name for f in fields(Packed) if f.init and f.name != "maps")
+
+
+def arrays_of(packed: Packed) -> dict[str, Any]:
+    """The arrays of a pack by name, in the order of `ARRAYS`."""
+    return {name: getattr(packed, name) for name in ARRAYS}
+
+
+def empty() -> Packed:
+    """Pack of no bodies."""
+    return Packed(
+        layout=np.zeros((0, 5), dtype=np.int64),
+        points=np.zeros((0, 3)),
+        planes=np.zeros((0, 4)),
+        piece_start=np.zeros(1, dtype=np.int64),
+        frames=np.zeros((0, 13)),
+        triangles=np.zeros((0, 3), dtype=np.int64),
+        triangle_start=np.zeros(1, dtype=np.int64),
+        inner_center=np.zeros((0, 3)),
+        inner_factor=np.zeros((0, 3, 3)),
+        outer_center=np.zeros((0, 3)),
+        outer_factor=np.zeros((0, 3, 3)),
+        gaps=np.zeros((0, 2)),
+    )
+
+
+def join(parts: list[Packed]) -> Packed:
+    """All bodies of several packs, in order."""
+    _check.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
+    sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
+    shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
+    layouts = []
+    for part, (points, planes, _, _) in zip(parts, shift, strict=True):
+        layouts.append(part.layout + np.array([0, points, points, planes, planes]))
+    joined["layout"] = np.concatenate(layouts)
+    for name, column in (("piece_start", 2), ("triangle_start", 3)):
+        tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
+        joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
+    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in (p.maps or {}).items()}
+    return Packed(**joined, maps=maps)
+
+
+def _ranges(starts: Ints, stops: Ints) -> Ints:
+    """Concatenate the index ranges starts[i] .. stops[i]."""
+    lengths = stops - starts
+    if lengths.sum() == 0:
+        return np.zeros(0, dtype=np.int64)
+    offsets = np.repeat(starts - np.concatenate([[0], np.cumsum(lengths)[:-1]]), lengths)
+    return np.asarray(np.arange(lengths.sum()) + offsets)
+
+
+def take(p: Packed, bodies: Ints) -> Packed:
+    """Pack of some of the bodies, repeats allowed."""
+    _check.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
+    first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
+    pieces = _ranges(first, last)
+    layout = p.layout[pieces]
+    points = _ranges(layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO])
+    planes = _ranges(layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO])
+    triangles = _ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
+    point_start = starts(layout[:, shapes.POINTS_TO] - layout[:, shapes.POINTS_FROM])
+    plane_start = starts(layout[:, shapes.PLANES_TO] - layout[:, shapes.PLANES_FROM])
+    moved = np.column_stack(
+        [layout[:, shapes.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
+    ).astype(np.int64)
+    return Packed(
+        layout=np.ascontiguousarray(moved),
+        points=p.points[points],
+        planes=p.planes[planes],
+        piece_start=starts(last - first),
+        frames=p.frames[pieces],
+        triangles=p.triangles[triangles],
+        triangle_start=starts(p.triangle_start[pieces + 1] - p.triangle_start[pieces]),
+        inner_center=p.inner_center[pieces],
+        inner_factor=p.inner_factor[pieces],
+        outer_center=p.outer_center[pieces],
+        outer_factor=p.outer_factor[pieces],
+        gaps=p.gaps[pieces],
+        maps={new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {},
+    )
+
+
+def moved(p: Packed, T: Floats) -> Packed:
+    """Move all pieces by one rigid motion, keeping containment through the rounding."""
+    R, t = T[:3, :3], T[:3, 3]
+    points = p.points @ R.T + t
+    normals = p.planes[:, :3] @ R.T
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = np.empty(len(normals))
+    for row in p.layout:
+        faces = slice(row[shapes.PLANES_FROM], row[shapes.PLANES_TO])
+        if row[shapes.KIND] == shapes.POLYTOPE:
+            offsets[faces] = (normals[faces] @ points[row[shapes.POINTS_FROM] : row[shapes.POINTS_TO]].T).max(axis=1)
+    frames = p.frames.copy()
+    curved = p.layout[:, shapes.KIND] != shapes.POLYTOPE
+    frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
+    frames[:, 4:] = (R @ p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
+    # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
+    # center and factor likewise, and R stretches by its departure from orthonormality.
+    table = p.kernel[0]
+    shift = 2.0**-53 * 32 * (table[:, shapes.REACH] + np.abs(t).sum())
+    shrink = 1 - shift / table[:, shapes.INNER_SIGMA]
+    grow = 1 + shift / table[:, shapes.OUTER_SIGMA]
+    # A radius stays what it is while ellipsoids stretch with R. Scaled by the stretch about its center, a core and a
+    # ball that stretched as well are back inside (or around) the core and the ball that did not.
+    stretched = np.linalg.svd(R, compute_uv=False)
+    stretch = max(stretched[0], 1 / stretched[-1]) * (1 + 2.0**-50)
+    rounded = p.frames[:, 0] > 0
+    shrink[rounded] /= stretch
+    grow[rounded] *= stretch
+    if not (shrink > 0.5).all():
+        raise GeometryError(
+            f"T: a translation of {np.abs(t).max():g} m leaves no digits for a piece this thin; "
+            "pass the pose to the query instead"
+        )
+    arrays = arrays_of(p)
+    arrays.update(
+        points=points,
+        planes=np.column_stack([normals, offsets]),
+        frames=frames,
+        inner_center=p.inner_center @ R.T + t,
+        inner_factor=(R @ p.inner_factor) * shrink[:, None, None],
+        outer_center=p.outer_center @ R.T + t,
+        outer_factor=(R @ p.outer_factor) * grow[:, None, None],
+        gaps=p.gaps + 3 * np.column_stack([-np.log(shrink), np.log(grow)]),
+    )
+    return Packed(**arrays)

@@ -1,0 +1,93 @@
+"""Curved pieces in closed form: the image of a unit shape, its rounding, and both optimal ellipsoids."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner._kernels import shapes
+from loewner.bodies.layout import Ints
+from loewner.bodies.pack import Packed
+
+# Relative allowance for the rounding of a closed form and of a stored factor.
+CLOSED_FORM_ROUNDING = 16 * 2.0**-53
+
+# Semi-axes of the inner and the outer ellipsoid in the coordinates of the unit shape, and the height of their center.
+IN_UNITS = {
+    shapes.ELLIPSOID: ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0),
+    shapes.CYLINDER: ((1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0),
+    shapes.CONE: ((0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5),
+}
+
+
+def primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer: Floats, lift: float) -> Packed:
+    """Bodies of one curved piece each; `frame`, `inner` and `outer` are semi-axes, one row per body."""
+    n = len(frame)
+    # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
+    slack = 0.0 if kind in (shapes.ELLIPSOID, shapes.POINT) else CLOSED_FORM_ROUNDING
+    layout = np.zeros((n, 5), dtype=np.int64)
+    layout[:, shapes.KIND] = kind
+    center = np.tile([0.0, 0.0, lift], (n, 1))
+    return Packed(
+        layout=layout,
+        points=np.zeros((0, 3)),
+        planes=np.zeros((0, 4)),
+        piece_start=np.arange(n + 1),
+        frames=np.column_stack([rounding, np.zeros((n, 3)), _diagonal(frame).reshape(n, 9)]),
+        triangles=np.zeros((0, 3), dtype=np.int64),
+        triangle_start=np.zeros(n + 1, dtype=np.int64),
+        inner_center=center,
+        inner_factor=_diagonal(inner) * (1 - slack),
+        outer_center=center.copy(),
+        outer_factor=_diagonal(outer) * (1 + slack),
+        gaps=np.full((n, 2), 6 * slack),
+    )
+
+
+def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
+    """Semi-axes (a, b) of the smallest ellipsoids (a, a, b) around capsules; `half` is half the straight part.
+
+    Their support must exceed h|cos| + r, that is a² - r² - 2hr c + k c² >= 0 for c in [0, 1] with k = b² - a² - h²; the
+    volume is least at k² - 2h²k - 3h²r² = 0.
+    """
+    # In units of the greater length, that no square over- or underflows.
+    unit = np.maximum(radius, half)
+    x, y = radius / unit, half / unit
+    k = y * (y + np.hypot(y, np.sqrt(3.0) * x))
+    grow = np.sqrt(1 + y * y / k)
+    return radius * grow, unit * grow * np.sqrt(x * x + k)
+
+
+def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
+    """Semi-axes of the inner and the outer ellipsoids of curved pieces along the axes of their frames, and where.
+
+    Parameters
+    ----------
+    kinds : ndarray of int, shape (k,)
+    rounding : ndarray, shape (k,)
+    lengths : ndarray, shape (k, 3)
+        Semi-axes of the images of the unit shapes.
+
+    Returns
+    -------
+    inner, outer : ndarray, shape (k, 3)
+    lift : ndarray, shape (k,)
+        Of both centers along the third axis.
+    """
+    inner, outer, lift = np.empty((len(kinds), 3)), np.empty((len(kinds), 3)), np.zeros(len(kinds))
+    for kind, (smaller, larger, height) in IN_UNITS.items():
+        these = kinds == kind
+        inner[these], outer[these] = lengths[these] * smaller, lengths[these] * larger
+        lift[these] = lengths[these, 2] * height
+    balls, capsules = kinds == shapes.POINT, kinds == shapes.SEGMENT
+    inner[balls] = outer[balls] = rounding[balls, None]
+    r, h = rounding[capsules], lengths[capsules, 2]
+    inner[capsules] = np.column_stack([r, r, h + r])
+    a, b = around_capsules(r, h)
+    outer[capsules] = np.column_stack([a, a, b])
+    return inner, outer, lift
+
+
+def _diagonal(axes: Floats) -> Floats:
+    """Diagonal matrices (n, 3, 3) of the rows of an (n, 3) array."""
+    return axes[:, :, None] * np.eye(3)

@@ -1,0 +1,63 @@
+"""Mesh files to triangles, read whole or refused: what a file says of itself is checked against what is in it.
+
+The readers are loewner's own. General ones are made to show what they can of a file: they drop what they do not know,
+put zeros for what they cannot decode and let negative indices wrap around. Where half a mesh is free and the whole one
+collides, that is the wrong trade; and a check of their answer needs another reading of the file anyway.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner._files import read_regular, shown
+from loewner.errors import FileError
+from loewner.mesh_files import dae, gltf, obj, off, ply, stl
+from loewner.mesh_files.parts import Refusal, Triangles
+
+# Most bytes of a mesh file, and of all files that a glTF file names. A binary STL of that size has 43 million
+# triangles; a fit of so many takes more memory than most machines have.
+LIMIT = 1 << 31
+
+_READERS: dict[str, Callable[[bytes], tuple[Floats, Triangles]]] = {
+    ".stl": stl.read,
+    ".obj": obj.read,
+    ".ply": ply.read,
+    ".off": off.read,
+    ".dae": dae.read,
+}
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")
+
+
+def read(path: Path) -> tuple[Floats, Triangles]:
+    """Vertices in metres, shape (v, 3), and triangles, shape (t, 3), of a file.
+
+    A file that states its unit of length is converted, all others are taken to be in metres. Vertices may be
+    infinite or NaN, if the file says so; triangles are of vertices that are there.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is larger than `LIMIT`, or is anything else than one whole mesh of the format that
+        its suffix names.
+    """
+    name, suffix = shown(path), path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FileError(f"{name}: expected one of {', '.join(SUFFIXES)}, found {shown(path.suffix) or 'no suffix'}")
+    data = read_regular(path, "a mesh file", LIMIT)
+    if not data:
+        raise FileError(f"{name}: expected a mesh file, found an empty one")
+    try:
+        with np.errstate(all="ignore"):  # what is not finite in the end is noticed then
+            if suffix in (".glb", ".gltf"):
+                return gltf.read(data, path.parent, suffix == ".glb", LIMIT)
+            return _READERS[suffix](data)
+    except Refusal as refusal:
+        where = f", line {refusal.line}" if refusal.line else ""
+        raise FileError(f"{name}{where}: {refusal}") from None
+    except MemoryError:
+        raise FileError(
+            f"{name}: expected a mesh that fits into memory, found one of {len(data)} bytes in its file, of which "
+            "reading takes about ten times as much"
+        ) from None

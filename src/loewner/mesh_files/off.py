@@ -1,0 +1,95 @@
+"""Object File Format: a header, three counts, vertices, faces; with colours and normals, in text."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._check import Floats
+from loewner.mesh_files.parts import (
+    Integers,
+    Refusal,
+    Triangles,
+    check_range,
+    data_lines,
+    expect,
+    fans,
+    floats,
+    integers,
+    quoted,
+)
+
+T = TypeVar("T", np.float64, np.int64)
+
+# Numbers in a line of a vertex: x y z, a normal, a colour of three or four.
+_WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
+
+# Numbers of a face's colour: none, one of a table, red green blue, and alpha.
+_COLOURS = (0, 1, 3, 4)
+
+
+def read(data: bytes) -> tuple[Floats, Triangles]:
+    """Vertices as stored; polygons become fans."""
+    lines, numbers = data_lines(data, b"#")
+    word = lines[0][0] if lines else b""
+    expect(word in _WIDTHS, f"expected an OFF file, found one that begins with {quoted(word)}")
+    if len(lines[0]) == 1:
+        lines, numbers = lines[1:], numbers[1:]
+    else:
+        lines[0] = lines[0][1:]
+    expect(lines and len(lines[0]) == 3, "expected counts of vertices, faces and edges behind OFF, found none")
+    v, f, _ = (int(count) for count in _at(numbers[0], integers, lines[0]))
+    expect(v >= 0 and f >= 0, f"expected counts of vertices and faces, found {v} and {f}", numbers[0])
+    expect(
+        len(lines) == 1 + v + f,
+        f"expected {v + f} lines of {v} vertices and {f} faces as its header says, found {len(lines) - 1}",
+    )
+    points = np.empty((v, 3))
+    if v:
+        points = _vertices(lines[1 : 1 + v], numbers[1 : 1 + v], _WIDTHS[word])
+    faces, numbers = lines[1 + v :], numbers[1 + v :]
+    try:
+        sizes = integers([line[0] for line in faces])
+        if all(len(line) == size + 1 >= 4 for line, size in zip(faces, sizes.tolist(), strict=True)):
+            corners = integers([word for line in faces for word in line[1:]])
+            check_range(corners, v, "a face")
+            return points, fans(corners, sizes)
+    except Refusal:
+        pass  # which is told below, with its line
+    parts = [_face(line, number, v) for line, number in zip(faces, numbers, strict=True)]
+    return points, fans(np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64))
+
+
+def _face(line: list[bytes], number: int, count: int) -> Integers:
+    """Corners of one face, which may have a colour."""
+    size = int(_at(number, integers, line[:1])[0])
+    expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
+    found = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
+    expect(len(line) - 1 - size in _COLOURS, found, number)
+    corners = _at(number, integers, line[1 : 1 + size])
+    check_range(corners, count, "a face", number)
+    _at(number, floats, line[1 + size :])
+    return corners
+
+
+def _vertices(lines: list[list[bytes]], numbers: list[int], widths: tuple[int, ...]) -> Floats:
+    width = len(lines[0])
+    expect(width in widths, f"expected a vertex of {widths[0]} numbers, found {width}", numbers[0])
+    if set(map(len, lines)) != {width}:
+        k = next(k for k, line in enumerate(lines) if len(line) != width)
+        raise Refusal(f"expected a vertex of {width} numbers as the first, found {len(lines[k])}", numbers[k])
+    try:
+        return floats([token for line in lines for token in line]).reshape(-1, width)[:, :3].copy()
+    except Refusal:
+        for line, number in zip(lines, numbers, strict=True):
+            _at(number, floats, line)
+        raise
+
+
+def _at(number: int, convert: Callable[[list[bytes]], NDArray[T]], tokens: list[bytes]) -> NDArray[T]:
+    """Convert the words of a line; a refusal gets its number."""
+    try:
+        return convert(tokens)
+    except Refusal as refusal:
+        raise Refusal(str(refusal), number) from None

@@ -1,0 +1,139 @@
+"""What the readers of all formats share: how they refuse, numbers from text, polygons to triangles."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._check import Floats
+
+Triangles = NDArray[np.int64]
+Integers = NDArray[np.int64]
+
+# Most vertices, and most triangles, of a mesh: a file of 2 GiB holds about as many. A short file can name the same
+# ones a million times over.
+MOST = 50_000_000
+
+
+class Refusal(Exception):
+    """A file that is not read, and why; the line where that shows, if it is known."""
+
+    def __init__(self, message: str, line: int | None = None) -> None:
+        super().__init__(message)
+        self.line = line
+
+
+def expect(holds: object, message: str, line: int | None = None) -> None:
+    """Refuse the file unless `holds`."""
+    if not holds:
+        raise Refusal(message, line)
+
+
+def quoted(token: bytes | str) -> str:
+    """A piece of a file for a message: printable and short."""
+    text = token.decode("latin-1") if isinstance(token, bytes) else token
+    return ascii(text if len(text) <= 40 else text[:40] + "...")
+
+
+def is_float(token: bytes) -> bool:
+    """Whether `floats` takes it: Python's grammar without the underscores."""
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return b"_" not in token
+
+
+def is_integer(token: bytes) -> bool:
+    """Whether `integers` takes it."""
+    return token.lstrip(b"+-").isdigit() and len(token) <= 19 and token.lstrip(b"+-") in (token, token[1:])
+
+
+def floats(tokens: Sequence[bytes]) -> Floats:
+    """Numbers of tokens, 1e400 being infinite; the first token that is none is refused."""
+    try:
+        numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
+        if b"_" not in b"".join(tokens):
+            return numbers
+    except ValueError:
+        pass
+    bad = next(token for token in tokens if not is_float(token))
+    raise Refusal(f"expected a number, found {quoted(bad)}")
+
+
+def integers(tokens: Sequence[bytes]) -> Integers:
+    """Whole numbers of tokens; the first token that is none, or is absurdly large, is refused."""
+    try:
+        numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
+        if b"_" not in b"".join(tokens):
+            return numbers
+    except (ValueError, OverflowError):
+        pass
+    bad = next((token for token in tokens if not is_integer(token)), max(tokens, key=len, default=b""))
+    raise Refusal(f"expected a whole number, found {quoted(bad)}")
+
+
+def fans(corners: Integers, sizes: Integers) -> Triangles:
+    """Triangles of polygons, each a fan about its first corner; `corners` holds those of all, one after the other."""
+    count = sizes - 2
+    expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
+    first = np.repeat(np.cumsum(sizes) - sizes, count)
+    step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+
+
+def strip(corners: Integers) -> Triangles:
+    """Triangles of a strip, all turned the same way as its first."""
+    triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+    triangles[1::2] = triangles[1::2, ::-1]
+    return triangles
+
+
+def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
+    """One mesh of several, those of the same vertices (the same array) sharing them; refused before it is too large."""
+    vertices: list[Floats] = []
+    triangles: list[Triangles] = []
+    starts: dict[int, int] = {}  # of the arrays in `vertices`
+    v = t = 0
+    for points, corners in parts:
+        if id(points) not in starts:
+            starts[id(points)] = v
+            vertices.append(points)
+            v += len(points)
+        triangles.append(corners + starts[id(points)])
+        t += len(corners)
+        expect(v <= MOST, f"expected at most {MOST} vertices, found more")
+        expect(t <= MOST, f"expected at most {MOST} triangles, found more")
+    if not vertices:
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
+    """A mesh moved by an affine map; a mirror would turn its triangles inside out, and they are turned back."""
+    if np.linalg.det(T[:3, :3]) < 0:
+        triangles = triangles[:, ::-1]
+    return vertices @ T[:3, :3].T + T[:3, 3], triangles
+
+
+def check_range(corners: Integers, count: int, what: str, line: int | None = None) -> None:
+    """Refuse indices outside 0..count-1."""
+    if len(corners) and (corners.min() < 0 or corners.max() >= count):
+        bad = corners[(corners < 0) | (corners >= count)][0]
+        raise Refusal(f"expected {what} to name vertices 0..{count - 1}, found {bad}", line)
+
+
+def plain_lines(data: bytes) -> list[bytes]:
+    """Lines, which end in LF, CR LF or CR."""
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return data.split(b"\n")
+
+
+def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
+    """Words of all lines that have any, and the lines' numbers."""
+    lines = plain_lines(data)
+    if comment is not None and comment in data:
+        lines = [line.partition(comment)[0] for line in lines]
+    words = [line.split() for line in lines]
+    return [w for w in words if w], [i for i, w in enumerate(words, 1) if w]

@@ -1,0 +1,79 @@
+"""STL, binary and text: triangles, each with corners of its own."""
+
+import struct
+
+import numpy as np
+
+from loewner._check import Floats
+from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, floats, plain_lines, quoted
+
+HEADER, FACET = 84, 50  # bytes
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+# Lines of a facet in text: how each begins, and how many numbers follow.
+_LINES = (
+    ((b"facet", b"normal"), 3),
+    ((b"outer", b"loop"), 0),
+    ((b"vertex",), 3),
+    ((b"vertex",), 3),
+    ((b"vertex",), 3),
+    ((b"endloop",), 0),
+    ((b"endfacet",), 0),
+)
+
+
+def read(data: bytes) -> tuple[Floats, Triangles]:
+    """Three vertices for each triangle, in its order; what the file says of normals is not looked at."""
+    count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
+    if len(data) >= HEADER and len(data) == HEADER + FACET * count:
+        corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)
+    elif data[:512].lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+        corners = _text(data)
+    else:  # a binary file's header may begin with "solid" too
+        found = f"{len(data)} bytes where its header asks for {HEADER + FACET * count}"
+        raise Refusal(f"expected an STL mesh, found {found if len(data) >= HEADER else 'no header'}")
+    return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
+
+
+def _text(data: bytes) -> Floats:
+    """Corners of all facets of all solids of a file in text."""
+    lines = [line for line in map(bytes.strip, plain_lines(data.lower())) if line]
+    begins = [i for i, line in enumerate(lines) if line.startswith(b"solid") and line.split()[0] == b"solid"]
+    ends = [i for i, line in enumerate(lines) if line.startswith(b"endsolid") and line.split()[0] == b"endsolid"]
+    expect(ends and ends[-1] == len(lines) - 1, "expected a whole text STL, found one cut before its endsolid")
+    follows = len(begins) == len(ends) and begins == [0, *(i + 1 for i in ends[:-1])]
+    expect(follows, "expected solids, each from solid to endsolid, found these words elsewhere")
+    if any((last - first - 1) % len(_LINES) for first, last in zip(begins, ends, strict=True)):
+        _refuse_first(data, begins, ends)
+    inside = [line for first, last in zip(begins, ends, strict=True) for line in lines[first + 1 : last]]
+    corners = []
+    for k, (words, count) in enumerate(_LINES):
+        mine = inside[k :: len(_LINES)]
+        flat, size = b" ".join(mine).split(), len(words) + count
+        # The words are no numbers: where the lines are not all as long, they turn up as some.
+        if len(flat) != size * len(mine) or any(set(flat[j::size]) - {word} for j, word in enumerate(words)):
+            _refuse_first(data, begins, ends)
+        try:
+            columns = [floats(flat[j::size]) for j in range(len(words), size)]
+        except Refusal:
+            _refuse_first(data, begins, ends)
+        if words == (b"vertex",):
+            corners.append(np.stack(columns, axis=1))
+    return np.stack(corners, axis=1)
+
+
+def _refuse_first(data: bytes, begins: list[int], ends: list[int]) -> None:
+    """Refuse a file for its first line that is not as it should be."""
+    lines, numbers = data_lines(data)
+    for first, last in zip(begins, ends, strict=True):
+        for i in range(first + 1, last):
+            words, count = _LINES[(i - first - 1) % len(_LINES)]
+            line, asked = lines[i], b" ".join(words).decode() + (f" and {count} numbers" if count else "")
+            right = len(line) == len(words) + count and all(a.lower() == b for a, b in zip(line, words, strict=False))
+            expect(right, f"expected {asked}, found {quoted(b' '.join(line))}", numbers[i])
+            try:
+                floats(line[len(words) :])
+            except Refusal as refusal:
+                raise Refusal(str(refusal), numbers[i]) from None
+        expect((last - first - 1) % len(_LINES) == 0, "expected a whole facet, found endsolid", numbers[last])
+    raise Refusal("expected a text STL, found something else")

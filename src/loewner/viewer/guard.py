@@ -1,0 +1,290 @@
+"""Who may open the page: looks at each request, for the page or its websocket, before viser sees it.
+
+viser serves whoever can reach its port. That is more than the people at this machine: a page of any site, open in a
+browser here, can reach 127.0.0.1 as well (a websocket to it, or a name that is made to point to it). Such requests
+name that site as their Origin or their Host, which no script in a browser can change, and are refused by that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import dataclasses
+import hmac
+import http.client
+import ipaddress
+import os
+import re
+import secrets
+import socket
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from loewner.errors import InputError, MissingExtraError
+
+# How long the server that was just started has to answer the guard's own requests, in seconds.
+PATIENCE = 30.0
+
+FORBIDDEN = 403
+
+# A Host header: a name or an address, IPv6 in brackets, and a port unless it is HTTP's own.
+HOST = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[^\s:/@\[\]]+)(?::(?P<port>[0-9]{1,5}))?")
+HTTP_PORT = "80"
+
+# No host has this name (RFC 2606): it stands for all foreign ones when the guard is tried.
+FOREIGN = "loewner.invalid"
+
+
+@dataclasses.dataclass(frozen=True)
+class Listening:
+    """Where the page is served.
+
+    Attributes
+    ----------
+    host : str
+        As the caller wrote it.
+    address : str
+        The numeric address it stands for, at which the server listens.
+    family : socket.AddressFamily
+    """
+
+    host: str
+    address: str
+    family: socket.AddressFamily
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only programs on this machine can connect."""
+        return ipaddress.ip_address(self.address).is_loopback
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is not one address, but all of this machine's."""
+        return ipaddress.ip_address(self.address).is_unspecified
+
+    @property
+    def own_address(self) -> str:
+        """Address at which this machine itself reaches the server."""
+        if not self.everywhere:
+            return self.address
+        return "::1" if self.family == socket.AF_INET6 else "127.0.0.1"
+
+    def url(self, port: int, token: str | None, name: str | None = None) -> str:
+        """Address to type into a browser on this machine, or on another that knows it by `name`."""
+        if name is None:
+            name = "localhost" if self.own_address == "127.0.0.1" else self.host if not self.everywhere else "::1"
+        host = f"[{name}]" if ":" in name else name
+        return f"http://{host}:{port}" + ("" if token is None else f"/?token={token}")
+
+
+def listening(host: Any) -> Listening:
+    """Find the one address that a host stands for; InputError if there is none."""
+    if not isinstance(host, str):
+        raise InputError(f"host: expected an address or the name of a host as a str, found {type(host).__name__}")
+    if not host:
+        raise InputError(
+            "host: expected an address or the name of a host, found ''; '0.0.0.0' is all of this machine's"
+        )
+    try:
+        # The server gets this address instead of the name: what was looked at here is what it listens at.
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        family, address = min((family, str(where[0])) for family, *_, where in found)
+        ipaddress.ip_address(address)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise InputError(f"host: expected an address or the name of a host, found {host!r} ({reason})") from None
+    return Listening(host, address, family)
+
+
+class Guard:
+    """Decides about each request by its headers and its address.
+
+    Parameters
+    ----------
+    where : Listening
+    port : int
+    token : str or None
+        What whoever opens the page must know; None asks for none.
+    """
+
+    def __init__(self, where: Listening, port: int, token: str | None) -> None:
+        self.where, self.port, self.token = where, port, token
+        # Cookies are shared by all ports of a host: two pages must not overwrite each other's.
+        self.cookie = f"loewner-token-{port}"
+        self._names = {"localhost", where.host.lower(), where.address}
+        if where.everywhere:
+            self._names |= {socket.gethostname().lower(), socket.gethostname().lower().partition(".")[0]}
+
+    def refusal(self, path: str, headers: Any) -> str | None:
+        """Why a request is refused; None if it is not.
+
+        Parameters
+        ----------
+        path : str
+            With what follows the question mark.
+        headers : websockets.Headers
+        """
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or not self._knows(hosts[0].lower()):
+            return f"expected a Host of this server, such as localhost:{self.port}"
+        # Browsers send no Origin when a page is opened, and always one with a websocket. What sends none there is a
+        # program, which could as well send a right one.
+        if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
+            return "expected a page of this server as Origin"
+        if self.token is not None and not any(map(self._is_token, (*_queried(path), *self._cookies(headers)))):
+            return "expected the token of this page: open the whole address that was printed when it was started"
+        return None
+
+    def admit(self, path: str, response: Any, host: str) -> None:
+        """Add to a page that is sent: the token for its websocket, and what it may connect to.
+
+        viser's page follows `?websocket=ws://...` and `?playbackPath=...` wherever they lead, and shows what comes from
+        there as its own: a link to us with such an end would be a way in. The policy lets it reach this server alone.
+        A page of another machine may not frame it either, to have it clicked unseen.
+        """
+        response.headers["Content-Security-Policy"] = (
+            "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
+            f"connect-src 'self' ws://{host} data: blob:; "
+            "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*"
+        )
+        response.headers["Referrer-Policy"] = "no-referrer"
+        if self.token is not None and any(map(self._is_token, _queried(path))):
+            response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _knows(self, host: str) -> bool:
+        read = HOST.fullmatch(host)
+        if read is None or (read["port"] or HTTP_PORT) != str(self.port):
+            return False
+        name = read["name"].strip("[]")
+        if name in self._names:
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        # A number cannot be made to point elsewhere: a foreign site has a name.
+        return address.is_loopback or self.where.everywhere
+
+    def _cookies(self, headers: Any) -> list[str]:
+        pairs = (part.partition("=") for line in headers.get_all("Cookie") for part in line.split(";"))
+        return [value.strip() for name, _, value in pairs if name.strip() == self.cookie]
+
+    def _is_token(self, said: str) -> bool:
+        assert self.token is not None
+        return hmac.compare_digest(said.encode("utf-8", "replace"), self.token.encode())
+
+
+def _queried(path: str) -> list[str]:
+    try:
+        return parse_qs(urlsplit(path).query).get("token", [])
+    except ValueError:  # no address at all, such as one of an open bracket
+        return []
+
+
+def new_token() -> str:
+    """Make a token that nobody can guess."""
+    return secrets.token_urlsafe(24)
+
+
+def install(server: Any, guard: Guard) -> None:
+    """Put the guard before a viser server that has just been started, and try that it is there.
+
+    viser has no place for it, so it goes into the websockets server that viser is built on, which is reached through
+    one of its connections: our own. Everybody who came in before is thrown out in the same turn of the server's loop,
+    in which nobody can come in; there was nothing on the page yet. If viser or websockets were built in another way
+    this would fail, or the trial would: no page is left open.
+
+    Raises
+    ------
+    MissingExtraError
+        If this viser cannot be guarded.
+    """
+    import viser
+
+    try:
+        infra = server._websock_server
+        # Its page can ask viser to publish it at an address of the internet.
+        for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
+            infra.unregister_handler(message)
+        status, first = _ask(guard, guard.port, upgrade=True)
+        try:
+            if status != http.client.SWITCHING_PROTOCOLS:
+                raise RuntimeError(f"a websocket was answered by {status}")
+            loop = infra._background_event_loop
+            asyncio.run_coroutine_threadsafe(_put(guard, infra._live_connections), loop).result(PATIENCE)
+        finally:
+            first.close()
+        _try(guard)
+    except Exception as error:
+        raise MissingExtraError(
+            f"the viewer needs a viser that it can guard against foreign requests: expected one built like 1.1, found "
+            f"{getattr(viser, '__version__', 'one without a version')} ({type(error).__name__}: {error})"
+        ) from error
+
+
+async def _put(guard: Guard, connections: Any) -> None:
+    end = asyncio.get_running_loop().time() + PATIENCE
+    while not connections:
+        if asyncio.get_running_loop().time() > end:
+            raise TimeoutError("viser noted no connection")
+        await asyncio.sleep(0.001)
+    websockets = next(iter(connections.values())).server
+    serve = websockets.process_request
+    if not callable(serve):
+        raise TypeError(f"expected viser's page server, found {serve!r}")
+
+    def process_request(connection: Any, request: Any) -> Any:
+        why = guard.refusal(request.path, request.headers)
+        if why is not None:
+            return connection.respond(FORBIDDEN, f"Refused: {why}.\n")
+        response = serve(connection, request)
+        if response is not None:
+            guard.admit(request.path, response, request.headers["Host"])
+        return response
+
+    websockets.process_request = process_request
+    for connection in list(websockets.handlers):
+        connection.transport.abort()
+
+
+def _try(guard: Guard) -> None:
+    """Ask for what must be refused, and see that it is."""
+    port, foreign = guard.port, f"http://{FOREIGN}:{guard.port}"
+    wrong: list[dict[str, Any]] = [
+        {"host": FOREIGN},
+        {"host": FOREIGN, "upgrade": True},
+        {"origin": foreign, "upgrade": True},
+        {"origin": "null", "upgrade": True},
+    ]
+    if guard.token is not None:
+        wrong += [{"token": None}, {"token": None, "upgrade": True}]
+    for request in wrong:
+        status, connection = _ask(guard, port, **request)
+        connection.close()
+        if status != FORBIDDEN:
+            raise RuntimeError(f"a request with {request} was answered by {status}")
+
+
+def _ask(
+    guard: Guard,
+    port: int,
+    *,
+    host: str = "localhost",
+    origin: str | None = None,
+    token: str | None = "",
+    upgrade: bool = False,
+) -> tuple[int, http.client.HTTPConnection]:
+    """Send a request to the server, with its right token or none, and give the status of the answer."""
+    import viser
+
+    headers = {"Host": f"{host}:{port}"}
+    if origin is not None:
+        headers["Origin"] = origin
+    if upgrade:
+        headers |= {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        headers |= {"Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode()}
+        headers |= {"Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}
+    query = "" if token is None or guard.token is None else f"?token={guard.token}"
+    connection = http.client.HTTPConnection(guard.where.own_address, port, timeout=PATIENCE)
+    connection.request("GET", f"/{query}", headers=headers)
+    return connection.getresponse().status, connection

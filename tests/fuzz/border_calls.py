@@ -1,0 +1,1072 @@
+"""Every public callable, with arguments that are right, and the values that are bad for most of them.
+
+A callable is a `Call`: what it is, and a right argument of each parameter, as an `Arg`. That says too which of the bad
+values are right for this parameter after all, since a name may be any text and a margin may be 0.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import enum
+import inspect
+import io
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from families import box_corners
+from gantry import gantry
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
+from loewner import compilation as compiling
+from loewner import plots as drawing
+from loewner import viewer as viewing
+
+# -- bad values ----------------------------------------------------------------------------------------------------
+
+
+class Sulky:
+    """An object that fails at whatever it is asked."""
+
+    def __fail(self, *_: object, **__: object) -> None:
+        raise RuntimeError("not today")
+
+    __float__ = __index__ = __array__ = __bool__ = __len__ = __iter__ = __getitem__ = __repr__ = __fspath__ = __fail
+    __eq__ = __fail  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Text(str):
+    """A child of str."""
+
+
+class Frame:
+    """An object that makes an array of itself, as a data frame does."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.array(self.array, dtype=dtype)
+
+
+def _closed_file() -> object:
+    with open(os.devnull, "rb") as stream:
+        pass
+    return stream
+
+
+def _self_containing() -> list[Any]:
+    x: list[Any] = []
+    x.append(x)
+    return x
+
+
+# Name: how it is made. Numbers that some parameters take stand first.
+BAD: dict[str, Callable[[], Any]] = {
+    "0": lambda: 0,
+    "-0.0": lambda: -0.0,
+    "-1": lambda: -1,
+    "1.5": lambda: 1.5,
+    "1e308": lambda: 1e308,
+    "5e-324": lambda: 5e-324,
+    "2**70": lambda: 2**70,
+    "10**400": lambda: 10**400,
+    "-10**400": lambda: -(10**400),
+    "NaN": lambda: float("nan"),
+    "inf": lambda: float("inf"),
+    "-inf": lambda: -np.inf,
+    "float32 NaN": lambda: np.float32("nan"),
+    "Decimal NaN": lambda: Decimal("NaN"),
+    "Fraction": lambda: Fraction(1, 2),
+    "complex": lambda: 1j,
+    "True": lambda: True,
+    "False": lambda: False,
+    "NumPy True": lambda: np.True_,
+    "None": lambda: None,
+    "Ellipsis": lambda: ...,
+    "NotImplemented": lambda: NotImplemented,
+    "text of a number": lambda: "1",
+    "text nan": lambda: "nan",
+    "text": lambda: Text("what"),
+    "empty text": lambda: "",
+    "NUL": lambda: "a\0b",
+    "surrogate": lambda: "\ud800",
+    "long text": lambda: "x" * 3000,
+    "bytes": lambda: b"1",
+    "bytearray": lambda: bytearray(b"1"),
+    "folder": Path.cwd,
+    "missing file": lambda: Path("missing", "file.npz"),
+    "empty list": list,
+    "empty tuple": tuple,
+    "empty dict": dict,
+    "empty set": set,
+    "empty generator": lambda: (x for x in ()),
+    "generator": lambda: (x for x in (1.0, "a")),
+    "list of None": lambda: [None],
+    "list of text": lambda: ["a", "b"],
+    "ragged lists": lambda: [[1.0, 2.0], [3.0]],
+    "list in itself": _self_containing,
+    "dict of numbers": lambda: {"a": 1.0},
+    "masked": lambda: np.ma.masked,
+    "empty (0, 3)": lambda: np.empty((0, 3)),
+    "empty (3, 0)": lambda: np.empty((3, 0)),
+    "5 axes": lambda: np.ones((1, 1, 1, 1, 1)),
+    "array of None": lambda: np.full((4, 4), None),
+    "array of text": lambda: np.full((4, 4), "1"),
+    "array of booleans": lambda: np.eye(4, dtype=bool),
+    "records": lambda: np.rec.fromarrays([[1.0, 2.0], [1, 2]], names="x,y"),
+    "date": lambda: np.datetime64("2026-01-01"),
+    "100,000 zeros": lambda: np.broadcast_to(0.0, (100_000, 7)),
+    "object": object,
+    "object that fails": Sulky,
+    "type": lambda: float,
+    "function": lambda: lambda *arguments: None,
+    "closed file": _closed_file,
+    "Body": lambda: ball(),
+    "Bodies": lambda: Bodies([ball(), ball()]),
+    "Ellipsoids": lambda: ball().outer,
+    "Scene": Scene,
+    "Robot": lambda: robot(),
+}
+
+# What an array that is right can be spoilt by. A name that begins with "=": it says the same numbers, another way.
+SPOILT: dict[str, Callable[[np.ndarray], Any]] = {
+    "one NaN": lambda x: _with(x, np.nan),
+    "one inf": lambda x: _with(x, np.inf),
+    "one 1e308": lambda x: _with(x, 1e308),
+    "one 5e-324": lambda x: _with(x, 5e-324),
+    "one masked": lambda x: np.ma.array(x, mask=_with(np.zeros(x.shape), 1.0) > 0),
+    "all as text": lambda x: x.astype(str),
+    "all as bytes": lambda x: x.astype("S"),
+    "all as booleans": lambda x: x.astype(bool),
+    "all as complex numbers": lambda x: x.astype(complex),
+    "all as dates": lambda x: x.astype("datetime64[s]"),
+    "all None": lambda x: np.full(x.shape, None),
+    "one integer beyond floats": lambda x: _with(x.astype(object), 10**400),
+    "without the last column": lambda x: x[..., :-1],
+    "without the first row": lambda x: x[1:],
+    "a column more": lambda x: np.concatenate([x, x[..., :1]], axis=-1),
+    "turned over": lambda x: x.T.copy(),
+    "two axes more": lambda x: x[None, None],
+    "none of them": lambda x: x[:0],
+    "a number alone": lambda x: x.flat[0],
+    "in a dict": lambda x: dict(enumerate(x.tolist())),
+    "as a set": lambda x: set(x.flat),
+    "as a generator": lambda x: (row for row in x),
+    "=list": lambda x: x.tolist(),
+    "=tuple": lambda x: tuple(x),
+    "=Fortran order": np.asfortranarray,
+    "=big-endian": lambda x: x.astype(x.dtype.newbyteorder(">")),
+    "=negative strides": lambda x: x[::-1].copy()[::-1],
+    "=every second": lambda x: np.repeat(x, 2, axis=-1)[..., ::2],
+    "=broadcast": lambda x: np.broadcast_to(x, x.shape),
+    "=read-only": lambda x: _read_only(x),
+    "=not aligned": lambda x: np.frombuffer(b"x" + x.tobytes(), dtype=np.uint8)[1:].view(x.dtype).reshape(x.shape),
+    "=objects": lambda x: x.astype(object),
+    "=masked array without a mask": np.ma.array,
+    "=a frame": Frame,
+}
+# Of floats only: the numbers below are multiples of 1/8, so that these lose nothing.
+SPOILT_FLOATS: dict[str, Callable[[np.ndarray], Any]] = {
+    "=float32": lambda x: x.astype(np.float32),
+    "=float16": lambda x: x.astype(np.float16),
+    "=longdouble": lambda x: x.astype(np.longdouble),
+    "=fractions": lambda x: np.vectorize(Fraction, otypes=[object])(x),
+}
+
+
+def _with(x: np.ndarray, value: Any) -> np.ndarray:
+    x = x.copy() if x.dtype.kind in "fO" else x.astype(float)
+    x.flat[0] = value
+    return x
+
+
+def _read_only(x: np.ndarray) -> np.ndarray:
+    x = x.copy()
+    x.setflags(write=False)
+    return x
+
+
+# -- right arguments -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Arg:
+    """A right argument: how it is made, which of the bad values are right too, and which of the spoilt arrays."""
+
+    make: Callable[[], Any]
+    takes: frozenset[str] = frozenset()
+    array: bool = False
+    skips: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Call:
+    """A public callable, called with all arguments by name."""
+
+    ask: Callable[..., Any]
+    arguments: dict[str, Arg]
+    # The answer need not be the same twice: there are times in it.
+    varies: bool = False
+
+
+NUMBERS = frozenset({"1.5", "1e308", "5e-324", "2**70", "Fraction"})
+ZERO = frozenset({"0", "-0.0"})
+NEGATIVE = frozenset({"-1"})
+NONE = frozenset({"None"})
+TEXTS = frozenset({"text of a number", "text nan", "text", "NUL", "surrogate", "long text"})
+# A scene without bodies is a sequence of no names.
+NOTHING = frozenset(
+    {"empty list", "empty tuple", "empty dict", "empty set", "empty generator", "empty (0, 3)", "Scene"}
+)
+# What a message calls an argument may be anything.
+LABEL = frozenset(BAD) - {"object that fails"}
+# An object that makes an array of itself is no list of arrays.
+FRAME = frozenset({"=a frame"})
+FLAGS = frozenset({"True", "False", "NumPy True"})
+# Numbers that a spoilt array may hold, and shapes that a batch may have.
+FINITE = frozenset({"one 1e308", "one 5e-324"})
+BATCHES = frozenset({"two axes more", "none of them", "without the first row"})
+
+
+def arg(value: Any, *takes: frozenset[str] | str, **more: Any) -> Arg:
+    """An argument, made anew for each call if it is made by a function."""
+    names = frozenset().union(*(t if isinstance(t, frozenset) else frozenset({t}) for t in takes))
+    return Arg(value if callable(value) else (lambda: value), names, **more)
+
+
+def positive(value: Any = 0.5, *takes: Any) -> Arg:
+    return arg(value, NUMBERS, *takes)
+
+
+def margin(value: Any = 0.125, *takes: Any) -> Arg:
+    return arg(value, NUMBERS, ZERO, *takes)
+
+
+def count(value: Any, *takes: Any) -> Arg:
+    return arg(value, *takes)
+
+
+def flag(value: bool = True) -> Arg:
+    return arg(value, FLAGS)
+
+
+def choice(value: str) -> Arg:
+    return arg(value)
+
+
+def callback() -> Arg:
+    return arg(None, NONE, "function", skips=frozenset({"type"}))  # a type is called, and fails in its own way
+
+
+def array(value: Any, *takes: Any, **more: Any) -> Arg:
+    numbers = np.asarray(value)
+    return arg(lambda: numbers.copy(), *takes, array=True, **more)
+
+
+def pose(x: float = 0.0, *takes: Any) -> Arg:
+    T = np.eye(4)
+    T[0, 3] = x
+    return array(T, NONE, FINITE, "turned over", *takes)
+
+
+def poses(*takes: Any) -> Arg:
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[1, 0, 3] = 3.0
+    return array(T, NONE, FINITE, BATCHES, *takes)
+
+
+@cache
+def ball() -> Body:
+    return Body.sphere(0.5)
+
+
+@cache
+def cube() -> Body:
+    return Body.from_points(CUBE)
+
+
+@cache
+def pair_of_cubes() -> Bodies:
+    return Bodies([cube(), cube()])
+
+
+@cache
+def robot() -> Robot:
+    return Robot.from_urdf("gantry.urdf", srdf="gantry.srdf")
+
+
+def scene() -> Scene:
+    made = Scene(margin=0.125)
+    made.add("post", ball(), _at(2.0))
+    made.add("can", ball(), _at(4.0))
+    made.add("box", cube(), _at(8.0))
+    made.attach("can", "rod", _at(1.0))
+    made.allow("post", "box")
+    return made
+
+
+def checker() -> CollisionChecker:
+    return CollisionChecker(robot(), scene())
+
+
+@cache
+def experiment() -> paper.Experiment:
+    return paper.run(20)
+
+
+def flat_axes() -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure().add_subplot()
+
+
+def axes_in_space() -> Any:
+    from matplotlib.figure import Figure
+
+    return Figure().add_subplot(projection="3d")
+
+
+def _at(x: float) -> np.ndarray:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T
+
+
+CUBE = box_corners(np.ones(3))
+TRIANGLES = """f 1 3 4
+f 1 4 2
+f 5 6 8
+f 5 8 7
+f 1 2 6
+f 1 6 5
+f 3 7 8
+f 3 8 4
+f 1 5 7
+f 1 7 3
+f 2 4 8
+f 2 8 6
+"""
+
+
+def clean() -> None:
+    """Take away what earlier calls wrote into the working directory."""
+    for entry in os.scandir():
+        if entry.name not in FILES:
+            shutil.rmtree(entry.path) if entry.is_dir() else os.unlink(entry.path)
+
+
+FILES: set[str] = set()
+
+
+def write_files() -> None:
+    """What the calls below read, into the working directory."""
+    gantry(Path())
+    Path("part.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in CUBE) + TRIANGLES)
+    cube().save("part.npz")
+    pair_of_cubes().save("parts.npz")
+    loewner.save_scene(scene(), "scene.yaml")
+    problem = {
+        "index": 1,
+        "sphere": [{"name": "a", "position": [9, 0, 0], "orientation_euler_xyz": [0, 0, 0], "radius": 0.5}],
+        "start": [0.0, 0.0],
+        "goals": [[0.5, 0.5]],
+        "valid": True,
+    }
+    Path("problems.json").write_text(
+        json.dumps({"robot": "gantry", "joints": ["x", "y"], "problems": {"g": [problem]}})
+    )
+    np.save("configs.npy", np.zeros((2, 3)))
+    FILES.update(os.listdir())
+
+
+# -- the calls -----------------------------------------------------------------------------------------------------
+
+
+def on(make: Callable[[], Any], method: str) -> Callable[..., Any]:
+    """A method of an object that is made anew for each call; the object is part of the answer."""
+
+    def ask(**arguments: Any) -> Any:
+        made = make()
+        return getattr(made, method)(**arguments), made
+
+    return ask
+
+
+def item(make: Callable[[], Any]) -> Callable[..., Any]:
+    return lambda index: make()[index]
+
+
+class Reached(Exception):
+    """A page would have been served: all arguments were accepted."""
+
+
+def page(show: Callable[..., Any]) -> Callable[..., Any]:
+    """The function that shows a page, up to where it would listen."""
+
+    def ask(**arguments: Any) -> str:
+        import viser
+
+        def reached(*_: Any, **__: Any) -> None:
+            raise Reached
+
+        viser.ViserServer = reached  # in this process alone, which is a child
+        try:
+            show(**arguments)
+        except Reached:
+            return "served"
+        raise AssertionError("expected the page to be served at the end")
+
+    return ask
+
+
+class Refused(LoewnerError):
+    """The command line said what is wrong, on standard error, and ended with status 2."""
+
+
+def command(arguments: Any) -> str:
+    """The command line; its status and what it writes."""
+    out = io.TextIOWrapper(io.BytesIO(), "utf-8", errors="strict", write_through=True)
+    err = io.TextIOWrapper(io.BytesIO(), "utf-8", errors="backslashreplace", write_through=True)
+    sys.argv = ["loewner", "check", "part.npz", "part.npz"]
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            status = cli.main(arguments)
+    except SystemExit as end:  # argparse
+        status = end.code
+    said = err.buffer.getvalue().decode()  # type: ignore[attr-defined]
+    if status == 2 and "error" in said and "Traceback" not in said:
+        raise Refused(said)
+    if status not in (0, 1, 3):
+        raise AssertionError(f"status {status!r}: {said}")
+    return f"{status}\n{out.buffer.getvalue().decode()}"  # type: ignore[attr-defined]
+
+
+def line(*words: str) -> Callable[..., str]:
+    """A command line whose words in capitals are parameters."""
+
+    def ask(**arguments: Any) -> str:
+        return command([arguments[word.lower()] if word.isupper() else word for word in words])
+
+    return ask
+
+
+def word(value: str, *takes: Any) -> Arg:
+    """A word of a command line."""
+    return arg(value, *takes)
+
+
+E3 = dict(E1=arg(lambda: ball().outer, "Ellipsoids"), E2=arg(lambda: cube().outer, "Ellipsoids"))  # noqa: C408
+OPERANDS = {
+    "a": arg(cube, "Body", "Bodies"),
+    "T_world_a": poses("100,000 zeros"),
+    "b": arg(ball, "Body", "Bodies"),
+    "T_world_b": pose(0.5, BATCHES),
+}
+ROWS = array(
+    np.array([[0, 0], [1, 0]]), NONE, BATCHES, "empty (3, 0)", NOTHING - {"empty dict", "empty set", "empty generator"}
+)
+Q = [[0.5, 0.25, 0.125], [-0.5, 0.25, 0.0]]
+CONFIGURATIONS = array(Q, FINITE, BATCHES, "empty (0, 3)", "turned over")
+ONE = array(Q[0], FINITE)
+
+
+def _one_ellipsoid() -> Ellipsoids:
+    return Ellipsoids.from_semi_axes([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
+
+
+def _ellipsoids() -> Ellipsoids:
+    return Ellipsoids.from_semi_axes(np.zeros((2, 3)), [1.0, 2.0, 3.0])
+
+
+POINTS = array(CUBE, FINITE, "without the first row")
+FLAT_POINTS = array(CUBE, FINITE, "without the first row", "without the last column")  # in the plane
+TOL = arg(1e-4, "5e-324", "Fraction")
+PATH_OUT = arg("out.npz", TEXTS)
+VECTORS = array([[1.0, 0.5, 0.25], [0.5, -0.25, 0.125]], FINITE, BATCHES, "empty (0, 3)")
+
+CALLS: dict[str, Call] = {
+    # -- ellipsoids and fits
+    "Ellipsoids": Call(
+        Ellipsoids,
+        {
+            "center": array(np.zeros((2, 3)), FINITE, "one 1e308"),
+            "factor": array(np.tile(np.eye(3), (2, 1, 1)), FINITE),
+        },
+    ),
+    "Ellipsoids.from_shape_matrix": Call(
+        Ellipsoids.from_shape_matrix,
+        {"center": array(np.zeros(3), FINITE), "shape_matrix": array(np.eye(3) * 4, FINITE, "turned over")},
+    ),
+    "Ellipsoids.from_semi_axes": Call(
+        Ellipsoids.from_semi_axes,
+        {
+            "center": array(np.zeros((2, 3)), FINITE, BATCHES, "empty (0, 3)"),
+            "semi_axes": array([3.0, 2.0, 1.0], FINITE, BATCHES),
+            "rotation": array(np.eye(3), NONE, FINITE, BATCHES, "turned over"),
+        },
+    ),
+    "Ellipsoids.support": Call(on(_ellipsoids, "support"), {"direction": VECTORS}),
+    "Ellipsoids.contains": Call(on(_ellipsoids, "contains"), {"points": VECTORS}),
+    "Ellipsoids.transformed": Call(on(_ellipsoids, "transformed"), {"T": poses()}),
+    "Ellipsoids.affine": Call(
+        on(_ellipsoids, "affine"),
+        {"A": array(np.eye(3) * 2, FINITE, BATCHES, "turned over"), "b": array([1.0, 2.0, 3.0], FINITE, BATCHES)},
+    ),
+    "Ellipsoids.bounding_box": Call(on(_ellipsoids, "bounding_box"), {}),
+    "Ellipsoids.__getitem__": Call(
+        item(_ellipsoids),
+        {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple", "Scene")},
+    ),
+    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL, "method": choice("direct")}),
+    "mvie": Call(
+        loewner.mvie,
+        {
+            "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
+            "b": array(np.ones(6), NONE, FINITE),
+            "tol": TOL,
+        },
+    ),
+    "Polytope.from_points": Call(loewner.Polytope.from_points, {"points": FLAT_POINTS}),
+    "Polytope.from_halfspaces": Call(
+        loewner.Polytope.from_halfspaces,
+        {
+            "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
+            "b": array(np.ones(6), FINITE),
+        },
+    ),
+    "overlap": Call(loewner.overlap, {**E3, "method": choice("perram-wertheim")}),
+    "contact_function": Call(loewner.contact_function, E3),
+    "near_points": Call(loewner.near_points, {**E3, "method": choice("lin-han"), "angle": positive(0.125)}),
+    # -- bodies
+    "Body.from_points": Call(Body.from_points, {"points": POINTS, "tol": TOL}),
+    "Body.from_pieces": Call(
+        Body.from_pieces,
+        {
+            "point_sets": array([CUBE, CUBE + 2], FINITE, "without the first row", "as a generator", skips=FRAME),
+            "tol": TOL,
+        },
+    ),
+    "Body.from_mesh": Call(
+        Body.from_mesh,
+        {
+            "source": arg("part.obj"),
+            "decompose": flag(False),
+            "tol": TOL,
+            "scale": arg(2.0, NUMBERS, NEGATIVE),
+            "cover": flag(),
+            "threshold": arg(0.125, "Fraction"),
+            "max_pieces": count(3, NONE),
+            "seed": count(1, "0", "2**70"),
+        },
+    ),
+    "Body.box": Call(Body.box, {"size": array([1.0, 2.0, 3.0], FINITE)}),
+    "Body.sphere": Call(Body.sphere, {"radius": positive()}),
+    "Body.ellipsoid": Call(Body.ellipsoid, {"semi_axes": array([1.0, 2.0, 3.0], FINITE)}),
+    "Body.cylinder": Call(Body.cylinder, {"radius": positive(), "length": positive()}),
+    "Body.cone": Call(Body.cone, {"radius": positive(), "length": positive()}),
+    "Body.capsule": Call(Body.capsule, {"radius": positive(), "length": positive()}),
+    "Body.union": Call(Body.union, {"bodies": arg(lambda: [ball(), cube()], "Bodies")}),
+    "Body.transformed": Call(on(cube, "transformed"), {"T": pose(1.0)}),
+    "Body.save": Call(on(cube, "save"), {"path": PATH_OUT}),
+    "Body.load": Call(Body.load, {"path": arg("part.npz")}),
+    "Bodies": Call(Bodies, {"bodies": arg(lambda: [ball(), cube()], NOTHING, "Bodies")}),
+    "Bodies.from_points": Call(
+        Bodies.from_points,
+        {
+            "point_sets": array(
+                [CUBE, CUBE + 2],
+                FINITE,
+                "without the first row",
+                "none of them",
+                "as a generator",
+                NOTHING,
+                skips=FRAME,
+            ),
+            "tol": TOL,
+            "progress": callback(),
+        },
+    ),
+    "Bodies.spheres": Call(
+        Bodies.spheres,
+        {
+            "radii": array(
+                [1.0, 0.5],
+                FINITE,
+                "without the first row",
+                "without the last column",
+                "none of them",
+                "a column more",
+                "turned over",
+                "empty list",
+                "empty tuple",
+                "Scene",
+            )
+        },
+    ),
+    "Bodies.ellipsoids": Call(
+        Bodies.ellipsoids,
+        {"semi_axes": array([[1.0, 2.0, 3.0]] * 2, FINITE, "without the first row", "none of them", "empty (0, 3)")},
+    ),
+    "Bodies.save": Call(on(pair_of_cubes, "save"), {"path": PATH_OUT}),
+    "Bodies.load": Call(Bodies.load, {"path": arg("parts.npz")}),
+    "Bodies.__getitem__": Call(
+        item(pair_of_cubes), {"index": arg(1, "0", "-1", "empty list", "empty tuple", "Scene", "Ellipsis")}
+    ),
+    # -- queries
+    "classify": Call(loewner.classify, {**OPERANDS, "margin": margin(), "pairs": arg(None, ROWS.takes)}),
+    "collide": Call(
+        loewner.collide,
+        {
+            **OPERANDS,
+            "method": choice("exact"),
+            "rule": choice("contact-product"),
+            "margin": margin(),
+            "pairs": arg(None, ROWS.takes),
+        },
+    ),
+    "distance": Call(
+        loewner.distance,
+        {**OPERANDS, "exact": flag(), "rule": choice("contact-product"), "pairs": arg(None, ROWS.takes)},
+    ),
+    "overlapping_pairs": Call(
+        loewner.overlapping_pairs,
+        {
+            "bodies": arg(pair_of_cubes, "Body", "Bodies"),
+            "T_world": poses(),
+            "margin": margin(),
+            "method": choice("exact"),
+        },
+    ),
+    # -- scenes
+    "Scene": Call(Scene, {"margin": margin()}),
+    "Scene.pose": Call(on(scene, "pose"), {"name": arg("post")}),
+    "Scene.snapshot": Call(on(scene, "snapshot"), {}),
+    "Scene.copy": Call(on(scene, "copy"), {}),
+    "Scene.add": Call(
+        on(scene, "add"),
+        {
+            "name": arg("new", TEXTS),
+            "body": arg(ball, "Body"),
+            "T_world_body": pose(),
+            "margin": margin(0.5, NONE),
+        },
+    ),
+    "Scene.remove": Call(on(scene, "remove"), {"name": arg("post")}),
+    "Scene.move": Call(on(scene, "move"), {"name": arg("post"), "T_world_body": pose()}),
+    "Scene.attach": Call(
+        on(scene, "attach"),
+        {
+            "name": arg("post"),
+            "link": arg("rod", TEXTS),
+            "T_link_body": pose(),
+            "touch_links": arg(lambda: ["ball"], NOTHING, "list of text", "dict of numbers"),
+        },
+    ),
+    "Scene.detach": Call(on(scene, "detach"), {"name": arg("can"), "T_world_body": pose()}),
+    "Scene.allow": Call(on(scene, "allow"), {"a": arg("post", TEXTS), "b": arg("can", TEXTS)}),
+    "Scene.forbid": Call(on(scene, "forbid"), {"a": arg("box"), "b": arg("post")}),
+    "Scene.set_margin": Call(
+        on(scene, "set_margin"),
+        {"margin": margin(0.5, NONE), "a": arg("post", TEXTS), "b": arg("can", TEXTS, NONE)},
+    ),
+    "Scene.margin_of": Call(on(scene, "margin_of"), {"a": arg("post", TEXTS), "b": arg("can", TEXTS)}),
+    "Scene.pairs": Call(on(scene, "pairs"), {}),
+    "Scene.collide": Call(on(scene, "collide"), {}),
+    "Scene.distance": Call(on(scene, "distance"), {"a": arg("post"), "b": arg("box"), "exact": flag()}),
+    "Scene.__getitem__": Call(lambda name: scene()[name], {"name": arg("post")}),
+    "Contact.from_distances": Call(
+        loewner.Contact.from_distances,
+        {
+            "names": arg(lambda: [("a", "b")], NOTHING),
+            "found": arg(lambda: loewner.distance(ball(), _at(0.0)[None], ball(), None, exact=True)),
+        },
+    ),
+    "load_scene": Call(loewner.load_scene, {"path": arg("scene.yaml")}),
+    "save_scene": Call(loewner.save_scene, {"scene": arg(scene, "Scene"), "path": arg("out.yaml", TEXTS)}),
+    "read_motion_bench_maker": Call(loewner.read_motion_bench_maker, {"path": arg("problems.json")}),
+    # -- robots
+    "Robot.from_urdf": Call(
+        Robot.from_urdf,
+        {
+            "path": arg("gantry.urdf"),
+            "srdf": arg("gantry.srdf", NONE),
+            "package_dirs": arg(list, NOTHING, "folder"),
+            "decompose": flag(False),
+            "tol": TOL,
+            "cache": flag(False),
+            "progress": callback(),
+        },
+    ),
+    "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
+    "Robot.disabling": Call(on(robot, "disabling"), {"pairs": arg(lambda: [("ball", "rod")], NOTHING)}),
+    "Robot.link_pairs": Call(
+        on(robot, "link_pairs"),
+        {
+            "pairs": arg(lambda: [("ball", "rod")], NOTHING),
+            "name": arg("pairs", LABEL, skips=frozenset({"object that fails"})),
+        },
+    ),
+    "Robot.forward_kinematics": Call(on(robot, "forward_kinematics"), {"Q": CONFIGURATIONS}),
+    "Robot.checked": Call(
+        on(robot, "checked"), {"Q": CONFIGURATIONS, "name": arg("Q", LABEL, skips=frozenset({"object that fails"}))}
+    ),
+    "Robot.checked_one": Call(
+        on(robot, "checked_one"), {"q": ONE, "name": arg("q", LABEL, skips=frozenset({"object that fails"}))}
+    ),
+    "Robot.configuration": Call(on(robot, "configuration"), {"values": arg(lambda: {"x": 0.5}, NONE, "empty dict")}),
+    "Robot.random_configurations": Call(
+        on(robot, "random_configurations"), {"n": count(3, "0"), "seed": count(1, "0", "2**70")}
+    ),
+    "Robot.usual_range": Call(on(robot, "usual_range"), {"reach": positive()}),
+    "Robot.distances": Call(on(robot, "distances"), {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS}),
+    "Robot.between": Call(
+        on(robot, "between"),
+        {
+            "Q0": CONFIGURATIONS,
+            "Q1": CONFIGURATIONS,
+            "t": array(
+                [0.25, 0.5],
+                "5 axes",
+                FINITE,
+                BATCHES,
+                NUMBERS,
+                ZERO,
+                NEGATIVE,
+                "a number alone",
+                "turned over",
+                "without the last column",
+            ),
+        },
+    ),
+    "CollisionChecker": Call(
+        CollisionChecker,
+        {
+            "robot": arg(robot, "Robot"),
+            "scene": arg(scene, "Scene", NONE),
+            "allowed": arg(lambda: [("ball", "rod")], NOTHING),
+            "skip_adjacent": arg(False, FLAGS, NONE),
+        },
+    ),
+    "CollisionChecker.collide": Call(on(checker, "collide"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.classify": Call(on(checker, "classify"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.tiers": Call(on(checker, "tiers"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.valid_edges": Call(
+        on(checker, "valid_edges"),
+        {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "resolution": positive()},
+    ),
+    "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
+    "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.distance": Call(on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag()}),
+    "pairs_by_sampling": Call(
+        loewner.pairs_by_sampling,
+        {
+            "robot": arg(robot, "Robot"),
+            "samples": count(100),
+            "seed": count(1, "0", "2**70"),
+            "known_free": array(Q, FINITE, BATCHES, NONE, "empty (0, 3)", "turned over"),
+            "always": arg(0.5, "Fraction", "5e-324"),
+        },
+    ),
+    "planners.plan": Call(
+        planners.plan,
+        {
+            "checker": arg(checker),
+            "start": array([-0.5, 0.25, 0.0], FINITE),
+            "goal": array([[-0.5, 0.5, 0.0]], FINITE),
+            "joints": arg("y", NONE),
+            "planner": arg("RRTConnect", skips=frozenset({"type"})),
+            "timeout": arg(5.0, NUMBERS),
+            "resolution": positive(0.125),
+            "simplify": flag(False),
+            "seed": count(1, "0"),
+        },
+        varies=True,
+    ),
+    "planners.space_information": Call(
+        planners.space_information,
+        {
+            "checker": arg(checker),
+            "joints": arg("y", NONE),
+            "fixed": array([0.5, 0.25, 0.0], FINITE, NONE),
+            "resolution": positive(0.125),
+        },
+        varies=True,
+    ),
+    # -- files of meshes
+    "meshes.load": Call(meshes.load, {"source": arg("part.obj")}),
+    "meshes.convex_pieces": Call(
+        meshes.convex_pieces,
+        {
+            "source": arg("part.obj"),
+            "scale": array([1.0, 2.0, 0.5], FINITE, NUMBERS, NEGATIVE, "a number alone"),
+            "decompose": flag(False),
+            "cover": flag(),
+            "threshold": arg(0.125, "Fraction"),
+            "max_pieces": count(3, NONE),
+            "seed": count(1, "0", "2**70"),
+        },
+    ),
+    # -- faces
+    "plots.body": Call(
+        drawing.body,
+        {
+            "body": arg(cube, "Body"),
+            "T_world_body": pose(),
+            "ax": arg(axes_in_space, NONE),
+            "colour": arg("tab:red", "text of a number"),
+            "ellipsoids": flag(),
+        },
+        varies=True,
+    ),
+    "plots.pair": Call(
+        drawing.pair,
+        {
+            "a": arg(cube, "Body"),
+            "T_world_a": pose(),
+            "b": arg(ball, "Body"),
+            "T_world_b": pose(2.0),
+            "ax": arg(axes_in_space, NONE),
+            "ellipsoids": flag(),
+            "near": flag(),
+        },
+        varies=True,
+    ),
+    "plots.configuration": Call(
+        drawing.configuration, {"checker": arg(checker), "q": ONE, "ax": arg(axes_in_space, NONE)}, varies=True
+    ),
+    "plots.tiers": Call(
+        drawing.tiers,
+        {"counts": arg(lambda: {"a": {"free_by_search": 3}}), "ax": arg(flat_axes, NONE)},
+        varies=True,
+    ),
+    "plots.costs": Call(
+        drawing.costs,
+        {
+            "sizes": array([8.0, 20.0], FINITE),
+            "seconds": arg(lambda: {"ours": [0.5, 0.25]}, "dict of numbers"),
+            "size": arg("vertices", TEXTS, "empty text"),
+            "item": arg("pair", TEXTS, "empty text"),
+            "ax": arg(flat_axes, NONE),
+        },
+        varies=True,
+    ),
+    "plots.accuracy": Call(
+        drawing.accuracy,
+        {"counts": arg(lambda: {"rule": {"cubes": (3, 4)}}), "ax": arg(flat_axes, NONE)},
+        varies=True,
+    ),
+    "plots.save": Call(drawing.save, {"figure": arg(flat_axes), "path": arg("out.svg")}, varies=True),
+    "compile_kernels": Call(compiling.compile_kernels, {"parts": arg(list, NOTHING), "progress": callback()}),
+    "paper.sample": Call(
+        paper.sample, {"pairs": count(5), "seed": count(1, "0", "2**70"), "dataset": choice("radius")}
+    ),
+    "paper.run": Call(
+        paper.run,
+        {
+            "pairs": count(5),
+            "seed": count(1, "0", "2**70"),
+            "dataset": choice("radius"),
+            "out": arg(None, NONE, TEXTS, "folder", "missing file", skips=frozenset({"text nan", "text"})),
+            "json": arg("out.json", NONE, TEXTS),
+            "progress": callback(),
+        },
+        varies=True,
+    ),
+    "paper.detect": Call(
+        paper.detect, {"detector": arg(3), "pairs": arg(lambda: experiment().pairs), "angle": positive()}
+    ),
+    "paper.estimate": Call(paper.estimate, {"pairs": arg(lambda: experiment().pairs)}),
+    "paper.Pairs.from_bodies": Call(
+        paper.Pairs.from_bodies,
+        {"a": arg(pair_of_cubes), "b": arg(pair_of_cubes), "heuristic": choice("centroid")},
+    ),
+    "paper.Pairs.take": Call(
+        on(lambda: experiment().pairs, "take"),
+        {
+            "index": array(
+                np.array([2, 0]),
+                "without the first row",
+                "without the last column",
+                "none of them",
+                "a column more",
+                "turned over",
+                "empty list",
+                "empty tuple",
+                "Scene",
+            )
+        },
+    ),
+    "paper.Confusion.of": Call(
+        paper.Confusion.of,
+        {"collides": arg(lambda: np.array([True, False])), "truth": arg(lambda: np.array([True, True]))},
+    ),
+    "paper.Experiment.as_dict": Call(on(experiment, "as_dict"), {}),
+    "viewer.show_pair": Call(
+        page(viewing.show_pair),
+        {
+            "a": arg(cube, "Body"),
+            "T_world_a": pose(),
+            "b": arg(ball, "Body"),
+            "T_world_b": pose(2.0),
+            "margin": margin(),
+            "mesh_a": arg("part.obj", NONE),
+            "mesh_b": arg(None, NONE),
+            "host": arg("127.0.0.1"),
+            "port": arg(0, "0"),
+            "block": flag(False),
+        },
+    ),
+    "viewer.show_robot": Call(
+        page(viewing.show_robot),
+        {
+            "checker": arg(checker),
+            "q": array(Q[0], FINITE, NONE),
+            "host": arg("127.0.0.1"),
+            "port": arg(0, "0"),
+            "block": flag(False),
+        },
+    ),
+    # -- the command line
+    "cli.main": Call(command, {"arguments": arg(lambda: ["check", "part.npz", "part.npz"], NONE)}),
+}
+
+# The parameters of commands are words. What may come as one, whatever it is wanted for:
+WORDS = {
+    text: (lambda text=text: text)
+    for text in (
+        "", " ", "0", "-0.0", "-1", "1", "0.5", "1e308", "5e-324", "1e400", "nan", "inf", "-inf", "1,5", "0x10", "1_0",
+        str(2**70), "1" * 400, "True", "None", "[]", "what", "a\0b", "\ud800", "\udcff", "x" * 3000, "~", "/", ".",
+        "/dev/null", "missing/file.npz", "part.txt", "-", "--", "@file", "1 2 3 4 5 6 7 8", "1 0 0 0 0 0 0", "é",
+    )
+}  # fmt: skip
+LINE_NUMBERS = frozenset({"0", "-0.0", "1", "0.5", "1e308", "5e-324", "1_0", str(2**70)})
+LINE_COUNTS = frozenset({"1", "1_0"})
+LINE_SEEDS = LINE_COUNTS | {"0", str(2**70)}
+LINES: dict[str, Call] = {
+    "loewner fit": Call(
+        line(
+            "fit", "MESH", "--out", "OUT", "--tol", "TOL", "--threshold", "0.1", "--max-pieces", "MAX", "--seed", "SEED"
+        ),
+        {
+            "mesh": word("part.obj"),
+            "out": word("fitted", frozenset(WORDS)),
+            "tol": word("1e-4", LINE_NUMBERS),
+            "max": word("3", LINE_COUNTS),
+            "seed": word("1", LINE_SEEDS),
+        },
+    ),
+    "loewner check": Call(
+        line("check", "A", "B", "--pose-a", "POSE", "--margin", "MARGIN", "--method", "METHOD", "--json"),
+        {
+            "a": word("part.npz"),
+            "b": word("part.obj"),
+            "pose": word("1 0 0", "1 0 0 0 0 0 0"),
+            "margin": word("0.5", LINE_NUMBERS),
+            "method": word("exact"),
+        },
+    ),
+    "loewner robot info": Call(
+        line("robot", "info", "URDF", "--srdf", "SRDF", "--package-dir", "FOLDER"),
+        {"urdf": word("gantry.urdf"), "srdf": word("gantry.srdf"), "folder": word(".", "/", ".", "")},
+    ),
+    "loewner robot check": Call(
+        line("robot", "check", "URDF", "--scene", "SCENE", "--random", "COUNT", "--seed", "SEED", "--margin", "MARGIN"),
+        {
+            "urdf": word("gantry.urdf"),
+            "scene": word("scene.yaml"),
+            "count": word("5", LINE_COUNTS),
+            "seed": word("1", LINE_SEEDS),
+            "margin": word("0.125", LINE_NUMBERS),
+        },
+    ),
+    "loewner robot check --configs": Call(
+        line("robot", "check", "gantry.urdf", "--scene", "scene.yaml", "--configs", "CONFIGS"),
+        {"configs": word("configs.npy")},
+    ),
+    "loewner robot check --state": Call(
+        line("robot", "check", "gantry.urdf", "--srdf", "gantry.srdf", "--scene", "scene.yaml", "--state", "STATE"),
+        {"state": word("left")},
+    ),
+    "loewner paper": Call(
+        line("paper", "--pairs", "PAIRS", "--seed", "SEED", "--dataset", "DATA", "--json", "JSON"),
+        {
+            "pairs": word("5", LINE_COUNTS),
+            "seed": word("1", LINE_SEEDS),
+            "data": word("radius"),
+            "json": word("out.json", frozenset(WORDS)),
+        },
+        varies=True,
+    ),
+}
+
+# Records that the library makes and hands out: whoever makes one by hand gets what was put in.
+RECORDS = {
+    "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
+    "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet", "paper.Experiment", "paper.Pairs",
+    "paper.Result",
+}  # fmt: skip
+# Likewise, but no record: it is made by its class methods.
+MADE = {"Body"}
+# Not called: pages are opened by the functions that show them; what acts on an open page has tests of its own.
+PAGES = {"viewer.PairViewer", "viewer.RobotViewer"}
+# Text in, text out; given an experiment, as the report is.
+TABLES = "paper.tables"
+
+
+def public_callables() -> Iterator[tuple[str, list[str]]]:
+    """Names and parameters of all that a user may call."""
+    groups: dict[str, Mapping[str, Any]] = {
+        "planners.": _own(planners),
+        "meshes.": _own(meshes),
+        "plots.": _own(drawing),
+        "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},
+        "paper.": {name: getattr(paper, name) for name in paper.__all__},
+        "cli.": {"main": cli.main},
+        "": {name: getattr(loewner, name) for name in loewner.__all__} | {"compile_kernels": compiling.compile_kernels},
+    }
+    for place, members in groups.items():
+        for name, member in members.items():
+            if inspect.ismodule(member):
+                assert place + name == TABLES
+            elif not inspect.isclass(member):
+                yield place + name, _parameters(member)
+            elif not issubclass(member, (LoewnerError, enum.Enum)) and place + name not in PAGES:
+                yield from _of_class(place + name, member)
+
+
+def _own(module: Any) -> dict[str, Any]:
+    return {
+        name: member
+        for name, member in vars(module).items()
+        if not name.startswith("_") and inspect.isfunction(member) and member.__module__ == module.__name__
+    }
+
+
+def _of_class(name: str, cls: type) -> Iterator[tuple[str, list[str]]]:
+    made_by_hand = name not in RECORDS | MADE and cls.__init__ is not object.__init__
+    assert name not in RECORDS or dataclasses.is_dataclass(cls), f"{name}: expected a record"
+    if made_by_hand:
+        yield name, _parameters(cls)
+    for method in dir(cls):
+        member = inspect.getattr_static(cls, method)
+        if isinstance(member, property):
+            assert member.fset is None, f"{name}.{method}: expected a property that is read only, found one to set"
+        elif (method == "__getitem__" or not method.startswith("_")) and callable(getattr(cls, method)):
+            yield f"{name}.{method}", [p for p in _parameters(getattr(cls, method)) if p != "self"]
+
+
+def _parameters(member: Any) -> list[str]:
+    return [p.name for p in inspect.signature(member).parameters.values() if p.kind is not p.VAR_KEYWORD]
