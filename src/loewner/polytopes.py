@@ -289,6 +289,8 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
     try:
         qhull = ConvexHull(coordinates)
     except QhullError as error:
+        if "insufficient memory" in str(error):
+            raise MemoryError(str(error).strip().splitlines()[0]) from None
         raise GeometryError(f"{name}: no hull found: {str(error).strip().splitlines()[0]}") from None
     simplices = qhull.simplices.astype(np.int64)
     code, worst, used, face_of, normals, offsets = kernel.finish_hull(

@@ -140,6 +140,8 @@ def limited(case: tuple[str, int, float, str]) -> str | None:
         found = call()
     except MemoryLimitError as error:
         refused = error
+    except loewner.LoewnerError as error:
+        return f"another error: {error!r}"
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
         ballast.clear()

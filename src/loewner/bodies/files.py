@@ -87,12 +87,10 @@ def _read(stream: IO[bytes], name: str) -> tuple[Packed, meshes.Covering | None]
     try:
         with zipfile.ZipFile(_InSmallParts(stream)) as archive:
             return _from_archive(archive, name)
+    except (FileError, MemoryError):  # lack of memory is no fault of the file
+        raise
     except InputError as error:
         raise FileError(f"{name}: {error}") from None
-    except FileError:
-        raise
-    except MemoryError:
-        raise FileError(f"{name}: expected memory for what is in it, found too little") from None
     except Exception as error:  # a damaged zip ends in any of a dozen exceptions, zlib's among them
         raise FileError(f"{name}: expected a loewner .npz, found something unreadable ({error})") from None
 
