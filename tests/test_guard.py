@@ -22,6 +22,7 @@ from loewner import (
     _guard,
     _memory,
 )
+from loewner._kernels.pipeline import verdicts
 
 
 def chained(error: BaseException, links: int) -> SystemError:

@@ -16,7 +16,7 @@ from loewner import _check
 from loewner._check import Floats
 from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
 from loewner._kernels.pieces import pack, rigid, shapes
-from loewner._kernels.robots import configurations, kinematics
+from loewner._kernels.robots import configurations, kinematics, placement
 from loewner.bodies import Bodies, Ints, Packed
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
@@ -147,7 +147,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
         pairs=pairs,
         margins=_margins(scene, names, pairs),
         order=np.arange(len(pairs)),
-        standing=np.zeros((count, configurations.BOUNDS), dtype=np.float32),
+        standing=np.zeros((count, placement.BOUNDS), dtype=np.float32),
         standing_rows=np.zeros((start[-1] - start[0], shapes.HOT), dtype=np.float32),
         standing_poses=np.full((count, 16), np.nan),  # differs from every pose
         hits=np.zeros(len(pairs), dtype=np.int64),
@@ -275,7 +275,7 @@ def _bounds(packed: Packed, first: int, placed: list[Floats], T: Floats) -> Floa
         least, most = _box(packed, p, T, row)
         lower, upper = np.minimum(lower, least), np.maximum(upper, most)
     reach = packed.kernel.table[first:last, shapes.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
-    off = 2 * configurations.OFF * reach + configurations.LEAST
+    off = 2 * placement.OFF * reach + placement.LEAST
     center, half = (lower + upper) / 2, (upper - lower) / 2 + off
     ball = max((_farthest(packed, p, T, center) for p in range(first, last)), default=0.0)
     wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
@@ -291,7 +291,7 @@ def _placed_row(hot: Floats, T: Floats) -> Floats:
     for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
         row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
     row[shapes.REACH] += np.abs(t).sum()
-    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= configurations.UP
+    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= placement.UP
     return row
 
 

@@ -247,9 +247,7 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
             handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
             memory = workspace(WORKSPACE)
             try:  # a guard of its own: one around the whole query takes a tenth as long as this
-                if verdicts.settle_range(
-                    mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, workspace(WORKSPACE)
-                ):
+                if verdicts.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, memory):
                     return int(out[0])
             except GUARDED as error:
                 raise meant(error) from None
