@@ -1,7 +1,5 @@
 """The exact answer for one piece pair by the fast searches; what they leave open is for `pipeline.fallback`."""
 
-from typing import Any, NamedTuple
-
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_PLANE, BY_SEARCH, COLLIDING, FREE, OPEN
 from loewner._kernels.linalg3 import dot
@@ -11,25 +9,11 @@ from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
 from loewner._kernels.simd.memory import LINE, floats_at
 
-
-class Workspace(NamedTuple):
-    """What the searches write to: the points of `gjk_fast`, and nine numbers."""
-
-    points: Any
-    result: Any
-
-
-SIZE = 8 * ENTRIES + 2 * LINE  # bytes of a workspace
+SIZE = 8 * ENTRIES + 2 * LINE  # bytes of memory that `exact_piece_pair` writes to
 
 
 @inline
-def workspace_at(address):
-    """The workspace at an address; it serves any number of pairs in turn."""
-    return Workspace(floats_at(address, (ENTRIES,)), floats_at(address + 8 * ENTRIES, (9,)))
-
-
-@inline
-def exact_piece_pair(A, B, margin, n, work):
+def exact_piece_pair(A, B, margin, n, memory):
     """Settle one piece pair that the ellipsoids left ambiguous.
 
     Parameters
@@ -39,7 +23,8 @@ def exact_piece_pair(A, B, margin, n, work):
         Distance that the pieces must keep, >= 0.
     n : tuple of 3 float
         Direction from A to B to start from: the contact normal of the outer ellipsoids.
-    work : Workspace
+    memory : int
+        Address of SIZE bytes to write to.
 
     Returns
     -------
@@ -52,18 +37,19 @@ def exact_piece_pair(A, B, margin, n, work):
     error = rounding_error(A, B, shift)
     radii = radius(A) + radius(B)
     status, points = UNSETTLED, 1
-    W = work.points
+    W = floats_at(memory, (ENTRIES,))
     ends = begin(A, B, shift, W)
     if margin == 0.0 and radii == 0.0:
         status, n, points = decide(A, B, shift, W, ends, n, error)
     if status == UNSETTLED:
-        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, work.result)
+        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory + 8 * ENTRIES)
     return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH
 
 
 @njit()
-def _by_distance(A, B, shift, W, ends, n, error, margin, radii, result):
+def _by_distance(A, B, shift, W, ends, n, error, margin, radii, result_at):
     """Settle a pair with radii or a margin, or one that `decide` left; apart from the rest, which is to be short."""
+    result = floats_at(result_at, (9,))
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:
         return FREE, BY_SEARCH

@@ -124,8 +124,9 @@ def workspace_at(address):
 
 
 @inline
-def put(work, at, k, i, j, ka, kb, n):
+def put(memory, at, k, i, j, ka, kb, n):
     """List a pair: its number, its pieces and their poses, a direction from a to b."""
+    work = workspace_at(memory)
     pair_list.put(work.listed, at, k, i, j, ka, kb)
     at = np.uint64(at)
     work.directions[at] = n[0]
@@ -248,7 +249,7 @@ def _directions(N):
 
 
 @njit()
-def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
+def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     """Walk the simplex of each of the listed pairs, margin 0.
 
     Parameters
@@ -259,9 +260,10 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work):
         Of a: hot columns and vertices in single precision and layout (see `shapes`), and poses; of b the same.
     moved_a, moved_b : bool
         False if the operand's only pose is the identity.
-    work : Workspace
-        The pieces are such that `takes`; `found` receives APART, TOUCHING or OPEN.
+    memory : int
+        Address of a `Workspace`. The pieces are such that `takes`; `found` receives APART, TOUCHING or OPEN.
     """
+    work = workspace_at(memory)
     listed, N, W, found = work.listed, work.directions, work.vertices, work.found
     fill(listed, count)
     for lane in range(count, SINGLE_LANES):

@@ -28,7 +28,22 @@ from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.rigid import RIGID, fault
 from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
-from loewner._kernels.pipeline.workspace import CARRIED, HELD, TURN, UNSURE, WALKING, workspace_at
+from loewner._kernels.pipeline.workspace import (
+    HELD,
+    TURN,
+    UNSURE,
+    WALKING,
+    ahead_of,
+    carried_of,
+    exact_of,
+    held_normals_of,
+    held_of,
+    listed_of,
+    normals_of,
+    tier_of,
+    unsure_of,
+    walk_of,
+)
 from loewner._kernels.simd.support import prefetch
 from loewner._kernels.simd.vectors import SINGLE_LANES
 from loewner._kernels.trees import piece_tree
@@ -99,7 +114,7 @@ def is_identity(T):
 def _culled(query, flags, count, single, work):
     """Drop the pairs whose bounding spheres are apart from the list; how many are left, FAULTY for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    listed, ahead, tier = work.listed, work.ahead, work.tier
+    listed, ahead, tier = listed_of(work), ahead_of(work), tier_of(work)
     prefetching = flags & PREFETCHING != 0
     done = single and certificate.single_spheres(
         count, query.margin, prefetching, a.single, query.poses_a, query.moved_a, b.single, query.poses_b,
@@ -132,8 +147,8 @@ def _wait(count, listed, tier, waiting, unsure):
 def _improved(query, count, work):
     """Certify the lanes left UNSURE once more, at the best s; False for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    again = work.ahead  # what it said has been asked for by now
-    unsure = _wait(count, work.listed, work.tier, np.int64(0), again)
+    again = ahead_of(work)  # what it said has been asked for by now
+    unsure = _wait(count, listed_of(work), tier_of(work), np.int64(0), again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
     normals = np.empty(3 * BLOCK)
@@ -143,10 +158,10 @@ def _improved(query, count, work):
         return False
     n = 0
     for lane in range(count):
-        if work.tier[lane] == certificate.UNSURE:
-            work.tier[lane] = tiers[n]
+        if tier_of(work)[lane] == certificate.UNSURE:
+            tier_of(work)[lane] = tiers[n]
             for row in range(3):
-                work.normals[row * BLOCK + lane] = normals[row * BLOCK + n]
+                normals_of(work)[row * BLOCK + lane] = normals[row * BLOCK + n]
             n += 1
     return True
 
@@ -169,11 +184,11 @@ def _search(query, turn, count, fresh, last, work, out, tally):
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
-    held, N = work.held, work.held_normals
+    held, N = held_of(work), held_normals_of(work)
     together = query.margin == 0.0 and len(a.single) > 0 and len(b.single) > 0
     at, way = turn * BLOCK, turn * (3 * BLOCK)
     other = BLOCK - at
-    walking = work.carried[WALKING]
+    walking = carried_of(work)[WALKING]
     for n in range(max(count, fresh)):
         if n < fresh:
             prefetch_vertices_far(a.layout, a.vertices, _entry(held.piece_a, other + n))
@@ -192,7 +207,7 @@ def _search(query, turn, count, fresh, last, work, out, tally):
         if not (together and gjk_batch.takes(a.layout, i) and gjk_batch.takes(b.layout, j)):
             _search_one(query, k, i, j, ka, kb, normal, work, out, tally)
             continue
-        gjk_batch.put(work.walk, walking, k, i, j, ka, kb, normal)
+        gjk_batch.put(walk_of(work), walking, k, i, j, ka, kb, normal)
         free = gjk_batch.plane(
             a.single, a.layout, a.vertices, i, Ta, ka, b.single, b.layout, b.vertices, j, Tb, kb, normal
         )
@@ -204,18 +219,19 @@ def _search(query, turn, count, fresh, last, work, out, tally):
     if last != 0 and walking > 0:
         _walk(query, walking, work, out, tally)
         walking = np.int64(0)
-    work.carried[WALKING] = walking
+    carried_of(work)[WALKING] = walking
 
 
 @njit()
 def _walk(query, count, work, out, tally):
     """Settle up to sixteen pairs of small polytopes."""
     a, b = pieces_of(query.a), pieces_of(query.b)
-    listed, N, found = work.walk.listed, work.walk.directions, work.walk.found
+    walk = gjk_batch.workspace_at(walk_of(work))
+    listed, N, found = walk.listed, walk.directions, walk.found
     if count >= gjk_batch.FEW:
         gjk_batch.settle(
             count, a.single, a.layout, a.vertices, query.poses_a, query.moved_a, b.single, b.layout, b.vertices,
-            query.poses_b, query.moved_b, work.walk,
+            query.poses_b, query.moved_b, walk_of(work),
         )  # fmt: skip
     else:
         found[:count] = gjk_batch.OPEN
@@ -237,7 +253,7 @@ def _walk(query, count, work, out, tally):
 def _search_one(query, k, i, j, ka, kb, normal, work, out, tally):
     """Settle one open piece pair, whatever its pieces."""
     A, B = placed(pieces_of(query.a), i, query.poses_a, ka), placed(pieces_of(query.b), j, query.poses_b, kb)
-    verdict, tier = exact_piece_pair(A, B, query.margin, normal, work.exact)
+    verdict, tier = exact_piece_pair(A, B, query.margin, normal, exact_of(work))
     tally[tier] += 1
     # In a body of many pieces another pair may have been found colliding meanwhile.
     if verdict != FREE and out[k] != COLLIDING:
@@ -260,7 +276,7 @@ def _flush(query, flags, count, work, out, tally):
     """
     a, b = pieces_of(query.a), pieces_of(query.b)
     Ta, Tb = borrowed(query.poses_a), borrowed(query.poses_b)
-    listed, tier, carried = work.listed, work.tier, work.carried
+    listed, tier, carried = listed_of(work), tier_of(work), carried_of(work)
     total = count
     fill(listed, count)
     single = len(a.single) > 0 and len(b.single) > 0 and flags & CLOSE == 0
@@ -275,18 +291,18 @@ def _flush(query, flags, count, work, out, tally):
     unsure = np.int64(0)  # typed: a constant would have functions compiled twice
     if query.margin > 0.0 or flags & BEST:
         if not certificate.certify_best(
-            count, query.margin, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, tier, work.normals
+            count, query.margin, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, tier, normals_of(work)
         ):
             return FAULTY
     else:
         prefetching = flags & (PREFETCHING | FAR) == PREFETCHING
         done = single and certificate.single_certify(
-            count, prefetching, a.single, Ta, query.moved_a, b.single, Tb, query.moved_b, listed, work.ahead, tier,
-            work.normals,
+            count, prefetching, a.single, Ta, query.moved_a, b.single, Tb, query.moved_b, listed, ahead_of(work), tier,
+            normals_of(work),
         )  # fmt: skip
         done = done or certificate.certify(
-            count, prefetching, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, work.ahead, tier,
-            work.normals,
+            count, prefetching, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, ahead_of(work), tier,
+            normals_of(work),
         )  # fmt: skip
         if not done:
             return FAULTY
@@ -294,7 +310,7 @@ def _flush(query, flags, count, work, out, tally):
             unsure += tier[lane] == certificate.UNSURE
         if flags & DISTINCT and carried[UNSURE] + unsure <= BLOCK:
             if unsure > 0:
-                carried[UNSURE] = _wait(count, listed, tier, carried[UNSURE], work.unsure)
+                carried[UNSURE] = _wait(count, listed, tier, carried[UNSURE], unsure_of(work))
         elif unsure > 0 and not _improved(query, count, work):
             return FAULTY
 
@@ -337,7 +353,7 @@ def _flush(query, flags, count, work, out, tally):
 @inline
 def _hold(a, b, count, turn, work):
     """Copy the pairs left OPEN, with their normals, to one half of the list of those held; how many they are."""
-    listed, tier, held, at, way = work.listed, work.tier, work.held, turn * BLOCK, turn * (3 * BLOCK)
+    listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
     # First where they are: few are open, and each has much to copy.
     open_pairs = np.int64(0)
     for lane in range(count):
@@ -347,7 +363,7 @@ def _hold(a, b, count, turn, work):
         lane = _entry(held.pair, at + n)
         pair_list.copy(held, at + n, listed, lane)
         for row in range(3):
-            work.held_normals[np.uint64(way + row * BLOCK + n)] = _entry(work.normals, row * BLOCK + lane)
+            held_normals_of(work)[np.uint64(way + row * BLOCK + n)] = _entry(normals_of(work), row * BLOCK + lane)
         prefetch(a.layout, _entry(listed.piece_a, lane) * LAYOUT)
         prefetch(b.layout, _entry(listed.piece_b, lane) * LAYOUT)
     return open_pairs
@@ -367,7 +383,7 @@ def _progressions(work, at, more, k, first, step):
 
     Past the end of an axis nobody needs what comes later: no harm in asking for it.
     """
-    listed, ahead = work.listed, work.ahead
+    listed, ahead = listed_of(work), ahead_of(work)
     _steps(listed.pair, at, more, k, 1)
     _steps(listed.piece_a, at, more, first[0], step[0])
     _steps(listed.piece_b, at, more, first[1], step[1])
@@ -429,71 +445,59 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     bool
         False if one of the poses is no rigid motion; nothing then holds.
     """
-    work = workspace_at(memory)
-    for k in range(CARRIED):
-        work.carried[k] = 0
+    work = memory
+    carried_of(work)[:] = 0
     query = Query(mode, margin, pack_a, Ta, not is_identity(Ta), pack_b, Tb, not is_identity(Tb))
     a, b = pieces_of(pack_a), pieces_of(pack_b)
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     if len(a.piece_start) == len(a.layout) + 1 and len(b.piece_start) == len(b.layout) + 1:
-        return _settle_simple(query, start, stop, plan, rows, work, out, tally)
-    return _settle_unions(query, start, stop, plan, rows, work, out, tally)
-
-
-@inline
-def _settle_simple(query, start, stop, plan, rows, work, out, tally):
-    """Settle pairs of bodies of one piece each: there is nothing to look up."""
-    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    listed, ahead, carried = work.listed, work.ahead, work.carried
-    last = shape.shape[0] - 1
-    step = body_a[last], body_b[last], pose_a[last], pose_b[last]
-    # Typed: a constant would have `_flush` compiled twice.
-    found = np.int64(0)
-    k = start
-    while k < stop:
-        count = np.int64(0)
-        while count < BLOCK and k < stop:
-            more = min(BLOCK - count, stop - k)
-            if rows.shape[1] > 0:
-                _steps(listed.pair, count, more, k, 1)
-                _picked(listed.piece_a, ahead.piece_a, more, rows, 0, k, stop, step[0])
-                _picked(listed.piece_b, ahead.piece_b, more, rows, 1, k, stop, step[1])
-                _picked(listed.pose_a, ahead.pose_a, more, rows, 0, k, stop, step[2])
-                _picked(listed.pose_b, ahead.pose_b, more, rows, 1, k, stop, step[3])
-            else:
-                # Along the last axis the rows are arithmetic progressions.
-                more = min(more, shape[last] - k % shape[last])
-                first = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
-                _progressions(work, count, more, k, first, step)
-            count += more
-            k += more
-        out[k - count : k] = FREE
-        flags = found | DISTINCT | CONSECUTIVE | PREFETCHING * (k + LEAD <= stop)
-        found = _flush(query, flags, count, work, out, tally)
-        if found == FAULTY:
-            return False
-        waiting = carried[UNSURE]
-        if waiting >= ENOUGH or (waiting > 0 and k == stop):
-            # They take the place of the block for once; what is found of them says nothing about those to come.
-            carried[UNSURE] = 0
-            for lane in range(waiting):
-                pair_list.copy(listed, lane, work.unsure, lane)
-            if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
+        # One piece a body: there is nothing to look up.
+        listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
+        last = shape.shape[0] - 1
+        step = body_a[last], body_b[last], pose_a[last], pose_b[last]
+        # Typed: a constant would have `_flush` compiled twice.
+        found = np.int64(0)
+        k = start
+        while k < stop:
+            count = np.int64(0)
+            while count < BLOCK and k < stop:
+                more = min(BLOCK - count, stop - k)
+                if rows.shape[1] > 0:
+                    _steps(listed.pair, count, more, k, 1)
+                    _picked(listed.piece_a, ahead.piece_a, more, rows, 0, k, stop, step[0])
+                    _picked(listed.piece_b, ahead.piece_b, more, rows, 1, k, stop, step[1])
+                    _picked(listed.pose_a, ahead.pose_a, more, rows, 0, k, stop, step[2])
+                    _picked(listed.pose_b, ahead.pose_b, more, rows, 1, k, stop, step[3])
+                else:
+                    # Along the last axis the rows are arithmetic progressions.
+                    more = min(more, shape[last] - k % shape[last])
+                    first = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
+                    _progressions(work, count, more, k, first, step)
+                count += more
+                k += more
+            out[k - count : k] = FREE
+            flags = found | DISTINCT | CONSECUTIVE | PREFETCHING * (k + LEAD <= stop)
+            found = _flush(query, flags, count, work, out, tally)
+            if found == FAULTY:
                 return False
-    if carried[HELD] + carried[WALKING] > 0:
-        _search(query, carried[TURN], carried[HELD], np.int64(0), np.int64(1), work, out, tally)
-    return True
+            waiting = carried[UNSURE]
+            if waiting >= ENOUGH or (waiting > 0 and k == stop):
+                # They take the place of the block for once; what is found of them says nothing about those to come.
+                carried[UNSURE] = 0
+                for lane in range(waiting):
+                    pair_list.copy(listed, lane, unsure_of(work), lane)
+                if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
+                    return False
+        if carried[HELD] + carried[WALKING] > 0:
+            _search(query, carried[TURN], carried[HELD], np.int64(0), np.int64(1), work, out, tally)
+        return True
 
-
-@inline
-def _settle_unions(query, start, stop, plan, rows, work, out, tally):
-    """Settle pairs of bodies of which one has many pieces, by their trees."""
-    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    a, b, Ta, Tb = pieces_of(query.a), pieces_of(query.b), query.poses_a, query.poses_b
+    # Bodies of which one has many pieces: by their trees.
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
     found_b = np.empty(BLOCK, np.int64)
-    flags, count = np.int64(0), np.int64(0)
+    flags, filled = np.int64(0), np.int64(0)
     for k in range(start, stop):
         out[k] = FREE
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
@@ -502,15 +506,15 @@ def _settle_unions(query, start, stop, plan, rows, work, out, tally):
             return False
         piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:
-            found = piece_tree.more(a, b, ib, query.margin, steps, numbers, found_a, found_b)
-            if found == 0:
+            more = piece_tree.more(a, b, ib, query.margin, steps, numbers, found_a, found_b)
+            if more == 0:
                 break
-            for c in range(found):
-                pair_list.put(work.listed, count, k, found_a[c], found_b[c], ka, kb)
-                count += 1
-                if count == BLOCK:
-                    flags = _flush(query, flags, count, work, out, tally)
+            for c in range(more):
+                pair_list.put(listed_of(work), filled, k, found_a[c], found_b[c], ka, kb)
+                filled += 1
+                if filled == BLOCK:
+                    flags = _flush(query, flags, filled, work, out, tally)
                     if flags == FAULTY:
                         return False
-                    count = np.int64(0)
-    return count == 0 or _flush(query, flags, count, work, out, tally) != FAULTY
+                    filled = np.int64(0)
+    return filled == 0 or _flush(query, flags, filled, work, out, tally) != FAULTY

@@ -1,6 +1,8 @@
-"""What the stages of a query write to, in memory that the caller keeps: no query allocates."""
+"""What the stages of a query write to, in memory that the caller keeps: no query allocates.
 
-from typing import Any, NamedTuple
+Only the address goes from function to function. Each takes from it what it uses: a record of arrays costs Numba a
+second of compiling for every call that hands it on.
+"""
 
 from loewner._kernels._jit import inline
 from loewner._kernels.narrow import exact, gjk_batch, pair_list
@@ -8,47 +10,9 @@ from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.pair_list import pair_list_at
 from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at
 
-# Entries of `Workspace.carried`: how many pairs are held for the search, in which half of the list; wait for the best
-# s; wait for the batch GJK.
+# Entries of `carried_of`: how many pairs are held for the search, in which half of the list; wait for the best s; wait
+# for the batch GJK.
 HELD, TURN, UNSURE, WALKING, CARRIED = 0, 1, 2, 3, 4
-
-
-class Workspace(NamedTuple):
-    """What `verdicts` writes to.
-
-    Attributes
-    ----------
-    listed : PairList
-        The piece pairs of a block.
-    ahead : PairList
-        What a later block will need; its pairs are not used.
-    unsure : PairList
-        Piece pairs that wait for a certificate at the best s.
-    held : PairList
-        Piece pairs that wait for the exact search: two halves, one searched while the other fills.
-    tier : ndarray of int8, shape (BLOCK,)
-        What the certificate says of each.
-    normals : ndarray, shape (3 * BLOCK,)
-        Contact normals that the certificate writes: all x, all y, all z.
-    held_normals : ndarray, shape (2 * 3 * BLOCK,)
-        Those of the pairs held.
-    carried : ndarray of int64, shape (CARRIED,)
-        What is carried from block to block.
-    walk : gjk_batch.Workspace
-    exact : exact.Workspace
-    """
-
-    listed: Any
-    ahead: Any
-    unsure: Any
-    held: Any
-    tier: Any
-    normals: Any
-    held_normals: Any
-    carried: Any
-    walk: Any
-    exact: Any
-
 
 _LIST, _NORMALS = pair_list.size(BLOCK), 8 * 3 * BLOCK
 _HELD = 3 * _LIST
@@ -58,21 +22,64 @@ _CARRIED = _AT_NORMALS + 3 * _NORMALS
 _WALK = _CARRIED + LINE
 _EXACT = _WALK + gjk_batch.SIZE
 
-SIZE = _EXACT + exact.SIZE  # bytes of a workspace
+SIZE = _EXACT + exact.SIZE  # bytes
 
 
 @inline
-def workspace_at(address):
-    """The workspace at an address."""
-    return Workspace(
-        pair_list_at(address, BLOCK),
-        pair_list_at(address + _LIST, BLOCK),
-        pair_list_at(address + 2 * _LIST, BLOCK),
-        pair_list_at(address + _HELD, 2 * BLOCK),
-        bytes_at(address + _TIER, (BLOCK,)),
-        floats_at(address + _AT_NORMALS, (3 * BLOCK,)),
-        floats_at(address + _AT_NORMALS + _NORMALS, (2 * 3 * BLOCK,)),
-        integers_at(address + _CARRIED, (CARRIED,)),
-        gjk_batch.workspace_at(address + _WALK),
-        exact.workspace_at(address + _EXACT),
-    )
+def listed_of(work):
+    """PairList: the piece pairs of a block."""
+    return pair_list_at(work, BLOCK)
+
+
+@inline
+def ahead_of(work):
+    """PairList: what a later block will need; its pairs are not used."""
+    return pair_list_at(work + _LIST, BLOCK)
+
+
+@inline
+def unsure_of(work):
+    """PairList: piece pairs that wait for a certificate at the best s."""
+    return pair_list_at(work + 2 * _LIST, BLOCK)
+
+
+@inline
+def held_of(work):
+    """PairList: piece pairs that wait for the exact search, in two halves: one is searched while the other fills."""
+    return pair_list_at(work + _HELD, 2 * BLOCK)
+
+
+@inline
+def tier_of(work):
+    """What the certificate says of each listed pair: int8, shape (BLOCK,)."""
+    return bytes_at(work + _TIER, (BLOCK,))
+
+
+@inline
+def normals_of(work):
+    """Contact normals that the certificate writes, all x, all y, all z: shape (3 * BLOCK,)."""
+    return floats_at(work + _AT_NORMALS, (3 * BLOCK,))
+
+
+@inline
+def held_normals_of(work):
+    """Those of the pairs held: shape (2 * 3 * BLOCK,)."""
+    return floats_at(work + _AT_NORMALS + _NORMALS, (2 * 3 * BLOCK,))
+
+
+@inline
+def carried_of(work):
+    """What is carried from block to block: int64, shape (CARRIED,)."""
+    return integers_at(work + _CARRIED, (CARRIED,))
+
+
+@inline
+def walk_of(work):
+    """Address of a workspace of `gjk_batch`."""
+    return work + _WALK
+
+
+@inline
+def exact_of(work):
+    """Address of a workspace of `exact`."""
+    return work + _EXACT

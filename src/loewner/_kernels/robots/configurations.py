@@ -51,7 +51,7 @@ from loewner._kernels.robots.placement import (
     placement_size,
     stand,
 )
-from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines
+from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, lines
 from loewner._kernels.simd.vectors import SINGLE_LANES, lowest_bit
 from loewner._kernels.trees import piece_tree
 
@@ -60,267 +60,302 @@ WAITING = 512  # piece pairs that may wait for the exact search
 GROUPS = MOST // SINGLE_LANES  # of sixteen configurations, in a block
 
 
-class Block(NamedTuple):
-    """What the work of a block writes to.
-
-    Attributes
-    ----------
-    placement : Placement
-    listed : PairList
-        Piece pairs for the certificate: `pair` is the number of the pair of bodies times S plus the configuration;
-        pieces and poses are rows of the placement.
-    pieces_a, pieces_b : ndarray of int64, shape (BLOCK,)
-        The same piece pairs by their rows in the packed pieces.
-    tier : ndarray of int8, shape (BLOCK,)
-    normals : ndarray, shape (3 * BLOCK,)
-        What the certificate says of each.
-    waiting : PairList
-        Piece pairs that wait for the exact search, by their rows in the packed pieces.
-    directions : ndarray, shape (WAITING, 3)
-        The normals of these.
-    live : ndarray of int64, shape (GROUPS,)
-        Configurations that may still be free, as bits.
-    verdicts, tiers : ndarray of int8, shape (MOST,)
-        Of the configurations.
-    way : ndarray, shape (MOST, dof)
-        Configurations of a motion.
-    steps, numbers, found_a, found_b : ndarray
-        For the trees of bodies of many pieces.
-    exact : exact.Workspace
-    """
-
-    placement: Any
-    listed: Any
-    pieces_a: Any
-    pieces_b: Any
-    tier: Any
-    normals: Any
-    waiting: Any
-    directions: Any
-    live: Any
-    verdicts: Any
-    tiers: Any
-    way: Any
-    steps: Any
-    numbers: Any
-    found_a: Any
-    found_b: Any
-    exact: Any
-
-
 _LIST, _NUMBERS, _WAITING = pair_list.size(BLOCK), 8 * BLOCK, pair_list.size(WAITING)
-_TIER = _LIST + 4 * _NUMBERS
+_PIECES = _LIST
+_FOUND = _PIECES + 2 * _NUMBERS
+_TIER = _FOUND + 2 * _NUMBERS
 _NORMALS = _TIER + BLOCK
 _AT_WAITING = _NORMALS + 3 * _NUMBERS
 _DIRECTIONS = _AT_WAITING + _WAITING
 _LIVE = _DIRECTIONS + 3 * 8 * WAITING
-_VERDICTS = _LIVE + 64
+_VERDICTS = _LIVE + LINE
 _STEPS = _VERDICTS + 2 * MOST
 _TREE = _STEPS + lines.py_func(8 * piece_tree.STEPS)
 _EXACT = _TREE + lines.py_func(8 * piece_tree.NUMBERS)
-_FIXED = _EXACT + exact.SIZE
+_WAY = _EXACT + exact.SIZE
+
+
+class Query(NamedTuple):
+    """What is asked, and where to work.
+
+    Attributes
+    ----------
+    mode : CERTIFY or EXACT
+    first_hit : 1 if the first collision ends it, else 0
+    pack, problem : handles of the pieces, see `pieces.pack`, and of what to check, see `pack.problem_of`
+    counts : how much there is of everything
+    hits : where to count the collisions found, by pair
+    work : address of the memory that the functions named ``_..._of`` divide up
+    """
+
+    mode: Any
+    first_hit: Any
+    pack: Any
+    problem: Any
+    counts: Any
+    hits: Any
+    work: Any
 
 
 @inline
 def size(counts):
-    """Bytes of a block."""
-    return _FIXED + lines(8 * MOST * counts.dof) + placement_size(counts)
+    """Bytes that a query works in."""
+    return _WAY + lines(8 * MOST * counts.dof) + placement_size(counts)
 
 
 @inline
-def _block_at(address, counts):
-    """The block at an address."""
-    way = address + _FIXED
-    return Block(
-        placement_at(way + lines(8 * MOST * counts.dof), counts),
-        pair_list_at(address, BLOCK),
-        integers_at(address + _LIST, (BLOCK,)),
-        integers_at(address + _LIST + _NUMBERS, (BLOCK,)),
-        bytes_at(address + _TIER, (BLOCK,)),
-        floats_at(address + _NORMALS, (3 * BLOCK,)),
-        pair_list_at(address + _AT_WAITING, WAITING),
-        floats_at(address + _DIRECTIONS, (WAITING, 3)),
-        integers_at(address + _LIVE, (GROUPS,)),
-        bytes_at(address + _VERDICTS, (MOST,)),
-        bytes_at(address + _VERDICTS + MOST, (MOST,)),
-        floats_at(way, (MOST, counts.dof)),
-        integers_at(address + _STEPS, (piece_tree.STEPS,)),
-        floats_at(address + _TREE, (piece_tree.NUMBERS,)),
-        integers_at(address + _LIST + 2 * _NUMBERS, (BLOCK,)),
-        integers_at(address + _LIST + 3 * _NUMBERS, (BLOCK,)),
-        exact.workspace_at(address + _EXACT),
-    )
+def _listed_of(work):
+    """PairList: piece pairs for the certificate.
 
-
-class Query(NamedTuple):
-    """What is asked of a block: CERTIFY or EXACT; whether the first collision ends it; the pieces, what to check, and
-    where to count the collisions found, by pair."""
-
-    mode: Any
-    first_hit: Any
-    pieces: Any
-    problem: Any
-    hits: Any
+    `pair` is the number of the pair of bodies times S plus the configuration; pieces and poses are rows of the
+    placement.
+    """
+    return pair_list_at(work, BLOCK)
 
 
 @inline
-def _hit(query, s, pair, tier, block):
+def _pieces_a_of(work):
+    """The listed pieces of a, by their rows in the packed pieces: int64, shape (BLOCK,)."""
+    return integers_at(work + _PIECES, (BLOCK,))
+
+
+@inline
+def _pieces_b_of(work):
+    """Those of b."""
+    return integers_at(work + _PIECES + _NUMBERS, (BLOCK,))
+
+
+@inline
+def _tier_of(work):
+    """What the certificate says of each listed pair: int8, shape (BLOCK,)."""
+    return bytes_at(work + _TIER, (BLOCK,))
+
+
+@inline
+def _normals_of(work):
+    """The contact normals that it writes: shape (3 * BLOCK,)."""
+    return floats_at(work + _NORMALS, (3 * BLOCK,))
+
+
+@inline
+def _waiting_of(work):
+    """PairList: piece pairs that wait for the exact search, by their rows in the packed pieces."""
+    return pair_list_at(work + _AT_WAITING, WAITING)
+
+
+@inline
+def _directions_of(work):
+    """The normals of those that wait: shape (WAITING, 3)."""
+    return floats_at(work + _DIRECTIONS, (WAITING, 3))
+
+
+@inline
+def _live_of(work):
+    """Configurations that may still be free, as bits: int64, shape (GROUPS,)."""
+    return integers_at(work + _LIVE, (GROUPS,))
+
+
+@inline
+def _verdicts_of(work):
+    """Verdicts of the configurations: int8, shape (MOST,)."""
+    return bytes_at(work + _VERDICTS, (MOST,))
+
+
+@inline
+def _tiers_of(work):
+    """What settled them: int8, shape (MOST,)."""
+    return bytes_at(work + _VERDICTS + MOST, (MOST,))
+
+
+@inline
+def _way_of(work, counts):
+    """Configurations of a motion: shape (MOST, dof)."""
+    return floats_at(work + _WAY, (MOST, counts.dof))
+
+
+@inline
+def _placement_of(work, counts):
+    """Where everything is."""
+    return placement_at(work + _WAY + lines(8 * MOST * counts.dof), counts)
+
+
+@inline
+def _hit(query, s, pair, tier):
     """A configuration that collides takes no further part."""
-    block.live[s // SINGLE_LANES] &= ~(np.int64(1) << (s % SINGLE_LANES))
-    if query.first_hit:
-        block.live[:] = 0
-    block.verdicts[s] = COLLIDING
-    block.tiers[s] = tier
+    live = _live_of(query.work)
+    live[s // SINGLE_LANES] &= ~(np.int64(1) << (s % SINGLE_LANES))
+    if query.first_hit != 0:
+        live[:] = 0
+    _verdicts_of(query.work)[s] = COLLIDING
+    _tiers_of(query.work)[s] = tier
     query.hits[pair] += 1
 
 
 @inline
-def _leave(s, block):
-    block.verdicts[s] = AMBIGUOUS
-    block.tiers[s] = OPEN
+def _leave(query, s):
+    _verdicts_of(query.work)[s] = AMBIGUOUS
+    _tiers_of(query.work)[s] = OPEN
 
 
 @inline
-def _ended(query, block):
+def _ended(query):
     """Whether no configuration of a motion needs to be looked at any more."""
-    return query.first_hit and not block.live.any()
+    if query.first_hit == 0:
+        return False
+    live, rest = _live_of(query.work), np.int64(0)
+    for group in range(GROUPS):
+        rest |= live[group]
+    return rest == 0
 
 
 @njit()
-def _improve(query, S, held, block):
+def _improve(query, S, held):
     """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
-    hot, poses, waiting = query.pieces.hot, block.placement.poses, block.waiting
+    work = query.work
+    hot, poses = pieces_of(query.pack).hot, _placement_of(work, query.counts).poses
+    listed, waiting, tier, normals = _listed_of(work), _waiting_of(work), _tier_of(work), _normals_of(work)
+    verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for first in range(0, held, BLOCK):
         count = min(BLOCK, held - first)
         for lane in range(count):
-            pair_list.copy(block.listed, lane, waiting, first + lane)
-        fill(block.listed, count)
-        if not certificate.certify_best(
-            count, 0.0, hot, poses, True, hot, poses, True, block.listed, block.tier, block.normals
-        ):
-            block.tier[:count] = OPEN
+            pair_list.copy(listed, lane, waiting, first + lane)
+        fill(listed, count)
+        if not certificate.certify_best(count, 0.0, hot, poses, True, hot, poses, True, listed, tier, normals):
+            tier[:count] = OPEN
         for lane in range(count):
             code = waiting.pair[first + lane]
             s = code % S
-            if block.verdicts[s] == COLLIDING:
+            if verdicts[s] == COLLIDING:
                 continue
-            if block.tier[lane] == BY_INNER:
-                _hit(query, s, code // S, BY_INNER, block)
-            elif block.tier[lane] == OPEN:
-                _leave(s, block)
-            elif block.tiers[s] < BY_OUTER:
-                block.tiers[s] = BY_OUTER
+            if tier[lane] == BY_INNER:
+                _hit(query, s, code // S, BY_INNER)
+            elif tier[lane] == OPEN:
+                _leave(query, s)
+            elif tiers[s] < BY_OUTER:
+                tiers[s] = BY_OUTER
 
 
 @njit()
-def _search(query, S, held, block):
+def _search(query, S, held):
     """Settle the pairs that wait by the exact searches."""
-    poses, waiting, N = block.placement.poses, block.waiting, block.directions
+    work, pieces, margins = query.work, pieces_of(query.pack), problem_of(query.problem).margins
+    poses, waiting, N = _placement_of(work, query.counts).poses, _waiting_of(work), _directions_of(work)
+    verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for n in range(held):
         code = waiting.pair[n]
         s, p = code % S, code // S
-        if block.verdicts[s] == COLLIDING:
+        if verdicts[s] == COLLIDING:
             continue
-        A = placed(query.pieces, waiting.piece_a[n], poses, waiting.pose_a[n])
-        B = placed(query.pieces, waiting.piece_b[n], poses, waiting.pose_b[n])
-        margin, shift = query.problem.margins[p], shift_between(A, B)
+        A = placed(pieces, waiting.piece_a[n], poses, waiting.pose_a[n])
+        B = placed(pieces, waiting.piece_b[n], poses, waiting.pose_b[n])
+        margin, shift = margins[p], shift_between(A, B)
         widest = max(abs(shift[0]), abs(shift[1]), abs(shift[2]))
         if widest - rounding_error(A, B, shift) > reach(A) + reach(B) + margin:
             # Far beyond what single precision tells, where the squares of the search overflow.
-            block.tiers[s] = max(block.tiers[s], BY_OUTER)
+            tiers[s] = max(tiers[s], BY_OUTER)
             continue
-        verdict, tier = exact_piece_pair(A, B, margin, (N[n, 0], N[n, 1], N[n, 2]), block.exact)
+        verdict, tier = exact_piece_pair(A, B, margin, (N[n, 0], N[n, 1], N[n, 2]), work + _EXACT)
         if verdict == COLLIDING:
-            _hit(query, s, p, tier, block)
-            if query.first_hit:
+            _hit(query, s, p, tier)
+            if query.first_hit != 0:
                 return
         elif verdict == AMBIGUOUS:
-            _leave(s, block)
-        elif block.tiers[s] < tier:
-            block.tiers[s] = tier
+            _leave(query, s)
+        elif tiers[s] < tier:
+            tiers[s] = tier
 
 
 @inline
-def _settle_waiting(query, S, held, block):
+def _settle_waiting(query, S, held):
     """Settle the pairs that wait; none are left."""
     if query.mode == EXACT:
-        _search(query, S, held, block)
+        _search(query, S, held)
     else:
-        _improve(query, S, held, block)
+        _improve(query, S, held)
     return np.int64(0)
 
 
 @njit()
-def _certify(query, keep, count, S, held, block):
+def _certify(query, keep, count, S, held):
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
-    pieces, listed, tier = query.pieces, block.listed, block.tier
-    poses, rows = block.placement.poses, block.placement.ellipsoids
+    work, pieces = query.work, pieces_of(query.pack)
+    placement = _placement_of(work, query.counts)
+    poses, rows = placement.poses, placement.ellipsoids
+    listed, tier, normals = _listed_of(work), _tier_of(work), _normals_of(work)
+    pieces_a, pieces_b, waiting, directions = (
+        _pieces_a_of(work), _pieces_b_of(work), _waiting_of(work), _directions_of(work),
+    )  # fmt: skip
+    verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     fill(listed, count)
     done = False
     if keep == 0.0 and len(pieces.single) > 0:
         done = certificate.single_certify(
-            count, False, rows, poses, False, rows, poses, False, listed, listed, tier, block.normals
+            count, False, rows, poses, False, rows, poses, False, listed, listed, tier, normals
         )
     if not done:
         for lane in range(count):
-            listed.piece_a[lane], listed.piece_b[lane] = block.pieces_a[lane], block.pieces_b[lane]
+            listed.piece_a[lane], listed.piece_b[lane] = pieces_a[lane], pieces_b[lane]
         fill(listed, count)
         if not certificate.certify_best(
-            count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, block.normals
+            count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
             tier[:count] = OPEN  # a link that is bent by overflow: nothing is proven about it
     for lane in range(count):
         code = listed.pair[lane]
         s = code % S
-        if block.verdicts[s] == COLLIDING:
+        if verdicts[s] == COLLIDING:
             continue
         if tier[lane] == BY_INNER:
-            _hit(query, s, code // S, BY_INNER, block)
+            _hit(query, s, code // S, BY_INNER)
         elif tier[lane] == BY_OUTER:
-            block.tiers[s] = max(block.tiers[s], BY_OUTER)
+            tiers[s] = max(tiers[s], BY_OUTER)
         elif tier[lane] != BY_SPHERE and (query.mode == EXACT or tier[lane] == certificate.UNSURE):
             pair_list.put(
-                block.waiting, held, code, block.pieces_a[lane], block.pieces_b[lane], listed.pose_a[lane],
+                waiting, held, code, pieces_a[lane], pieces_b[lane], listed.pose_a[lane],
                 listed.pose_b[lane],
             )  # fmt: skip
             for row in range(3):
-                block.directions[held, row] = block.normals[row * BLOCK + lane]
+                directions[held, row] = normals[row * BLOCK + lane]
             held += 1
         elif tier[lane] == OPEN:
-            _leave(s, block)
-    if _ended(query, block):
+            _leave(query, s)
+    if _ended(query):
         return np.int64(0)
     # Last of all: it makes lists of its own in `listed`.
     if held > WAITING - BLOCK:
-        held = _settle_waiting(query, S, held, block)
+        held = _settle_waiting(query, S, held)
     return held
 
 
 @inline
-def _list(block, count, code, i, j, S, moving_pieces, pose_a, pose_b):
+def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
     """List pieces i and j, the first of which moves."""
     s = code % S
     row_b = j * S + s if j < moving_pieces else moving_pieces * (S - 1) + j
-    pair_list.put(block.listed, count, code, i * S + s, row_b, pose_a, pose_b)
-    block.pieces_a[count] = i
-    block.pieces_b[count] = j
+    pair_list.put(_listed_of(work), count, code, i * S + s, row_b, pose_a, pose_b)
+    _pieces_a_of(work)[count] = i
+    _pieces_b_of(work)[count] = j
 
 
 @njit()
-def _settle_block(query, Q, first, last, S, counts, block):
-    """Settle the configurations in the rows first .. last of Q, at most S of them, into `block.verdicts` and `tiers`.
+def _settle_block(query, Q, first, last, S):
+    """Settle the configurations in the rows first .. last of Q, at most S of them, into `verdicts` and `tiers`.
 
     One function for both entries, compiled once.
     """
-    pieces, problem = query.pieces, query.problem
-    piece_start, poses = pieces.piece_start, block.placement.poses
-    moving, moving_pieces, live = counts.moving, counts.moving_pieces, block.live
-    place(problem, pieces, Q, first, last, S, block.placement)
+    work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
+    placement = _placement_of(work, counts)
+    piece_start, poses, bounds = pieces.piece_start, placement.poses, placement.bounds
+    moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
+    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _TREE, (piece_tree.NUMBERS,))
+    found_a, found_b = integers_at(work + _FOUND, (BLOCK,)), integers_at(work + _FOUND + _NUMBERS, (BLOCK,))
+    verdicts = _verdicts_of(work)
+    place(problem, pieces, Q, first, last, S, placement)
     for group in range(GROUPS):
         rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
         live[group] = (np.int64(1) << rest) - 1
-    block.verdicts[:] = FREE
-    block.tiers[:] = BY_SPHERE
+    verdicts[:] = FREE
+    _tiers_of(work)[:] = BY_SPHERE
     count = np.int64(0)
     held = np.int64(0)
     keep = 0.0
@@ -330,7 +365,7 @@ def _settle_block(query, Q, first, last, S, counts, block):
         if problem.margins[p] != keep:
             # The lists are of one margin.
             if count > 0:
-                held = _certify(query, keep, count, S, held, block)
+                held = _certify(query, keep, count, S, held)
                 count = np.int64(0)
             keep = problem.margins[p]
         up = np.float32(keep * UP)
@@ -340,7 +375,6 @@ def _settle_block(query, Q, first, last, S, counts, block):
             if live[group] == 0:
                 continue
             at = group * SINGLE_LANES
-            bounds = block.placement.bounds
             here = bounds_at(bounds, one * BOUNDS * S + at, S)
             if other < moving:
                 meet = near(here, bounds_at(bounds, other * BOUNDS * S + at, S), up, live[group])
@@ -353,37 +387,35 @@ def _settle_block(query, Q, first, last, S, counts, block):
                 pose_b = other * S + s if other < moving else moving * (S - 1) + other
                 code = p * S + s
                 if simple:
-                    _list(block, count, code, i, j, S, moving_pieces, pose_a, pose_b)
+                    _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b)
                     count += 1
                 else:
-                    piece_tree.begin(
-                        pieces, one, poses, pose_a, pieces, other, poses, pose_b, block.steps, block.numbers
-                    )
+                    piece_tree.begin(pieces, one, poses, pose_a, pieces, other, poses, pose_b, steps, numbers)
                 more = not simple
                 while more or count == BLOCK:
                     if count == BLOCK:
-                        held = _certify(query, keep, count, S, held, block)
+                        held = _certify(query, keep, count, S, held)
                         count = np.int64(0)
-                    if more and block.verdicts[s] != COLLIDING:
+                    if more and verdicts[s] != COLLIDING:
                         found = piece_tree.more(
-                            pieces, pieces, other, keep, block.steps, block.numbers, block.found_a[: BLOCK - count],
-                            block.found_b,
+                            pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count],
+                            found_b,
                         )  # fmt: skip
                         for c in range(found):
                             _list(
-                                block, count + c, code, block.found_a[c], block.found_b[c], S, moving_pieces, pose_a,
+                                work, count + c, code, found_a[c], found_b[c], S, moving_pieces, pose_a,
                                 pose_b,
                             )  # fmt: skip
                         count += found
                         more = found > 0
                     else:
                         more = False
-        if _ended(query, block):
+        if _ended(query):
             return
     if count > 0:
-        held = _certify(query, keep, count, S, held, block)
+        held = _certify(query, keep, count, S, held)
     if held > 0:
-        _settle_waiting(query, S, held, block)
+        _settle_waiting(query, S, held)
 
 
 @inline
@@ -427,16 +459,16 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = _counts(pieces, problem, Q.shape[1])
-    block = _block_at(memory, counts)
-    query = Query(mode, np.int64(0), pieces, problem, hits)
+    query = Query(mode, np.int64(0), pack, problem_handle, counts, hits, memory)
+    placement, verdicts, tiers = _placement_of(memory, counts), _verdicts_of(memory), _tiers_of(memory)
     S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
-    stand(problem, S, counts, block.placement)
+    stand(problem, S, counts, placement)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
-        _settle_block(query, Q, first, last, S, counts, block)
+        _settle_block(query, Q, first, last, S)
         for s in range(last + 1 - first):
-            out[first + s] = block.verdicts[s]
-            tiers_out[first + s] = block.tiers[s]
+            out[first + s] = verdicts[s]
+            tiers_out[first + s] = tiers[s]
 
 
 @njit()
@@ -463,27 +495,27 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     dof, total = len(start), len(fractions)
     counts = _counts(pieces, problem, dof)
-    block = _block_at(memory, counts)
-    query = Query(np.int64(EXACT), np.int64(1), pieces, problem, hits)
+    query = Query(np.int64(EXACT), np.int64(1), pack, problem_handle, counts, hits, memory)
+    placement, verdicts, way = _placement_of(memory, counts), _verdicts_of(memory), _way_of(memory, counts)
     # A motion that collides mostly does so at one of its first configurations.
     S = np.int64(SINGLE_LANES)
-    stand(problem, S, counts, block.placement)
+    stand(problem, S, counts, placement)
     verdict, first = np.int64(FREE), np.int64(0)
     while first < total:
         last = min(first + S, total) - 1
         for k in range(first, last + 1):
             for c in range(dof):
                 straight = start[c] + fractions[k] * (end[c] - start[c])
-                block.way[k - first, c] = straight if fractions[k] != 1.0 else end[c]
-        _settle_block(query, block.way, np.int64(0), last - first, S, counts, block)
+                way[k - first, c] = straight if fractions[k] != 1.0 else end[c]
+        _settle_block(query, way, np.int64(0), last - first, S)
         for s in range(last + 1 - first):
-            if block.verdicts[s] == COLLIDING:
+            if verdicts[s] == COLLIDING:
                 return np.int64(COLLIDING), last + 1
-            if block.verdicts[s] == AMBIGUOUS:
+            if verdicts[s] == AMBIGUOUS:
                 verdict = np.int64(AMBIGUOUS)
-            out[first + s] = block.verdicts[s]
+            out[first + s] = verdicts[s]
         first += S
         if S < MOST and total > MOST:
             S = np.int64(MOST)
-            stand(problem, S, counts, block.placement)
+            stand(problem, S, counts, placement)
     return verdict, total
