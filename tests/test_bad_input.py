@@ -809,6 +809,9 @@ def test_a_flat_mesh_is_an_error(tmp_path: Path):
 class Unfit(os.PathLike[str]):
     """A path-like object that is none."""
 
+    def __repr__(self) -> str:  # the name of a test must not change from process to process
+        return "Unfit()"
+
     def __fspath__(self) -> str:
         raise RuntimeError("no path today")
 
