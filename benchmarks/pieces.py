@@ -10,6 +10,7 @@ import loewner
 from clock import race, threads_set_to, timed
 from loewner import Body, bodies, queries
 from loewner._kernels import codes
+from loewner._kernels.trees import piece_tree
 from report import Row
 from samples import poses, rotations
 
@@ -54,8 +55,8 @@ def shell(rng: np.random.Generator, count: int) -> Body:
 
 def without_trees(body: Body) -> Body:
     """The same body, packed as if any number of pieces were few."""
-    few, bodies.trees.FEW = bodies.trees.FEW, len(body._packed.layout) + 1
+    few, piece_tree.FEW = piece_tree.FEW, len(body._packed.layout) + 1
     try:
         return Body(bodies.Packed(**bodies._arrays(body._packed)))
     finally:
-        bodies.trees.FEW = few
+        piece_tree.FEW = few

@@ -28,7 +28,7 @@ def cloud(rng: np.random.Generator, count: int, size: float | None = None, reach
 def without_trees(body: Body) -> Body:
     """The same body, all of whose pieces are tried."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bodies.trees, "FEW", 10**9)
+        patch.setattr(piece_tree, "FEW", 10**9)
         plain = Body(bodies.Packed(**bodies._arrays(body._packed)))
     assert (plain._packed.kernel[8] == -1).all()
     return plain

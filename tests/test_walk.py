@@ -33,16 +33,15 @@ FAMILIES = [
 @njit()
 def _ask(sa, la, xa, ia, Ta, moved_a, sb, lb, xb, ib, Tb, moved_b, N, width, found, free, memory):
     """What `gjk_batch.settle` says in groups of `width`, and `gjk_batch.plane` of each pair by itself."""
-    work = gjk_batch.workspace_at(memory)
     for first in range(0, len(N), width):
         count = min(width, len(N) - first)
         for n in range(count):
             k = first + n
             ka, kb = k if moved_a else 0, k if moved_b else 0
-            gjk_batch.put(work, n, k, ia[k], ib[k], ka, kb, (N[k, 0], N[k, 1], N[k, 2]))
+            gjk_batch.put(memory, n, k, ia[k], ib[k], ka, kb, (N[k, 0], N[k, 1], N[k, 2]))
             free[k] = gjk_batch.plane(sa, la, xa, ia[k], Ta, ka, sb, lb, xb, ib[k], Tb, kb, (N[k, 0], N[k, 1], N[k, 2]))
-        gjk_batch.settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, work)
-        found[first : first + count] = work.found[:count]
+        gjk_batch.settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory)
+        found[first : first + count] = gjk_batch.workspace_at(memory).found[:count]
 
 
 class Crowd(NamedTuple):

@@ -6,7 +6,6 @@ moved by handing a pose to a query; the fits are never computed again.
 `body` holds these two, `pack` the arrays behind them, `layout` what kernels see of the arrays, `files` the ``.npz``.
 """
 
-from loewner._kernels import trees  # benchmarks and tests change from how many pieces on there is a tree
 from loewner.bodies.body import Bodies, Body, Piece, Progress
 from loewner.bodies.files import FORMAT, VERSION
 from loewner.bodies.layout import LARGEST, SMALLEST, Ints, KernelArrays
@@ -29,5 +28,4 @@ __all__ = [
     "Progress",
     "_arrays",
     "take",
-    "trees",
 ]
