@@ -3,6 +3,7 @@
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
 #   make fuzz     bad input by the thousand, interrupts, damaged files
+#   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
 #   make docs     the documentation, as pages in docs/_build/html
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
@@ -14,9 +15,9 @@ PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 
-.PHONY: help demo test verify fuzz bench check docs clean
+.PHONY: help demo test verify fuzz bounds bench check docs clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 7
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
 
 demo: $(VENV)/.demo
 	$(BIN)/python -m loewner compile --only verdicts fits robots
@@ -32,6 +33,11 @@ verify: $(VENV)/.dev
 fuzz: $(VENV)/.dev
 	$(BIN)/python -m loewner compile
 	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
+
+# Compiled code of its own: Numba puts a check before every access to an array.
+bounds: $(VENV)/.dev
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m loewner compile
+	NUMBA_BOUNDSCHECK=1 $(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/fits.py

@@ -36,8 +36,20 @@ def _verdicts() -> None:
     a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
     loewner.classify(a, None, b, _poses())
     loewner.collide(a, None, b, _poses(), margin=0.1)
+
+
+def _estimates() -> None:
+    import loewner
+
+    a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
     loewner.collide(a, None, b, _poses(), method="estimate")
-    loewner.overlapping_pairs(loewner.Bodies([a, b, b]), _poses())
+
+
+def _crowds() -> None:
+    import loewner
+
+    balls = loewner.Bodies.spheres([0.5, 0.5, 0.5])
+    loewner.overlapping_pairs(balls, _poses())
 
 
 def _distances() -> None:
@@ -75,7 +87,10 @@ def _robots() -> None:
 
 
 # The longest first; the last needs much of what the ones before compile.
-_PARTS = {"distances": _distances, "verdicts": _verdicts, "fits": _fits, "robots": _robots}
+_PARTS = {
+    "distances": _distances, "verdicts": _verdicts, "crowds": _crowds, "estimates": _estimates, "fits": _fits,
+    "robots": _robots,
+}  # fmt: skip
 PARTS = tuple(_PARTS)
 
 
@@ -87,7 +102,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Parameters
     ----------
     parts : iterable of str
-        Of "distances", "verdicts", "fits" and "robots"; all by default.
+        Of "distances", "verdicts", "crowds", "estimates", "fits" and "robots"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
