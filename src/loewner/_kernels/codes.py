@@ -3,6 +3,6 @@
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 CERTIFY, EXACT = 0, 1
 
-# Who settled a piece pair; BY_GAP: the support planes of the pieces square to the contact normal of their ellipsoids.
+# Who settled a piece pair; BY_PLANE: the support planes of the pieces square to the contact normal of their ellipsoids.
 BY_SPHERE, BY_OUTER, BY_INNER, BY_PLANE, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5
 TIERS = 6

@@ -24,6 +24,15 @@ Maps = dict[int, tuple[Ints, Floats]]
 # forms; nothing anybody collides is near either end.
 SMALLEST, LARGEST = 1e-30, 1e30
 
+# A pose accepted as rigid may still stretch or shrink lengths.
+BEND = 2 * rigid.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
+
+# Bounds are rounded up by this factor before they go to single precision.
+UP = 1 + 2.0**-22  # derived 1, certified.md B23
+
+# What singular values may be off by, relative to the largest. LAPACK promises a few roundings and no number.
+SINGULAR_ROUNDINGS = 32 * 2.0**-53
+
 # Sizes at which the certificate may work in single precision first (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
 
@@ -127,12 +136,9 @@ def _table(p: Packed) -> Floats:
     table[:, shapes.FRAME_CENTER : shapes.FRAME_CENTER + 12] = p.frames[:, 1:]
     if len(table) == 0:
         return table
-    # Singular values are computed with a backward error of a few roundings of the largest.
     outer = np.linalg.svd(p.outer_factor, compute_uv=False)
     inner = np.linalg.svd(p.inner_factor, compute_uv=False)
-    slack = 32 * 2.0**-53
-    # A pose accepted as rigid may still stretch: lengths by √(1 + 3 ROTATION_TOLERANCE) at most.
-    bend = 2 * rigid.ROTATION_TOLERANCE
+    slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
     table[:, shapes.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
     table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
@@ -158,7 +164,7 @@ def _single(hot: Floats) -> NDArray[np.float32]:
     if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
         return np.empty((0, shapes.HOT), dtype=np.float32)
     rounded = hot.copy()
-    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= 1 + 2.0**-22
+    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= UP
     return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
 
 

@@ -70,12 +70,16 @@ BLOCK = 128  # piece pairs that are settled together
 
 NEWTON_STEPS = 12
 
-# Errors in units of the roundoff: of the shape matrices times trace |n|², and of the positions times the lengths.
-SHAPE_ERROR, POSITION_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF, POSITION_ROUNDINGS / UNIT_ROUNDOFF
+# Errors in units of the roundoff, of either precision; what is derived here is for single precision, where it is more.
+# Of the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
+SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
+# derived 28, certified.md B5
+# Of the positions, times the lengths.
+POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 SINGLE_ROUNDOFF = 2.0**-24
 
 # How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
-# rounding does to F (see `_doubt`), in either precision.
+# rounding does to F (see `_doubt`), in either precision. No proof rests on them: such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
 
 # What `certify` says where a better s may settle a pair.

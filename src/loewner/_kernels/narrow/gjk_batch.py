@@ -6,7 +6,7 @@ takes all cases of the simplex together, each pair choosing its own. Two or thre
 
 The walk is in single precision. What it finds is proven nonetheless, by a support plane clear of the origin or by a
 tetrahedron of points of A - B that holds it, both clear of what that precision rounds (docs/certified.md). Pairs
-nearer to contact, two in a thousand, have no proof here and are left to `pair_search`; so nothing a pair is told
+nearer to contact, two in a thousand, have no proof here and are left to `gjk_fast`; so nothing a pair is told
 depends on how it was reached or on the pairs beside it.
 
 References
@@ -59,10 +59,15 @@ FEW = 4  # pairs that are sooner searched one by one
 
 MOST = 64  # vertices of a piece: more and sixteen pairs leave the first-level cache
 
-# Errors in units of the roundoff, each twice what docs/certified.md derives: of a product with a support point, all in
-# single precision or only in what `plane` rounds, times the lengths; of a product of three points, times the third
-# power of the largest, and of a sum of four such products; of three points together, times the lengths and the square.
-PRODUCT_ERROR, WIDTH_ERROR, VOLUME_ERROR, SUM_ERROR, POINT_ERROR = 72.0, 16.0, 98.0, 632.0, 64.0
+# Errors in units of the roundoff of single precision, each at least twice what is derived. Times the lengths: of a
+# width as `plane` rounds it, and of a product with a support point, all in single precision.
+WIDTH_ERROR = 16.0  # derived 5, certified.md B9
+PRODUCT_ERROR = 72.0  # derived 35, certified.md B10
+# Times the third power of the longest point: of a determinant of three points, and of four of them added.
+VOLUME_ERROR = 98.0  # derived 33, certified.md B11
+SUM_ERROR = 632.0  # derived 177, certified.md B12
+# Times the lengths and the square of the longest point: of a determinant, for what its points are off by.
+POINT_ERROR = 64.0  # derived 30, certified.md B13
 
 SHORT = 1e-30  # directions whose square is less are not trusted: it may be short of digits
 

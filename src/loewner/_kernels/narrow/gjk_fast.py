@@ -32,6 +32,11 @@ THIN = 1e-4
 # Share of the first direction in the second, of unit vectors. 0.5 to 0.8 serve equally well.
 KEPT = 0.7
 
+# Error of a determinant of three points, and of four of them added, in units of the roundoff times the third power of
+# the largest sum of coordinates.
+VOLUME_ERROR = 64.0  # derived 9, certified.md B16
+# derived 51, certified.md B17
+
 # Columns of the scratch array: the placed vertices of both pieces, then six coordinates per round of `measure`.
 PLACED = 2 * LARGE
 _PATH = 3 * PLACED
@@ -150,7 +155,7 @@ def decide(A, B, shift, W, ends, n, error):
         if k == 3:
             # Which of the three faces at the new point does the origin lie beyond? b, c, e run
             # counter-clockwise seen from the new point.
-            doubt = 64.0 * UNIT_ROUNDOFF * largest * largest * largest
+            doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
             ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
             face_bc = cross(ab, ac)
             f = -dot(face_bc, a)
@@ -354,7 +359,7 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
                 beyond_c = sign * dot(cross(ae, ab), a)
                 count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                 if count == 0:
-                    doubt = 64.0 * UNIT_ROUNDOFF * largest * largest * largest
+                    doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
                     # The base, -|volume| less the other three, must be clear too: a flat tetrahedron's sign is noise.
                     base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                     if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:

@@ -31,7 +31,7 @@ DISTANCE_TOLERANCE = 2e-15
 ERROR_SHARE = 0.125
 
 # What cannot be told from touching within 128 rounding errors, about 1e-12 of the lengths involved,
-# is touching.
+# is touching. A choice, not a bound: it only has to be more than the points themselves are off by.
 TOUCH_ROUNDINGS = 128.0
 
 
@@ -47,7 +47,7 @@ def minkowski_support(A, B, shift, n, S, k):
 
 @inline
 def rounding_error(A, B, shift):
-    """Bound on the error of any computed dot product of a unit vector with a point of A - B."""
+    """Bound on the error of any computed dot product of a unit vector with a point of A - B: certified.md B14."""
     return POSITION_ROUNDINGS * lengths(A, B, shift)
 
 

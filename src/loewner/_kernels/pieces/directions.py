@@ -2,8 +2,8 @@
 
 Directions live on the surface of a cube. Each of its six faces is a square of cells that are halved both ways until
 few vertices are left that any direction of the cell could single out; such a leaf keeps copies of its vertices as
-blocks (see `blocks`). A search then goes down a few levels and through a few blocks, however many vertices the hull
-has.
+blocks (see `simd.support`). A search then goes down a few levels and through a few blocks, however many vertices the
+hull has.
 
 A vertex v is left out of a cell only if one other vertex w beats it at all four corners: (w - v)·n is linear in n, so
 w beats v in the whole cell. `CLEARANCE` keeps that true in floating point, for the corner products as for a direction
@@ -28,9 +28,8 @@ GRID = 1 << DEEPEST
 MOST_COPIES = 8
 
 # What a vertex must be beaten by, relative to the largest coordinate. Each of two products with a direction whose
-# entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts next door changes them by 16u:
-# 34u in all.
-CLEARANCE = 64.0 * UNIT_ROUNDOFF
+# entries are at most 1 rounds by 9u; a direction that rounding (4u in two entries) puts next door changes them by 16u.
+CLEARANCE = 64.0 * UNIT_ROUNDOFF  # derived 34, certified.md B18
 
 
 @inline

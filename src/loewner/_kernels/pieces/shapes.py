@@ -7,7 +7,7 @@ A packed set of pieces is a tuple of ten arrays:
 ``layout`` (P, 3) int64
     Kind, first and last+1 column of its points.
 ``points`` (3 V,) float64
-    Vertices in blocks, see `blocks`; each piece's are filled up to whole blocks with repeats of the last, so a
+    Vertices in blocks, see `simd.support`; each piece's are filled up to whole blocks with repeats of the last, so a
     piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
 ``piece_start`` (n+1,) int64
     Body i owns pieces piece_start[i] .. piece_start[i+1].
@@ -100,7 +100,7 @@ def _asking(prefetch):
         piece = np.uint64(piece)  # not from the end
         if layout[piece, KIND] == POLYTOPE:
             first, last = 3 * layout[piece, POINTS_FROM], 3 * layout[piece, POINTS_TO] - 1
-            # Those of three blocks without a branch, as in `blocks.extent`.
+            # Those of three blocks without a branch, as in `support.extent`.
             for line in range(FEW_LINES):
                 prefetch(vertices, min(first + line * SINGLES, last))
             for at in range(first + FEW_LINES * SINGLES, last, SINGLES):

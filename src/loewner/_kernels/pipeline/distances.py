@@ -52,7 +52,7 @@ SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair
 POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
 
-# Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `lanes`. An
+# Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
 # ellipsoid's nine rows are its center and its shape matrix.
 LANES = 32
 _SIZES = {
@@ -623,7 +623,7 @@ def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, facto
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
-    Operands as in `batch`; the last five arrays are written only if `exact`.
+    Operands as in `verdicts`; the last five arrays are written only if `exact`.
 
     Returns
     -------

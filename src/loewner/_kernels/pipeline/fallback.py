@@ -1,6 +1,6 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
-Apart from `batch`, so that it is compiled only when a pair needs it.
+Apart from `verdicts`, so that it is compiled only when a pair needs it.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ CHUNK = 64  # piece pairs taken from the trees at a time
 
 @njit()
 def settle_open(margin, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs left AMBIGUOUS in `out` from scratch; operands as in `batch`, poses known to be rigid."""
+    """Settle the pairs left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses known to be rigid."""
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     steps = np.empty(piece_tree.STEPS, np.int64)

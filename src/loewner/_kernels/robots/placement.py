@@ -41,12 +41,13 @@ MOST = 64  # configurations in a block
 # What a body's row of bounds holds: center, how far a sphere about it must be from another one, half widths.
 X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z, BOUNDS = 0, 1, 2, 3, 4, 5, 6, 8
 
-# Lengths and bounds are rounded up by this factor before they go to single precision.
-UP = 1.0 + 2.0**-22
+# Lengths and bounds are rounded up by this factor before they go to single precision, and so are sums there.
+UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 
-# What centers may be off by after rounding to single precision, relative to the lengths that they are made of; and a
-# length far below all others that keeps squares from underflowing.
-OFF, LEAST = POSITION_ERROR * SINGLE_ROUNDOFF, 1e-15
+# What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
+OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
+
+LEAST = 1e-15  # a length far below all others that keeps squares from underflowing
 
 
 class Placement(NamedTuple):

@@ -1,6 +1,6 @@
 """Trees over the pieces of a body, and the walk through two of them for the piece pairs that could meet.
 
-A tree is one of `boxtree`, over the boxes of the outer ellipsoids in the body's own frame, with its links written down:
+A tree is one of `boxes`, over the boxes of the outer ellipsoids in the body's own frame, with its links written down:
 child c of group g is ``children[8 g + c]``, a group if not negative, else ~piece. ``roots`` holds the top group of each
 body, or -1 for a body of few pieces, which has no tree: all its pieces are tried.
 
@@ -19,9 +19,9 @@ from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, low
 
 FEW = 8  # pieces; fewer than this are tried one by one
 
-# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves a point by at most 1.8e-6 of its distance
-# from the body's origin and stretches a length by 1.5e-6; the rest is far more than distances round.
-BEND = 4e-6
+# |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by so much of the
+# point's distance from the body's origin, and stretches a length by less; the rest is far more than distances round.
+BEND = 4e-6  # derived 1.8e-6, certified.md B21
 
 # Numbers of a walk: the integers ...
 PIECE, A_NEXT, A_END, B_NEXT, B_END, A_HEIGHT, B_HEIGHT = 0, 1, 2, 3, 4, 5, 6
@@ -47,7 +47,7 @@ def planted(piece_start, lower, upper):
     Returns
     -------
     groups : ndarray
-        As `boxtree.grown` lays them out, all bodies end to end.
+        As `boxes.grown` lays them out, all bodies end to end.
     children : ndarray of int64
         Eight for each group.
     roots : ndarray of int64, shape (n,)

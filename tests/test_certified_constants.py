@@ -1,0 +1,143 @@
+"""The bounds that docs/certified.md derives are those that the code names, and no constant is less than its bound."""
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "src" / "loewner"
+PAGE = ROOT / "docs" / "certified.md"
+
+UNITS = {"": 1.0, "u53": 2.0**-53, "u24": 2.0**-24}
+QUANTITY = r"(\d[\d.e+-]*)(?: (u53|u24))?"
+ROW = re.compile(rf"\| (B\d+) \| .* \| {QUANTITY} \| `([\w/]+)\.(\w+)( - 1)?` \| {QUANTITY} \| (\d+\.\d) \|")
+CITATION = re.compile(r"derived ([\d.e+-]+), certified\.md (B\d+)")
+
+
+class Row(NamedTuple):
+    """One line of the page's table."""
+
+    derived: str
+    unit: str
+    module: str
+    constant: str
+    excess: bool  # the bound is on what the constant has beyond 1
+    value: float
+    ratio: str
+
+
+def rows(page: str) -> dict[str, Row]:
+    """Bounds of the table, by number; every line that starts like one must be readable."""
+    found = {}
+    for line in re.findall(r"^\| B\d+ \|.*$", page, flags=re.M):
+        match = ROW.fullmatch(line)
+        assert match, line
+        bound, derived, unit, module, constant, excess, value, value_unit, ratio = match.groups()
+        assert bound not in found, bound
+        unit, value_unit = unit or "", value_unit or ""
+        assert unit == value_unit, line
+        found[bound] = Row(derived, unit, module, constant, bool(excess), float(value) * UNITS[unit], ratio)
+    return found
+
+
+def citations(source: str) -> list[tuple[str, str, str]]:
+    """Constant, derived value and bound of each citation: beside an assignment, or in the comments right below it."""
+    found = []
+    constant = ""
+    for line in source.splitlines():
+        match = re.match(r"([A-Z][A-Z0-9_]*) = ", line)
+        constant = match[1] if match else constant if line.startswith("# derived ") else ""
+        for derived, bound in CITATION.findall(line):
+            assert constant, f"a bound beside no constant: {line}"
+            found.append((constant, derived, bound))
+    return found
+
+
+def all_citations() -> dict[str, tuple[str, str, str]]:
+    """Module, constant and derived value of the whole package's citations, by bound."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = path.relative_to(PACKAGE).with_suffix("").as_posix().removeprefix("_kernels/")
+        for constant, derived, bound in citations(path.read_text()):
+            assert bound not in found, f"{bound} is cited twice"
+            found[bound] = module, constant, derived
+    return found
+
+
+def disagreements(page: dict[str, Row], code: dict[str, tuple[str, str, str]]) -> list[str]:
+    """What differs between the table, the comments of the code, and the constants it runs with."""
+    faults = [f"{bound} is in one of table and code only" for bound in sorted(page.keys() ^ code.keys())]
+    for bound in page.keys() & code.keys():
+        row = page[bound]
+        if code[bound] != (row.module, row.constant, row.derived):
+            faults.append(f"{bound}: code {code[bound]}, page {row}")
+            continue
+        inside = (PACKAGE / "_kernels" / f"{row.module}.py").exists()
+        name = f"loewner.{'_kernels.' if inside else ''}{row.module.replace('/', '.')}"
+        value = getattr(import_module(name), row.constant) - row.excess
+        if value != pytest.approx(row.value, rel=1e-12, abs=0.0):
+            faults.append(f"{bound}: {row.constant} is {value}, page {row.value}")
+        derived = float(row.derived) * UNITS[row.unit]
+        if not value >= derived:
+            faults.append(f"{bound}: {row.constant} is {value}, less than {derived}")
+        if f"{value / derived:.1f}" != row.ratio:
+            faults.append(f"{bound}: ratio {value / derived}, page {row.ratio}")
+    return faults
+
+
+def test_table_and_code_agree():
+    """Every bound has a row and a citation, with the same constant, and the value the code runs with."""
+    page, code = rows(PAGE.read_text()), all_citations()
+    assert len(page) > 20
+    assert disagreements(page, code) == []
+
+
+def test_bounds_are_derived_in_the_text():
+    """The page's text names each bound of the table, in bold, once, and no other."""
+    derived = re.findall(r"\*\*(B\d+)\*\*", PAGE.read_text())
+    assert sorted(derived) == sorted(rows(PAGE.read_text()))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        (r"(\| B10 .*)\| 35 \|", r"\1| 36 |"),
+        (r"(\| B10 .*)\| 72 \|", r"\1| 71 |"),
+        (r"(\| B10 .*)PRODUCT_ERROR", r"\1WIDTH_ERROR"),
+        (r"(\| B10 .*)\| 2\.1 \|", r"\1| 2.2 |"),
+        (r"\| B10 .*\n", ""),
+        (r"(\| B1 .*\n)", r"\1| B99 | x | 1 | `narrow/simplex.FACE_ERROR` | 64 | 64.0 |\n"),
+    ],
+    ids=["derived", "value", "constant", "ratio", "no row", "no citation"],
+)
+def test_a_changed_table_is_found(change):
+    """Each kind of disagreement between page and code is seen."""
+    text = PAGE.read_text()
+    changed = re.sub(change[0], change[1], text, count=1)
+    assert changed != text
+    try:
+        found = disagreements(rows(changed), all_citations())
+    except AssertionError as error:
+        found = [str(error)]
+    assert found
+
+
+def test_a_changed_comment_is_found():
+    """A number changed in the code's comment is seen, and so is a constant less than its bound."""
+    page, code = rows(PAGE.read_text()), all_citations()
+    module, constant, _ = code["B10"]
+    assert disagreements(page, code | {"B10": (module, constant, "36")})
+    worse = page["B10"]._replace(derived="73")
+    found = disagreements(page | {"B10": worse}, code | {"B10": (module, constant, "73")})
+    assert any("less than" in fault for fault in found)
+
+
+def test_citations_need_a_constant():
+    """A citation counts for the constant beside it or right above; one beside none is a fault."""
+    source = "A = 2.0  # derived 1, certified.md B1\n# derived 1.5, certified.md B2\n"
+    assert citations(source) == [("A", "1", "B1"), ("A", "1.5", "B2")]
+    with pytest.raises(AssertionError, match="beside no constant"):
+        citations("A = 2.0\n\n# derived 1, certified.md B1\n")
