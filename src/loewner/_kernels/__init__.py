@@ -1,1 +1,1 @@
-"""Compiled kernels: scalars and arrays only; imports no other room of `loewner`."""
+"""Compiled kernels: scalars and arrays only; imports no other module of `loewner`."""

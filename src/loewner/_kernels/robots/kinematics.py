@@ -162,7 +162,7 @@ def place_links(tree, Q, rows, at, W):
     rows : ndarray of int64
         Row numbers of Q; entries at .. at + 8 are used, which may repeat.
     at : int64
-    W : ndarray, shape (room(links, dof),) or longer
+    W : ndarray, shape (workspace_size(links, dof),) or longer
         What lies behind the poses is scratch.
     """
     parent, kind, column = borrowed(tree[0]), borrowed(tree[1]), borrowed(tree[2])
