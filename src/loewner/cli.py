@@ -165,7 +165,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     fit = commands.add_parser("fit", help="meshes to bodies, saved as .npz", epilog=FIT_EXAMPLES, **raw)
-    fit.add_argument("meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres")
+    formats = "STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
+    fit.add_argument("meshes", nargs="+", type=Path, metavar="MESH", help=formats)
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     _add_mesh_options(fit)
     fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")

@@ -315,7 +315,7 @@ def _expand(W, K, live, seen, w):
     Returns
     -------
     live : int
-        Mask of the faces there are now, or 0 if the rim of what is seen is not one closed line, there is no spare or
+        Mask of the faces there are now, or 0 if the rim of what is seen is not one closed line, there is no room or
         a face is too thin.
     nearest : int
     least : float
@@ -334,15 +334,15 @@ def _expand(W, K, live, seen, w):
             K[_RIM + count] = twin
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
             count += 1 - ((seen >> (twin >> 2)) & 1)
-    spare = ~live | seen
+    unused = ~live | seen
     made = np.int64(0)
     fine = count >= 3
     last = np.int64(0)
     for r in range(count):
-        if spare == 0:
+        if unused == 0:
             return np.int64(0), nearest, least
-        last = _first_bit(spare)
-        spare &= room - 1
+        last = _first_bit(unused)
+        unused &= unused - 1
         made |= np.int64(1) << last
         twin = K[_RIM + r]
         u = K[_RIM_FROM + r]

@@ -63,8 +63,8 @@ _SIZES = {
 # Typed: of a plain constant Numba would compile each small function below once more.
 _FIRST = np.cumsum([0, *_SIZES.values()])
 (
-    ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B, SHIFT, SIZE, SIGMA_A, SIGMA_B, BELOW, NORMAL, F_OUTER, WIDTH, ABOVE,
-    F_INNER, P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q, ROWS,
+    ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B, SHIFT, SIZE, SIGMA_A, SIGMA_B, BELOW, NORMAL, F_OUTER, WIDTH,
+    ABOVE, F_INNER, P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q, ROWS,
 ) = _FIRST  # fmt: skip
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
 
