@@ -162,7 +162,7 @@ class Robot:
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
         MissingExtraError
-            If a mesh is to be read without trimesh.
+            If a mesh is to be decomposed and CoACD is not installed.
 
         Warns
         -----
@@ -269,7 +269,7 @@ class Robot:
 
     @guarded
     def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
-        """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
+        """The same robot with more pairs of links that are exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
         ----------
