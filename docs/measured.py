@@ -8,29 +8,29 @@ from pathlib import Path
 RESULTS = Path(__file__).parent.parent / "benchmarks" / "results"
 
 TITLES = {
-    "pairs": "Pairs, beside Coal and python-fcl",
+    "pairs": "Pairs, compared with Coal and python-fcl",
     "singles": "One pair per call, from Python",
-    "threads": "Two threads, beside one",
+    "threads": "Two threads, compared with one",
     "vertices": "Cost against the number of vertices",
     "batches": "Pairs, by size of the batch",
     "pieces": "Bodies of 500 pieces",
-    "crowd": "Crowds, beside trees of boxes",
-    "robots": "Robots, beside pinocchio and Coal",
+    "crowd": "Crowds, compared with trees of boxes",
+    "robots": "Robots, compared with pinocchio and Coal",
     "robot-batches": "Robots, by size of the batch",
     "mbm-planning": "MotionBenchMaker: motions in OMPL's RRT-Connect",
     "mbm-tiers": "MotionBenchMaker: what settled a configuration",
     "mbm-validity": "MotionBenchMaker: problems whose start and goal are free",
     "memory": "Memory of a batch",
-    "fits": "Fits, beside conic solvers",
+    "fits": "Fits, compared with conic solvers",
     "accuracy": "The estimate on ambiguous pairs, by family of shapes",
 }
 
 INTRODUCTION = """# Measured
 
-Made from the files in `benchmarks/results` when this site was built. Times are of one item (a pair, a body, a
-configuration), in nanoseconds of processor time; a ratio is the other's time over ours, from one run in which both took
-turns. Ratios below 1 are cases where the other is faster. How it is kept fair, and what the limits are:
-[](benchmarks.md)."""
+This page is made from the files in `benchmarks/results` when the site is built. Times are those of one item (a pair, a
+body, a configuration), in nanoseconds of processor time. A ratio is the time of the other library over that of loewner,
+from one run in which both took turns; where it is below 1, the other library is faster. The page on
+[benchmarks](benchmarks.md) says how the comparison is kept fair, and what its limits are."""
 
 
 def write(target: Path) -> None:
@@ -82,15 +82,15 @@ def _section(path: Path) -> str:
 
 
 def _comparison(row: dict[str, str]) -> dict[str, str]:
-    """One line of ours beside another's, without the columns that only programs need."""
+    """One line of loewner and of another library, without the columns that only programs need."""
     return {
         "case": row["case"],
         "items": row["items"],
-        "ours": f"{row['us']}: {_cell(row['us_ns_cpu'])} ns" if row["us_ns_cpu"] else row["us"],
-        "beside": f"{row['rival']}: {_cell(row['rival_ns_cpu'])} ns" if row["rival_ns_cpu"] else row["rival"],
+        "loewner": f"{row['us']}: {_cell(row['us_ns_cpu'])} ns" if row["us_ns_cpu"] else row["us"],
+        "compared with": f"{row['rival']}: {_cell(row['rival_ns_cpu'])} ns" if row["rival_ns_cpu"] else row["rival"],
         "ratio": row["ratio"],
         "by wall time": row["ratio_wall"],
-        "asked for": f"{_cell(row['required'])}: {row['met']}" if row["required"] else "",
+        "target ratio": f"{_cell(row['required'])}: {row['met']}" if row["required"] else "",
         "answers that differ": row["differing"],
         "note": row["note"],
     }

@@ -327,7 +327,7 @@ def test_robot_check_files(folder, capsys):
         (["gantry.urdf", "--state", "left"], "no SRDF was given"),
         ([*ROBOT, "--state", "left"], "gantry.urdf: expected pairs to check, found none"),
         (["bare.urdf", "--random", "5"], "robot: expected a robot with collision geometry, found none in 'bare'"),
-        ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene beside it"),
+        ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene with it"),
         ([*ROBOT, "--scene", "wall.yaml", "--state", "left", "--margin", "-1"], "margin: expected"),
         ([*WITH_WALL, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
         ([*WITH_WALL, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy or .csv file, found .urdf"),

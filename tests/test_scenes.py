@@ -286,7 +286,7 @@ def test_empty_scenes_answer():
         (lambda s: s.remove("bxo"), UnknownNameError, "one of box, near, far; found 'bxo' .did you mean 'box'"),
         (lambda s: s["nothing at all"], UnknownNameError, "one of box, near, far; found 'nothing at all'$"),
         (lambda s: s.pose(["box"]), UnknownNameError, "body: expected one of"),
-        (lambda s: s.move({"box": None}, np.eye(4)), InputError, "beside a mapping"),
+        (lambda s: s.move({"box": None}, np.eye(4)), InputError, "with a mapping"),
         (lambda s: s.attach("bxo", "hand"), UnknownNameError, "did you mean 'box'"),
         (lambda s: s.attach("box", None), InputError, "link: expected a name, found None"),
         (lambda s: s.attach("box", "hand", touch_links="finger"), InputError, "found one text, 'finger'"),
@@ -295,7 +295,7 @@ def test_empty_scenes_answer():
         (lambda s: s.allow("box", 3), InputError, "b: expected a name, found 3"),
         (lambda s: s.set_margin("wide"), InputError, "margin: expected a number, found 'wide'"),
         (lambda s: s.set_margin(None), InputError, "whole scene, found None"),
-        (lambda s: s.set_margin(1.0, b="box"), InputError, "beside b = 'box'"),
+        (lambda s: s.set_margin(1.0, b="box"), InputError, "with b = 'box'"),
         (lambda s: s.distance("box", "nir"), UnknownNameError, "found 'nir'"),
     ],
 )

@@ -388,7 +388,7 @@ def brief(record: Any) -> str:
 
 
 def fits_memory(needed: int, what: str) -> None:
-    """Refuse results of `needed` bytes that the machine, or a limit on this process, has no room for."""
+    """Refuse results of `needed` bytes that do not fit into the machine's memory, or into a limit on this process."""
     there, which = physical_memory(), ""
     if needed >= _memory.LOOK:
         there, which = min((there, which), _memory.left())

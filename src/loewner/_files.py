@@ -81,7 +81,7 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path` to write to; rename it when the block ends well.
+    """Give a temporary name next to `path` to write to; rename it when the block ends well.
 
     Raises
     ------

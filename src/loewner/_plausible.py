@@ -23,7 +23,7 @@ LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 # Where a joint turns without limit, the angle that is more likely one in degrees: some eight turns [rad].
 LARGEST_TURN = 50.0
 
-# A rotation in a file is written in one turn; half of two is room for any convention [rad].
+# A rotation in a file is written in one turn; half of two leaves a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
 # Limits beyond these are written by programs for none [rad or m]: 1e16, or the largest number that there is.

@@ -162,7 +162,7 @@ def _lend_a_hand(task: Callable[[], None], times: int) -> None:
         while helpers.count < times:
             try:
                 threading.Thread(target=helpers.serve, name="loewner", daemon=True).start()
-            except RuntimeError:  # no room for its stack: those that are there do it
+            except RuntimeError:  # no memory for its stack: those that are there do it
                 times = helpers.count
                 break
             helpers.count += 1

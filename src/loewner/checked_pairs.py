@@ -22,7 +22,7 @@ from loewner.errors import InputError, UnknownNameError
 from loewner.robots import Robot
 from loewner.scenes import Pair, Scene
 
-# Room for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
+# An allowance for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
 
 # Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
@@ -124,7 +124,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     robot : Robot
     scene : Scene
     skipped : iterable of pairs of str
-        Links that may touch, besides what the scene allows.
+        Links that may touch, in addition to what the scene allows.
     version : int
         The scene's, read before anything else of it was.
 

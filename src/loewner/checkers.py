@@ -147,7 +147,7 @@ class CollisionChecker:
     scene : Scene, optional
         May be changed afterwards; the next query sees it. None: the robot alone.
     allowed : iterable of pairs of str, optional
-        Links that may touch, besides the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
+        Links that may touch, in addition to the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
     skip_adjacent : bool, optional
         Leave out links that a joint joins, which mostly overlap by design. Default: only if the robot came without an
         SRDF, which usually disables those that must be.
@@ -162,7 +162,7 @@ class CollisionChecker:
     Notes
     -----
     Checked are all pairs of links that can move against each other, and of links and what is attached to them with
-    the bodies of the scene, but for pairs that are allowed. What is rigidly joined is never checked against each
+    the bodies of the scene, except for pairs that are allowed. What is rigidly joined is never checked against each
     other. Bodies of the scene are not checked against each other: see `Scene.pairs`.
 
     The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if one of the two,

@@ -165,8 +165,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     fit = commands.add_parser("fit", help="meshes to bodies, saved as .npz", epilog=FIT_EXAMPLES, **raw)
-    formats = "STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
-    fit.add_argument("meshes", nargs="+", type=Path, metavar="MESH", help=formats)
+    fit.add_argument(
+        "meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
+    )
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     _add_mesh_options(fit)
     fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")
@@ -190,7 +191,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
     view.add_argument("b", metavar="B", type=Path, nargs="?")
     view.add_argument("--pose-a", metavar="POSE", help="where A is at first (the origin); as in loewner check")
-    view.add_argument("--pose-b", metavar="POSE", help="where B is at first (beside A)")
+    view.add_argument("--pose-b", metavar="POSE", help="where B is at first (next to A)")
     view.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres that A and B keep (0)")
     view.add_argument("--robot", dest="urdf", metavar="URDF", type=Path, help="a robot instead of two bodies")
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
@@ -273,7 +274,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
-    _refuse(options, ("srdf", "scene", "package_dir", "decompose"), "beside --robot only, found it with A and B")
+    _refuse(options, ("srdf", "scene", "package_dir", "decompose"), "with --robot only, found it with A and B")
     Ta, Tb = _pose(options.pose_a, "--pose-a"), _pose(options.pose_b, "--pose-b")
     a, b = _body(options.a, options), _body(options.b, options)
     if Tb is None:
@@ -287,7 +288,7 @@ def _view_robot(options: argparse.Namespace) -> Any:
     from loewner import viewer
 
     if options.a is not None:
-        raise InputError(f"view: expected no A and B beside --robot, found {options.a}")
+        raise InputError(f"view: expected no A and B with --robot, found {options.a}")
     _refuse(options, ("pose_a", "pose_b", "hull", "threshold", "max_pieces", "seed"), "with A and B only, not --robot")
     _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
@@ -552,10 +553,10 @@ def _link_row(body: loewner.Body) -> tuple[str, ...]:
 
 def _robot_check(options: argparse.Namespace) -> int:
     if options.margin is not None and options.scene is None:
-        raise InputError("--margin: expected --scene beside it, found none: it is kept from the bodies of the scene")
+        raise InputError("--margin: expected --scene with it, found none: it is kept from the bodies of the scene")
     if options.state is not None and options.srdf is None:
         raise InputError(
-            f"--state: expected --srdf beside it, which has the states; no SRDF was given for {options.state!r}"
+            f"--state: expected --srdf with it, which has the states; no SRDF was given for {options.state!r}"
         )
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if options.margin is not None and scene is not None:

@@ -21,7 +21,7 @@ from loewner.errors import ConvergenceError, InputError, PoseError
 # The smallest share of a crowd that is worth handing to a thread.
 CHUNK = 4096
 
-# Candidate pairs that are found before they are settled, beside the most that one group of boxes can have.
+# Candidate pairs that are found before they are settled, in addition to the most that one group of boxes can have.
 CANDIDATES = 65536
 
 # A body takes two corners of its box; its keys, sorted, and its place in the order; and its share of the groups' boxes.

@@ -177,12 +177,12 @@ class MissingExtraError(LoewnerError, ImportError):
 
     Examples
     --------
-    Without trimesh:
+    Without CoACD:
 
     >>> loewner.Body.from_mesh("part.stl")  # doctest: +SKIP
     Traceback (most recent call last):
         ...
-    loewner.errors.MissingExtraError: reading and decomposing meshes needs trimesh: pip install "loewner[meshes]"
+    loewner.errors.MissingExtraError: decomposing meshes needs coacd: pip install "loewner[meshes]"
     """
 
 

@@ -22,7 +22,7 @@ from loewner.bodies import Body, Progress
 from loewner.descriptions import Description, Shape
 from loewner.errors import ConvergenceError, FileError, InputError
 
-# Beside the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
+# Next to the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
 CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
 
 # The largest mesh file that is looked at [bytes].
@@ -153,7 +153,7 @@ def primitive(shape: Shape) -> Body:
 def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
     """Vertices and triangles of a mesh, where it stands in its link."""
     vertices, triangles = meshes.load(file)
-    if shape.scale.prod() < 0:  # mirrored: inside out, but for this
+    if shape.scale.prod() < 0:  # mirrored: inside out without this
         triangles = triangles[:, ::-1]
     return (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3], triangles
 

@@ -32,7 +32,7 @@ SUFFIXES = mesh_files.SUFFIXES
 # that are hulls, then simplified and stored in float32, are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
 
-# A mesh smaller or larger than that across [m] is asked about: hardly any body is, but for one in another unit. Meshes
+# A mesh smaller or larger than that across [m] is asked about: hardly any body is, except one in another unit. Meshes
 # of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
 
@@ -42,7 +42,7 @@ USUAL_SIZES = (1e-4, 1e3)
 GROWTH = 0.001
 CELL_SIZE = 0.0025
 
-# A sample this far outside a piece, relative to the same diagonal, is inside but for rounding:
+# A sample this far outside a piece, relative to the same diagonal, is inside except for rounding:
 # far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
 COVER_TOLERANCE = 1e-10
 
@@ -309,7 +309,8 @@ def _import(package: str) -> Any:
 
 
 def _install_hint(package: str) -> str:
-    return f"reading and decomposing meshes needs {package}: {installing('meshes')}"
+    purpose = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
+    return f"{purpose} needs {package}: {installing('meshes')}"
 
 
 def _metres(mesh: Any) -> float:

@@ -31,7 +31,7 @@ SCENE, COLLIDING = "#bbbbbb", "#cc3311"
 # Of curves, in turn; they differ in lightness too, and each has a marker of its own.
 CURVES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "D"), ("#cc79a7", "^"), ("#e69f00", "v"), ("#000000", "P"))
 LEVEL = "#555555"
-# The fields of `Settled`: free in blue, colliding in orange, the darker the dearer.
+# The fields of `Settled`: free in blue, colliding in orange, darker where the test costs more.
 TIERS = {
     "free_by_bounds": ("free: bounds", "#d6e9f5"),
     "free_by_ellipsoids": ("free: outer ellipsoids", "#8fc3e3"),
@@ -386,7 +386,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
         asked = {name: pair for name, pair in found.items() if pair[1] > 0}
         share = np.array([right / total for right, total in asked.values()])
         low, high = np.array([wilson(*pair) for pair in asked.values()]).reshape(-1, 2).T
-        # Rules side by side within half the room of a family.
+        # Rules side by side within half the space of a family.
         at = np.array([families.index(name) for name in asked]) + 0.5 * ((k + 0.5) / len(checked) - 0.5)
         colour, marker = CURVES[k % len(CURVES)]
         ends = 100 * np.array([share - low, high - share])

@@ -261,7 +261,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
             f"A, b: empty: every point is outside some half-space, the best one by {-distance.min():.3g}"
         )
     raise GeometryError(
-        f"A, b: flat: the roomiest point is {distance.min():.3g} from a face, against a size of {size:.3g} "
+        f"A, b: flat: the innermost point is {distance.min():.3g} from a face, against a size of {size:.3g} "
         f"and a rounding of {noise:.3g}"
     )
 

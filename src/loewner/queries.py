@@ -193,7 +193,7 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
         if T.ndim > 3:
-            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) beside pairs, found {T.shape}")
+            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) with pairs, found {T.shape}")
         lengths = [len(bodies) if isinstance(bodies, Bodies) else 1, len(T) if T.ndim == 3 else 1]
         n = max(lengths)
         if n != 1 and any(length not in (1, n) for length in lengths):

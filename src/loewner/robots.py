@@ -73,7 +73,8 @@ class Robot:
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
-        Sorted pairs of links with bodies that a joint joins, directly or through links without bodies.
+        Sorted pairs of links with bodies that a joint joins, directly or through links without bodies and at most one
+        moving joint.
     tree : tuple of ndarray
         What kernels take; described in ``loewner/_kernels/kinematics.py``.
     urdf : Path
@@ -162,7 +163,7 @@ class Robot:
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
         MissingExtraError
-            If a mesh is to be read without trimesh.
+            If a mesh is to be decomposed and CoACD is not installed.
 
         Warns
         -----
@@ -269,7 +270,7 @@ class Robot:
 
     @guarded
     def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
-        """The same robot with more pairs of links that are exempt from checking, beside its `disabled_pairs`.
+        """The same robot with more pairs of links that are exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
         ----------
@@ -664,33 +665,46 @@ def _columns(robot: Description) -> tuple[dict[str, slice], int]:
 
 
 def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
-    """Pairs of links with shapes that a path over links without shapes joins.
+    """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
 
-    As MoveIt's setup assistant sees it: links without shapes are taken out, and their neighbours joined.
+    MoveIt's setup assistant lets such a path have any number of moving joints. But what two joints move against each
+    other may well collide, and a pair that nobody checks is never found.
     """
-    # Links without shapes that hang together, by their topmost one, and the links with shapes around each.
-    top = {name: name for name in robot.shapes}
-    around: dict[str, set[str]] = {}
+    # Links without shapes that are rigidly joined are one place, named by its topmost link. Around each place are the
+    # links with shapes that fixed joints, and those that moving joints lead to.
+    place = {name: name for name in robot.shapes}
+    fixed: dict[str, set[str]] = {}
+    moving: dict[str, set[str]] = {}
+    between: list[tuple[str, str]] = []  # places that a moving joint joins
     pairs = set()
     for link, shapes in robot.shapes.items():
         if link not in robot.joint_above:
             continue
-        parent = robot.joint_above[link].parent
-        if not shapes and not robot.shapes[parent]:
-            top[link] = top[parent]
-        elif not shapes:
-            around.setdefault(link, set()).add(parent)
-        elif not robot.shapes[parent]:
-            around.setdefault(top[parent], set()).add(link)
-        else:
+        joint = robot.joint_above[link]
+        parent, around = joint.parent, fixed if joint.kind == "fixed" else moving
+        if shapes and robot.shapes[parent]:
             pairs.add((min(link, parent), max(link, parent)))
-    if sum(math.comb(len(links), 2) for links in around.values()) > MOST_PAIRS:
+        elif shapes:
+            around.setdefault(place[parent], set()).add(link)
+        elif robot.shapes[parent]:
+            around.setdefault(link, set()).add(parent)
+        elif joint.kind == "fixed":
+            place[link] = place[parent]
+        else:
+            between.append((place[parent], link))
+    none: set[str] = set()
+    products = [(fixed[at], moving.get(at, none)) for at in fixed]
+    products += [(fixed.get(one, none), fixed.get(other, none)) for one, other in between]
+    total = sum(math.comb(len(links), 2) for links in fixed.values()) + sum(len(a) * len(b) for a, b in products)
+    if total > MOST_PAIRS:
+        most = max(len(links) for links in (*fixed.values(), *moving.values()))
         raise InputError(
             f"{robot.path}: expected at most {MOST_PAIRS} pairs of links that are joined through links without bodies, "
-            f"found more: {max(len(links) for links in around.values())} links around one place"
+            f"found more: {most} links around one place"
         )
-    for links in around.values():
+    for links in fixed.values():
         pairs.update(combinations(sorted(links), 2))
+    pairs.update((min(a, b), max(a, b)) for one, other in products for a in one for b in other if a != b)
     return frozenset(pairs)
 
 

@@ -121,13 +121,13 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     """Write a scene to YAML, such that `load_scene` gives the same verdicts.
 
     Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
-    beside the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
+    next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
 
     Parameters
     ----------
     scene : Scene
     path : path
-        Written under a temporary name first, then renamed, after the bodies beside it.
+        Written under a temporary name first, then renamed, after the files of its bodies.
 
     Raises
     ------
@@ -425,7 +425,7 @@ def _pose(entry: _Entry, keys: dict[str, _Entry]) -> Floats:
 
 
 def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[str, Any]:
-    """How a body is written; one that no shape makes is saved beside the file, unless `saved` has it already."""
+    """How a body is written; one that no shape makes is saved next to the file, unless `saved` has it already."""
     shape = _primitive_of(body)
     if shape is not None:
         return shape

@@ -226,7 +226,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """The same, but for changes by `move`, which leave everything else that was prepared as it is."""
+        """The same, except for changes by `move`, which leave everything else that was prepared as it is."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -372,7 +372,7 @@ class Scene:
         """
         if isinstance(name, Mapping):
             if T_world_body is not None:
-                raise InputError("T_world_body: expected none beside a mapping from names to poses, found one")
+                raise InputError("T_world_body: expected none with a mapping from names to poses, found one")
             moves = name
         else:
             moves = {self._known(name): T_world_body}
@@ -518,7 +518,7 @@ class Scene:
         keep = None if margin is None else _check.positive_scalar(margin, "margin", zero=True)
         if a is None:
             if b is not None:
-                raise InputError(f"a: expected a name beside b = {b!r}, found None")
+                raise InputError(f"a: expected a name with b = {b!r}, found None")
             if keep is None:
                 raise InputError("margin: expected a number of metres for the whole scene, found None")
             with _CHANGING:
@@ -557,7 +557,7 @@ class Scene:
     # -- queries ------------------------------------------------------------------------------
 
     def pairs(self) -> tuple[Contact, ...]:
-        """All pairs of bodies in the world that touch, overlap or come within their margin, but for allowed ones.
+        """All pairs of bodies in the world that touch, overlap or come within their margin, except for allowed ones.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Tables 1 to 4, (a) and (b), beside the paper's own numbers; what consistent means is computed, not said."""
+"""Tables 1 to 4, (a) and (b), next to the paper's own numbers; what consistent means is computed, not said."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from loewner.queries import Verdict
 Mesh = tuple[Floats, NDArray[np.int64]]
 Rgb = tuple[int, int, int]
 
-# Told apart by the colour-blind too; the name of the verdict is always written beside its colour.
+# Told apart by the colour-blind too; the name of the verdict is always written next to its colour.
 VERDICT_COLOURS: dict[Verdict, Rgb] = {
     Verdict.FREE: (34, 136, 51),
     Verdict.AMBIGUOUS: (221, 170, 51),

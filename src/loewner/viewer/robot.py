@@ -397,7 +397,7 @@ class RobotViewer(Viewer):
 
 
 def cut_short(lines: list[str]) -> list[str]:
-    """No more lines than the panel has room for."""
+    """No more lines than fit on the panel."""
     return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
 
 
