@@ -381,6 +381,7 @@ def test_resolutions_that_make_no_sense(resolution, tmp_path):
 @far_outside
 @pytest.mark.filterwarnings("error")
 def test_motions_longer_than_numbers_reach(tmp_path):
+    """A motion whose length in configuration space overflows is refused without a warning."""
     checker = CollisionChecker(slider(tmp_path))
     with pytest.raises(InputError, match="longest motion"):
         checker.valid_edges([-1e200], [1e200], 1e100)
@@ -433,6 +434,7 @@ def test_links_that_the_robot_does_not_have(change, message, tmp_path):
 
 
 def test_bodies_named_like_links(tmp_path):
+    """A scene body with the name of a link is refused by every query, by name."""
     scene = Scene()
     scene.add("l0", Body.sphere(1.0))
     for query in QUERIES:
@@ -444,6 +446,7 @@ def test_bodies_named_like_links(tmp_path):
     "q", [[np.nan], [-np.inf], [1.0, 2.0], [], 3.0, "x", [1j], None, [None], [[1.0], [1.0, 2.0]], {"j": 1}]
 )
 def test_what_is_no_configuration(q, tmp_path):
+    """Anything but finite numbers, one per joint, is refused as a configuration."""
     checker = CollisionChecker(slider(tmp_path))
     for query in QUERIES:
         with pytest.raises(InputError, match="expected"):
@@ -453,6 +456,7 @@ def test_what_is_no_configuration(q, tmp_path):
 
 
 def test_pairs_wants_one_configuration_and_motions_shapes_that_fit(tmp_path):
+    """`pairs` takes one configuration only; the ends of motions have to broadcast."""
     checker = CollisionChecker(slider(tmp_path))
     with pytest.raises(InputError, match="one configuration"):
         checker.pairs([[0.0]])
@@ -470,6 +474,7 @@ def test_allowed_pairs_that_are_none(allowed, tmp_path):
 
 
 def test_neither_robot_nor_scene(tmp_path):
+    """A checker is made of a Robot and a Scene, and names what it got instead."""
     with pytest.raises(InputError, match=r"robot: expected loewner\.Robot, found str"):
         CollisionChecker("panda.urdf")
     with pytest.raises(InputError, match=r"scene: expected loewner\.Scene or None, found dict"):
@@ -515,6 +520,7 @@ class ChangedMeanwhile(Scene):
 
 
 def test_what_changes_while_pairs_are_prepared_is_noticed_the_next_time(tmp_path):
+    """A change of the scene during preparation does not affect this query, and takes effect in the next one."""
     scene = ChangedMeanwhile()
     for name in ("o", "p"):
         scene.add(name, Body.sphere(1.0), at(100.0 if name == "p" else 0.0))

@@ -171,7 +171,7 @@ def test_bounds_hold_under_bent_poses():
 
 
 @pytest.mark.parametrize("offset", [0.0, 1000.0])
-def test_company(offset: float):
+def test_neighbours_and_precision_of_the_batch(offset: float):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)
     n = 2000

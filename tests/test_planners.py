@@ -90,6 +90,7 @@ def test_every_planner_goes_around_the_wall(checker, name, simplify):
 
 
 def test_simplified_paths_are_shorter(checker):
+    """Simplifying shortens a path, but never below the shortest way around the wall."""
     long, short = (
         planners.plan(checker, LEFT, RIGHT, joints="slide", resolution=RESOLUTION, simplify=s) for s in (False, True)
     )
@@ -129,6 +130,7 @@ def test_any_of_several_goals_will_do(checker):
 
 
 def test_start_is_the_goal(checker):
+    """From a configuration to itself the path stays there, and has two rows at least."""
     path = planners.plan(checker, LEFT, LEFT, joints="slide")
     np.testing.assert_array_equal(path, [LEFT] * len(path))
     assert len(path) >= 2
@@ -154,6 +156,7 @@ def test_own_planner(checker):
 
 
 def test_colliding_start_and_goal_name_the_pairs(checker):
+    """A start or goal in collision is refused with the pairs that meet."""
     with pytest.raises(PlanningError, match="start: .* collision of ball and wall, rod and wall"):
         planners.plan(checker, [-0.12, -0.5, 0.0], RIGHT)
     with pytest.raises(PlanningError, match="goal: .* collision of ball and wall"):
@@ -163,6 +166,7 @@ def test_colliding_start_and_goal_name_the_pairs(checker):
 
 
 def test_outside_the_limits(checker):
+    """A start or goal outside the joint limits is refused with joint, value and limits."""
     with pytest.raises(PlanningError, match=r"start: .* x = -1\.5 outside -1 \.\. 1, y = 2 outside"):
         planners.plan(checker, [-1.5, 2.0, 0.0], RIGHT)
     with pytest.raises(PlanningError, match=r"goal: .* y = 7 outside -1 \.\. 1"):
@@ -247,11 +251,13 @@ def test_what_cannot_be_settled_is_not_free(checker, monkeypatch):
     ],
 )
 def test_bad_options(checker, options, error, message):
+    """Every bad option is refused by its name, with what was expected."""
     with pytest.raises(error, match=message):
         planners.plan(checker, LEFT, RIGHT, **options)
 
 
 def test_bad_configurations(checker, robot):
+    """Start and goals of wrong shapes, and what is no checker, are refused by name."""
     with pytest.raises(InputError, match=r"start: expected one configuration, shape \(3,\)"):
         planners.plan(checker, [LEFT], RIGHT)
     with pytest.raises(InputError, match=r"goal: expected shape \(\.\.\., 3\)"):
@@ -274,6 +280,7 @@ def test_floating_joints_have_no_limits_to_search_within(tmp_path):
 
 
 def test_missing_package_is_named(checker, monkeypatch):
+    """Without OMPL the error names the package to install."""
     monkeypatch.setitem(sys.modules, "ompl", None)
     for ask in (lambda: planners.plan(checker, LEFT, RIGHT), lambda: planners.space_information(checker)):
         with pytest.raises(MissingExtraError, match=r"OMPL: pip install \"loewner\[planners\]\""):

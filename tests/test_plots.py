@@ -66,6 +66,7 @@ def test_what_touches_is_red(checker, q, title, red):
 
 
 def test_all_of_it_is_in_the_frame(checker):
+    """The axes reach around the whole robot and the whole scene."""
     ax = plots.configuration(checker, [-0.6, 0.0, np.pi])
     assert ax.get_xlim()[0] < -1.05
     assert ax.get_ylim()[0] <= -2
@@ -73,6 +74,7 @@ def test_all_of_it_is_in_the_frame(checker):
 
 
 def test_one_configuration_only(checker):
+    """A figure shows one configuration; several are refused."""
     with pytest.raises(InputError, match=r"q: expected one configuration, shape \(3,\)"):
         plots.configuration(checker, np.zeros((2, 3)))
 
@@ -196,6 +198,7 @@ def test_accuracy_has_wilsons_intervals():
     ],
 )
 def test_bad_input_is_refused(call, error, message):
+    """Every bad argument of a figure is refused by name, with what was found."""
     with pytest.raises(error, match=message):
         call()
 
@@ -210,12 +213,14 @@ def test_bad_input_is_refused(call, error, message):
     ],
 )
 def test_missing_matplotlib_is_told(draw, monkeypatch):
+    """Without matplotlib every figure's error names the extra to install."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r'pip install "loewner\[plots\]"'):
         draw()
 
 
 def test_drawn_into_axes_of_ones_own():
+    """A figure that is given axes draws into them and returns them."""
     one, two, three = Figure().subplots(1, 3)
     assert plots.costs([1], {"y": 1.0}, ax=one) is one
     assert plots.accuracy({"rule": {"balls": (1, 2)}}, ax=two) is two

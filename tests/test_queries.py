@@ -328,6 +328,7 @@ def test_union_is_the_union(family: str, seed: int, count: int):
 
 
 def test_none_is_the_identity(world: dict[str, Pairs]):
+    """None as a pose means the identity, in every query and for either operand."""
     w = world["ball 20"]
     a, b, T = w.a[0], w.b[0], w.Tb[0, 0]
     assert loewner.classify(a, None, b, T) == loewner.classify(a, np.eye(4), b, T)
@@ -370,6 +371,7 @@ def test_bodies_broadcast_with_the_last_axis(world: dict[str, Pairs]):
 
 
 def test_same_answers_for_any_number_of_threads(world: dict[str, Pairs]):
+    """Verdicts and distances are the same to the last bit for any number of threads."""
     import numba
 
     w = world["boxes"]
@@ -682,6 +684,7 @@ def test_distances_of_pairs_by_number(links_and_obstacles):
     ],
 )
 def test_pairs_that_do_not_exist(links_and_obstacles, pairs, told):
+    """Rows of `pairs` that are no two indices of existing bodies are refused with the range allowed."""
     a, Ta, b, Tb = links_and_obstacles
     for query in (classify, collide, distance):
         with pytest.raises(loewner.InputError, match=told):

@@ -106,6 +106,7 @@ def test_touching_is_a_contact():
 
 
 def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
+    """The margin of a pair precedes the larger one of its bodies, and that precedes the scene's."""
     assert met(scene) == []
     scene.set_margin(0.2)
     assert met(scene) == [("box", "near")]
@@ -124,11 +125,13 @@ def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
 
 
 def test_added_margin_is_that_of_the_body(scene):
+    """A margin given with a new body holds for all pairs of that body."""
     scene.add("shy", Body.sphere(0.5), at(z=1.3), margin=0.35)
     assert met(scene) == [("box", "shy")]
 
 
 def test_allow_and_forbid(scene):
+    """An allowed pair is not reported until it is forbidden again, in either order of the names."""
     scene.move("near", at(0.5))
     assert met(scene) == [("box", "near")]
     scene.allow("near", "box")
@@ -156,6 +159,7 @@ def test_removed_name_takes_its_rules_along(scene):
 
 
 def test_attached_bodies_leave_the_world(scene):
+    """An attached body has no place in the world, and none of its pairs is reported until it is detached."""
     scene.move("near", at(0.5))
     assert scene.collide()
     scene.attach("near", "hand", at(z=0.1), touch_links=["right_finger", "left_finger"])
@@ -184,6 +188,7 @@ def test_attached_bodies_leave_the_world(scene):
 
 
 def test_many_bodies_move_at_once_or_not_at_all(scene):
+    """If one of many moves is faulty, no body moves."""
     with pytest.raises(UnknownNameError, match="did you mean 'far'"):
         scene.move({"near": at(0.5), "fra": at()})
     with pytest.raises(PoseError, match="T_world_body of 'far'"):
@@ -218,6 +223,7 @@ def test_versions_tell_of_every_change(scene):
 
 
 def test_failed_changes_change_nothing(scene):
+    """A refused change leaves the scene and its version as they were."""
     before = scene.version
     for change in (
         lambda: scene.add("box", Body.sphere(1.0)),
@@ -234,6 +240,7 @@ def test_failed_changes_change_nothing(scene):
 
 
 def test_copies_part_ways(scene):
+    """Changes of a copy do not reach the original."""
     scene.allow("box", "near")
     other = scene.copy()
     other.remove("near")
@@ -254,6 +261,7 @@ def test_poses_are_the_scenes_own(scene):
 
 
 def test_scene_is_a_collection_of_names(scene):
+    """A scene has a length, iterates over its names, and is indexed by them."""
     assert len(scene) == 3
     assert list(scene) == ["box", "near", "far"]
     assert "near" in scene
@@ -262,6 +270,7 @@ def test_scene_is_a_collection_of_names(scene):
 
 
 def test_empty_scenes_answer():
+    """A scene with fewer than two bodies has no pairs and no collision."""
     scene = Scene()
     assert scene.pairs() == ()
     assert not scene.collide()
@@ -300,11 +309,13 @@ def test_empty_scenes_answer():
     ],
 )
 def test_bad_input_is_named(scene, wrong, error, message):
+    """Every bad argument is refused by a message that names it and what was found."""
     with pytest.raises(error, match=message):
         wrong(scene)
 
 
 def test_long_lists_of_names_are_cut():
+    """An error lists the first thirty of many names, and still suggests the nearest one."""
     scene = Scene()
     ball = Body.sphere(1.0)
     for k in range(200):

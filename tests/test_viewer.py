@@ -401,22 +401,26 @@ def test_port_in_use():
 
 @pytest.mark.parametrize("port", [-1, 65536, 80.5, "8080", True])
 def test_port_that_is_none(port):
+    """A port has to be a whole number from 0 to 65535."""
     with pytest.raises(loewner.InputError, match="port: expected a whole number"):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, port=port)
 
 
 def test_host_that_is_none():
+    """A host that does not exist is refused by its name."""
     with pytest.raises(loewner.InputError, match="no such host"):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, host="no such host")
 
 
 def test_missing_extra_names_the_install(monkeypatch):
+    """Without viser the error names the extra to install."""
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(loewner.MissingExtraError, match=r'viser: pip install "loewner\[viewer\]"'):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)
 
 
 def test_operands_are_checked(arm):
+    """Bodies, poses, checkers and configurations of a page are checked by name."""
     with pytest.raises(loewner.InputError, match=r"a: expected loewner\.Body, found str"):
         viewer.show_pair("a", None, Body.sphere(1), None)
     with pytest.raises(loewner.PoseError, match="T_world_b"):
@@ -493,6 +497,7 @@ def test_closed_page(arm):
 
 
 def test_close_twice_and_free_the_port():
+    """Closing a page twice is harmless, and its port is free afterwards."""
     page = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)
     port = page.server.get_port()
     page.close()
@@ -597,6 +602,7 @@ def test_foreign_origin_is_refused(open_page, origin, websocket):
 
 @pytest.mark.parametrize("websocket", [False, True], ids=["page", "websocket"])
 def test_no_host_is_refused(open_page, websocket):
+    """A request without a Host header is refused with status 403."""
     assert ask(open_page, "Accept: */*", websocket=websocket)[0] == 403
 
 
@@ -738,6 +744,7 @@ def test_viser_that_cannot_be_guarded(viser, change, monkeypatch):
     "host", [None, 3, True, b"127.0.0.1", ["127.0.0.1"], 10**400, "", "a\0b", "\ud800", "x" * 300, "[::1]", " "]
 )
 def test_host_that_is_no_address(host):
+    """A host has to be text that can be an address or a name."""
     with pytest.raises(loewner.InputError, match="host: expected an address or the name of a host"):
         two_boxes(host=host)
 
@@ -746,6 +753,7 @@ def test_host_that_is_no_address(host):
     "port", [None, b"80", 10**400, 10**5000, -(10**5000), float("nan"), np.nan, [80], np.bool_(True), 1j], ids=type
 )
 def test_port_that_is_no_number(port):
+    """A port that is no whole number, or far out of range, is refused."""
     with pytest.raises(loewner.InputError, match="port: expected a whole number"):
         two_boxes(port=port)
 
