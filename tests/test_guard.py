@@ -77,6 +77,7 @@ def test_memory_that_runs_out_is_ours():
 @pytest.mark.parametrize("count", [1, 3])
 def test_queries_guard_their_quick_way_too(query, count, monkeypatch):
     """An interrupt inside a kernel reaches the caller as KeyboardInterrupt, for one pair and for several."""
+
     def interrupted(*_):
         raise chained(KeyboardInterrupt(), 2)
 

@@ -174,6 +174,7 @@ def test_sizes_and_poses_survive_exactly(tmp_path_factory, seed):
 
 def test_failed_save_leaves_the_old_file(folder, monkeypatch):
     """A save that fails leaves the file as it was."""
+
     def refuse(*_):
         raise OSError("disk full")
 

@@ -71,6 +71,7 @@ def test_an_error_is_raised_and_nobody_goes_on(threads, faulty):
 
 def test_shares_within_shares_do_not_wait_for_each_other(threads):
     """A share may divide its own work into shares without a deadlock."""
+
     def inner(first, last):
         return last - first
 
