@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import loewner
-from families import box_corners, pieces
+from families import box_corners, pieces, translation
 from loewner import (
     Bodies,
     Body,
@@ -877,8 +877,7 @@ def test_any_array_of_numbers_will_do(array: object):
     body = Body.from_points(array)
     half = float(np.abs(np.asarray(array)).max())
     assert body.inner.semi_axes[0] == pytest.approx([half] * 3, rel=1e-3)
-    T = np.eye(4)
-    T[0, 3] = 2 * half + 0.01
+    T = translation(2 * half + 0.01)
     for made in (T, T.tolist(), np.asfortranarray(T), np.stack([T, T])[::-1][0], T.astype(np.float32)):
         assert not loewner.collide(body, made, body, None)
 

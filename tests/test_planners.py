@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from families import translation
 from gantry import RADIUS, gantry
 from loewner import (
     Body,
@@ -49,9 +50,7 @@ def robot(tmp_path):
 def scene():
     """A wall along y, 0.1 m thick, that ends at y = 0.5."""
     scene = Scene()
-    T = np.eye(4)
-    T[1, 3] = -1.5
-    scene.add("wall", Body.box([0.1, 4.0, 1.0]), T)
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]), translation(y=-1.5))
     return scene
 
 
@@ -302,9 +301,7 @@ def test_states_and_motions_are_the_checkers(checker, scene, rng):
     Q = np.column_stack([values, np.full(60, LEFT[2])])
     seen = []
     for x in (0.0, 0.6):
-        T = np.eye(4)
-        T[:2, 3] = x, -1.5
-        scene.move("wall", T)
+        scene.move("wall", translation(x, -1.5))
         valid = [information.isValid(state) for state in states]
         np.testing.assert_array_equal(valid, ~checker.collide(Q))
         moves = [information.checkMotion(a, b) for a, b in zip(states[:-1], states[1:], strict=True)]

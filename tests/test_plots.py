@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy.stats import binomtest
 
+from families import translation
 from gantry import gantry
 from loewner import (
     Body,
@@ -30,9 +31,7 @@ def checker(tmp_path):
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]))
     scene.add("held", Body.box([0.05, 0.05, 0.05]))
-    T = np.eye(4)
-    T[2, 3] = 0.2
-    scene.attach("held", "ball", T)
+    scene.attach("held", "ball", translation(z=0.2))
     return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
 
 
@@ -82,8 +81,7 @@ def test_one_configuration_only(checker):
 @pytest.mark.parametrize("x", [1.5, 0.25])
 def test_near_points_of_a_pair(x):
     """The line drawn joins the exact near points, or the ends of the depth; the legend says which and how far."""
-    a, b, T = Body.box([1, 1, 1]), Body.sphere(0.25), np.eye(4)
-    T[0, 3] = x
+    a, b, T = Body.box([1, 1, 1]), Body.sphere(0.25), translation(x)
     ax = plots.pair(a, None, b, T)
     found = distance(a, None, b, T, exact=True)
     (line,) = ax.get_lines()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch
+from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch, translation
 from loewner import Bodies, Body, Verdict, classify, collide, distance, queries
 from oracles import (
     HullPool,
@@ -36,12 +36,6 @@ GRAZING = 1e-9
 
 BODIES = 12  # of each family
 ROUNDS = 13  # poses of each body: 14 families x 12 x 13 = 2,184 pairs
-
-
-def translation(*t: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = t
-    return T
 
 
 class Pairs(NamedTuple):
@@ -626,9 +620,7 @@ def links_and_obstacles():
 
 
 def union_of_boxes(rng, count):
-    return Body.union(
-        Body.box([0.2, 0.3, 0.1]).transformed(posed(np.eye(3), x)) for x in rng.uniform(-1, 1, (count, 3))
-    )
+    return Body.union(Body.box([0.2, 0.3, 0.1]).transformed(translation(*x)) for x in rng.uniform(-1, 1, (count, 3)))
 
 
 def posed(R, t):

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 import loewner
+from families import translation
 from loewner import FileError, GeometryError, InputError, PoseError, Robot, UnknownNameError, link_bodies
 from loewner._kernels._jit import njit
 from loewner._kernels.robots import kinematics
@@ -354,8 +355,7 @@ def test_hull_by_default_and_pieces_on_request(tmp_path):
     np.testing.assert_allclose(bounds(hull), [[-1, -0.5, -0.5], [1, 1.5, 0.5]], atol=1e-7)
     parts = Robot.from_urdf(path, decompose=True).bodies["a"]
     assert len(parts.pieces) == 2
-    probe, at = loewner.Body.sphere(0.01), np.eye(4)
-    at[:3, 3] = -0.1, 0.6, 0
+    probe, at = loewner.Body.sphere(0.01), translation(-0.1, 0.6)
     assert loewner.collide(hull, None, probe, at)
     assert not loewner.collide(parts, None, probe, at)
 

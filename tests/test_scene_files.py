@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import loewner
+from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
 
 EVERYTHING = """\
@@ -142,8 +143,7 @@ def test_strange_names_are_written_and_shared_bodies_once(folder):
 
 def test_moved_primitives_are_saved_as_they_are(folder):
     """A body that is no primitive in its own frame is not written as one."""
-    T = np.eye(4)
-    T[0, 3] = 0.1
+    T = translation(0.1)
     bodies = [make.transformed(T) for make in (Body.box([1, 2, 3]), Body.sphere(1.0), Body.capsule(0.1, 0.2))]
     scene = Scene()
     for k, body in enumerate([*bodies, Body.from_points(Body.box([1, 1, 1]).pieces[0].vertices)]):
