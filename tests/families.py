@@ -163,6 +163,13 @@ def random_poses(rng: np.random.Generator, count: int, spread: float = 2.0) -> n
     return T
 
 
+def translation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """The pose that moves by (x, y, z) and rotates nothing, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
 def sizes(pool: HullPool) -> np.ndarray:
     """Largest distance of a vertex from the centroid, for each hull."""
     out = np.empty(pool.size)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import loewner
-from families import box_corners, pieces
+from families import box_corners, pieces, translation
 from loewner import (
     Bodies,
     Body,
@@ -62,15 +62,15 @@ POINTS: dict[str, tuple[object, type[LoewnerError]]] = {
 
 @pytest.mark.parametrize("what", POINTS)
 def test_bad_points(what: str):
+    """Points that bound no volume, or are no numbers, are refused with what was expected and what was found."""
     points, error = POINTS[what]
     makers: list[Callable[[object], object]] = [Body.from_points, lambda P: Body.from_pieces([P])]
     if not isinstance(points, np.ndarray) or points.ndim == 2:
         makers.append(lambda P: Bodies.from_points([CUBE, P]))
     for make in makers:
-        with pytest.raises(error) as caught:
+        with pytest.raises(error, match="(?s)expected .*found") as caught:
             make(points)
         assert isinstance(caught.value, ValueError)
-        assert len(str(caught.value)) > 15
 
 
 def test_the_bad_one_of_many_is_named():
@@ -80,6 +80,7 @@ def test_the_bad_one_of_many_is_named():
 
 
 def test_bad_half_spaces():
+    """Half-spaces that are unbounded, empty or flat are a GeometryError; malformed arrays are an InputError."""
     box = np.concatenate([np.eye(3), -np.eye(3)])
     for A, b in [
         (np.eye(3), np.ones(3)),  # unbounded
@@ -113,6 +114,7 @@ def test_bad_half_spaces():
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), "one", None])
 def test_bad_sizes(bad: object):
+    """Every size of every primitive has to be a finite number greater than zero."""
     for make in (
         lambda: Body.sphere(bad),
         lambda: Body.cylinder(bad, 1),
@@ -149,6 +151,7 @@ def test_sizes_beyond_the_kernels(size: float):
 
 
 def test_bad_shapes_of_sizes():
+    """A primitive is refused if it gets too few or too many sizes."""
     for make in (
         lambda: Body.box([1, 1]),
         lambda: Body.box(1),
@@ -160,6 +163,7 @@ def test_bad_shapes_of_sizes():
 
 
 def test_bad_tolerance():
+    """A tolerance of fits has to be greater than zero."""
     for tol in (0, -1, float("nan")):
         with pytest.raises(InputError):
             Body.from_points(CUBE, tol=tol)
@@ -197,6 +201,7 @@ POSES: dict[str, object] = {
 @pytest.mark.parametrize("what", POSES)
 @pytest.mark.parametrize("ask", ["classify", "collide", "distance"])
 def test_bad_poses(what: str, ask: str):
+    """A pose that is no rigid motion is refused by every query, for either operand, and by `transformed`."""
     a, b = Body.box([1, 1, 1]), Body.sphere(1)
     query = getattr(loewner, ask)
     for arguments in ((a, POSES[what], b, None), (a, None, b, POSES[what])):
@@ -207,6 +212,7 @@ def test_bad_poses(what: str, ask: str):
 
 
 def test_poses_that_do_not_broadcast():
+    """Bodies and poses that do not broadcast are a PoseError that tells the counts."""
     a = Body.box([1, 1, 1])
     three, four = np.tile(np.eye(4), (3, 1, 1)), np.tile(np.eye(4), (4, 1, 1))
     many = Bodies([a, a, a])
@@ -226,6 +232,7 @@ def test_poses_that_do_not_broadcast():
 
 @pytest.mark.parametrize("margin", [-1e-9, -1, float("nan"), float("inf"), "wide", None, [0.1, 0.2]])
 def test_bad_margin(margin: object):
+    """A margin has to be one finite number that is not negative."""
     a = Body.sphere(1)
     for query in (loewner.classify, loewner.collide):
         for arguments in ((a, None, a, None), (a, np.tile(np.eye(4), (3, 1, 1)), a, None)):
@@ -504,6 +511,7 @@ def test_lengths_that_do_not_match_are_named(query: str):
 
 
 def test_one_pose_for_each_body_of_a_crowd():
+    """A crowd with another number of poses than bodies is refused, with both counts."""
     many = Bodies([Body.box([1, 1, 1])] * 8)
     with pytest.raises(PoseError, match="8 bodies, found 7"):
         loewner.overlapping_pairs(many, row_of_poses(7))
@@ -511,6 +519,7 @@ def test_one_pose_for_each_body_of_a_crowd():
 
 @pytest.mark.parametrize("query", PAIRWISE)
 def test_empty_batches_come_back_empty(query: str):
+    """A batch without pairs gets a result without entries, of the shape the operands broadcast to."""
     a, none = Body.box([1, 1, 1]), np.empty((0, 4, 4))
     nobody = Bodies([a])[:0]
     for arguments in ((a, none, a, None), (a, None, a, none), (a, none, a, none), (nobody, None, a, None)):
@@ -520,6 +529,7 @@ def test_empty_batches_come_back_empty(query: str):
 
 
 def test_an_empty_crowd_has_no_pairs():
+    """A crowd without bodies has no pairs: an array of shape (0, 2), of integers."""
     for found in (
         loewner.overlapping_pairs(Bodies([Body.sphere(1)])[:0]),
         loewner.overlapping_pairs(Body.sphere(1), np.empty((0, 4, 4))),
@@ -598,6 +608,7 @@ def test_a_crowd_with_more_pairs_than_memory_is_refused(monkeypatch: pytest.Monk
 
 
 def test_unknown_names_list_the_known():
+    """An unknown method or rule is refused by a message that lists the known ones."""
     a = Body.sphere(1)
     with pytest.raises(UnknownNameError, match="exact"):
         loewner.collide(a, None, a, None, method="exakt")
@@ -612,6 +623,7 @@ def test_unknown_names_list_the_known():
 
 
 def test_things_that_are_no_bodies():
+    """An operand that is no body is refused by every query, on either side."""
     a = Body.sphere(1)
     for other in (CUBE, None, "sphere", [a]):
         for query in (loewner.classify, loewner.collide, loewner.distance):
@@ -624,6 +636,7 @@ def test_things_that_are_no_bodies():
 
 
 def test_bodies_without_pieces():
+    """A body needs at least one piece, and bodies are made of bodies only."""
     for make in (lambda: Body.from_pieces([]), lambda: Body.union([])):
         with pytest.raises(GeometryError):
             make()
@@ -641,6 +654,7 @@ def write(path: Path, content: bytes) -> Path:
 
 
 def test_bad_body_files(tmp_path: Path):
+    """A missing, cut or foreign body file is a FileError, which is an OSError and names the file."""
     good = tmp_path / "good.npz"
     Body.from_points(CUBE).save(good)
     whole = good.read_bytes()
@@ -779,6 +793,7 @@ def test_a_newer_file_says_so(tmp_path: Path):
 
 
 def test_bad_mesh_files(tmp_path: Path):
+    """A missing, cut or malformed mesh file is an error that names the file, or a GeometryError."""
     pytest.importorskip("trimesh")
     binary = b"\0" * 80 + (1000).to_bytes(4, "little") + b"\0" * 120
     for path in (
@@ -800,6 +815,7 @@ def test_bad_mesh_files(tmp_path: Path):
 
 
 def test_a_flat_mesh_is_an_error(tmp_path: Path):
+    """A mesh without volume makes no body."""
     pytest.importorskip("trimesh")
     path = write(tmp_path / "flat.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
     with pytest.raises(LoewnerError):
@@ -833,6 +849,7 @@ def test_what_is_a_path(good: os.PathLike[str]):
 
 
 def test_empty_batches_have_the_usual_types():
+    """Results without entries have the same types and trailing shapes as any others."""
     a, none = Body.box([1, 1, 1]), np.empty((0, 4, 4))
     assert loewner.classify(a, none, a, None).dtype == np.int8
     assert loewner.collide(a, none, a, None).dtype == np.bool_
@@ -860,13 +877,13 @@ def test_any_array_of_numbers_will_do(array: object):
     body = Body.from_points(array)
     half = float(np.abs(np.asarray(array)).max())
     assert body.inner.semi_axes[0] == pytest.approx([half] * 3, rel=1e-3)
-    T = np.eye(4)
-    T[0, 3] = 2 * half + 0.01
+    T = translation(2 * half + 0.01)
     for made in (T, T.tolist(), np.asfortranarray(T), np.stack([T, T])[::-1][0], T.astype(np.float32)):
         assert not loewner.collide(body, made, body, None)
 
 
 def test_read_only_input_is_accepted_and_unchanged():
+    """Read-only points and poses are accepted, and a query leaves its input as it was."""
     P, T = CUBE.copy(), np.eye(4)
     P.setflags(write=False)
     T.setflags(write=False)

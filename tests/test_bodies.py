@@ -84,6 +84,7 @@ def test_save_and_load(kind: str, tmp_path: Path):
 
 
 def test_bodies_save_and_load(tmp_path: Path):
+    """Bodies of every kind survive saving and loading exactly, and queries answer the same afterwards."""
     bodies = Bodies([make() for make in ALL_KINDS.values()])
     bodies.save(tmp_path / "all.npz")
     again = Bodies.load(tmp_path / "all.npz")

@@ -25,6 +25,7 @@ from checker_oracle import (
     robot_of,
     simple_bodies,
 )  # fmt: skip
+from families import translation
 from loewner import (
     Body,
     CollisionChecker,
@@ -48,12 +49,6 @@ far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 def bodies():
     rng = np.random.default_rng(1)
     return simple_bodies(rng), composed_bodies(rng)
-
-
-def at(*x):
-    T = np.eye(4)
-    T[:3, 3] = x
-    return T
 
 
 def slider(folder, body=None):
@@ -101,7 +96,7 @@ def test_bodies_of_many_pieces_far_away(far, tmp_path):
     body = cluster(rng, 100)
     robot = robot_of(tmp_path, [("floating", 0, "")], {"l1": body})
     scene, center = Scene(), np.array([2.0, -0.5, 0.9]) * far
-    scene.add("c", body, at(*center))
+    scene.add("c", body, translation(*center))
     apart = rng.normal(size=(200, 3))
     apart *= (rng.uniform(0.3, 0.6, 200) / np.linalg.norm(apart, axis=1))[:, None]
     Q = np.concatenate([center + apart, Rotation.random(200, random_state=2).as_quat()], axis=1)
@@ -133,7 +128,7 @@ def test_crowd_of_three_hundred_bodies(bodies, tmp_path):
 def test_boxes_face_to_face(where, margin, tmp_path):
     """At all gaps down to rounding: free when clearly apart, colliding when touching or deeper."""
     scene = Scene(margin=margin)
-    scene.add("wall", Body.box([1.0, 1.0, 1.0]), at(where, 0, 0))
+    scene.add("wall", Body.box([1.0, 1.0, 1.0]), translation(where, 0, 0))
     checker = CollisionChecker(slider(tmp_path), scene)
     gaps = np.concatenate([[0.0], *(10.0 ** -np.arange(2, 16.0) * sign for sign in (1, -1))])
     found = checker.collide((where - 1 - margin - gaps)[:, None])
@@ -324,7 +319,7 @@ def test_motions_are_free_if_all_between_are(resolution, bodies, tmp_path):
     joints = [("revolute", 0, f'<origin xyz="0.3 0 0"/>{SLIDE}'), ("floating", 0, ""), ("planar", 1, "")]
     robot = robot_of(tmp_path, joints, {"l1": bodies[0][3], "l2": bodies[1][0], "l3": bodies[0][0]})
     scene = Scene()
-    scene.add("o", Body.sphere(0.2), at(0.5, 0.5, 0))
+    scene.add("o", Body.sphere(0.2), translation(0.5, 0.5, 0))
     checker = CollisionChecker(robot, scene, skip_adjacent=False)
     a, b = robot.random_configurations(40, 1) * 0.5, robot.random_configurations(40, 2) * 0.5
     for Q in (a, b):
@@ -364,7 +359,7 @@ def test_ends_of_a_motion_are_checked_exactly(tmp_path):
     assert start + (end - start) != end
     np.testing.assert_array_equal(robot.between(start, end, 1.0), end)
     for values in (-0.05, 0.05):
-        scene.move("o", at(values, 0, 0))
+        scene.move("o", translation(values, 0, 0))
         assert not checker.valid_edges(start, [values], 1e16)
         assert not checker.valid_edges([values], start, 1e16)
 
@@ -381,6 +376,7 @@ def test_resolutions_that_make_no_sense(resolution, tmp_path):
 @far_outside
 @pytest.mark.filterwarnings("error")
 def test_motions_longer_than_numbers_reach(tmp_path):
+    """A motion whose length in configuration space overflows is refused without a warning."""
     checker = CollisionChecker(slider(tmp_path))
     with pytest.raises(InputError, match="longest motion"):
         checker.valid_edges([-1e200], [1e200], 1e100)
@@ -433,6 +429,7 @@ def test_links_that_the_robot_does_not_have(change, message, tmp_path):
 
 
 def test_bodies_named_like_links(tmp_path):
+    """A scene body with the name of a link is refused by every query, by name."""
     scene = Scene()
     scene.add("l0", Body.sphere(1.0))
     for query in QUERIES:
@@ -444,6 +441,7 @@ def test_bodies_named_like_links(tmp_path):
     "q", [[np.nan], [-np.inf], [1.0, 2.0], [], 3.0, "x", [1j], None, [None], [[1.0], [1.0, 2.0]], {"j": 1}]
 )
 def test_what_is_no_configuration(q, tmp_path):
+    """Anything but finite numbers, one per joint, is refused as a configuration."""
     checker = CollisionChecker(slider(tmp_path))
     for query in QUERIES:
         with pytest.raises(InputError, match="expected"):
@@ -453,6 +451,7 @@ def test_what_is_no_configuration(q, tmp_path):
 
 
 def test_pairs_wants_one_configuration_and_motions_shapes_that_fit(tmp_path):
+    """`pairs` takes one configuration only; the ends of motions have to broadcast."""
     checker = CollisionChecker(slider(tmp_path))
     with pytest.raises(InputError, match="one configuration"):
         checker.pairs([[0.0]])
@@ -470,6 +469,7 @@ def test_allowed_pairs_that_are_none(allowed, tmp_path):
 
 
 def test_neither_robot_nor_scene(tmp_path):
+    """A checker is made of a Robot and a Scene, and names what it got instead."""
     with pytest.raises(InputError, match=r"robot: expected loewner\.Robot, found str"):
         CollisionChecker("panda.urdf")
     with pytest.raises(InputError, match=r"scene: expected loewner\.Scene or None, found dict"):
@@ -515,9 +515,10 @@ class ChangedMeanwhile(Scene):
 
 
 def test_what_changes_while_pairs_are_prepared_is_noticed_the_next_time(tmp_path):
+    """A change of the scene during preparation does not affect this query, and takes effect in the next one."""
     scene = ChangedMeanwhile()
     for name in ("o", "p"):
-        scene.add(name, Body.sphere(1.0), at(100.0 if name == "p" else 0.0))
+        scene.add(name, Body.sphere(1.0), translation(100.0 if name == "p" else 0.0))
     scene.allow("l1", "o")
     checker = CollisionChecker(slider(tmp_path), scene)
     assert not checker.collide([0.0])  # as the scene was
@@ -533,4 +534,4 @@ def test_no_answers_of_another_scene_or_robot(bodies, tmp_path):
     with pytest.raises(AttributeError):
         checker.scene = Scene()
     with pytest.raises(AttributeError):
-        checker.robot = robot.placed(at(1.0, 0.0, 0.0))
+        checker.robot = robot.placed(translation(1.0, 0.0, 0.0))

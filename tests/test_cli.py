@@ -246,6 +246,7 @@ def test_robot_check_counts_what_the_checker_finds(folder, capsys):
 
 
 def test_robot_check_prints_tables(folder, capsys):
+    """`robot check` prints how many configurations collide, what settled each of them, and which pairs met."""
     status, out, err = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500)
     assert (status, err) == (1, "")
     colliding = int(re.match(r"COLLIDING  (\d+) of 500 configurations collide", out)[1])

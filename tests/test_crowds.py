@@ -217,7 +217,7 @@ def test_search_is_far_from_all_pairs():
     _, steps, operands = crowds._prepare(bodies, T)
     tree = crowds._tree(n, steps, operands)
     rows = np.empty((2, 10 * n), dtype=np.int64)
-    leaf, count = crowds.boxes.candidates(0, -(-n // crowds.boxtree.WIDE), 0.0, *tree, rows[0], rows[1])
+    leaf, count = crowds.boxes.candidates(0, -(-n // crowds.boxes.WIDE), 0.0, *tree, rows[0], rows[1])
     assert leaf == n // crowds.boxes.WIDE
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
     crowds.boxes.bounds(0, n, *steps, operands[0].handle, operands[1], lower, upper)

@@ -184,6 +184,7 @@ OUTSIDE = '<!DOCTYPE robot [<!ENTITY a SYSTEM "/etc/passwd">]><robot name="r"><l
     ],
 )
 def test_files_that_would_grow_are_refused(text, words, tmp_path):
+    """Robot files with entities, too deep a nesting, too many elements or too many bytes are refused."""
     (tmp_path / "robot.urdf").write_text(text)
     for path, srdf in ((tmp_path / "robot.urdf", None), (written(tmp_path, chain(2), "good"), tmp_path / "robot.urdf")):
         with pytest.raises(FileError, match=words):
@@ -205,6 +206,7 @@ def test_only_regular_files_are_read(reader, tmp_path):
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("path", ["a\0b", "\ud800", "n" * 300, "", b"robot", 3, None])
 def test_names_that_no_file_can_have(reader, path):
+    """A path that cannot name a file is a FileError or an InputError in every reader."""
     with pytest.raises((FileError, InputError)):
         reader(path)
 
@@ -235,6 +237,7 @@ def test_an_axis_without_numbers_is_none(tmp_path):
 
 
 def test_shapes_that_make_no_body_name_their_link(tmp_path):
+    """A shape that makes no body is refused with file, line and link."""
     shape = '<collision><geometry><box size="1e-300 1 1"/></geometry></collision>'
     with pytest.raises(InputError, match="robot.urdf, line 2, link 'a': "):
         read(tmp_path, links("a", shape))
@@ -252,6 +255,7 @@ def test_numbers_that_are_none(number, tmp_path):
 
 @pytest.mark.parametrize("limits", [("inf", "inf"), ("-inf", "-inf"), ("1e300", "1e308"), ("-1e308", "-1e7")])
 def test_limits_that_leave_no_value_are_refused(limits, tmp_path):
+    """Joint limits between which no usable value lies are refused, with line and joint."""
     limit = '<limit lower="{}" upper="{}"/>'.format(*limits)
     with pytest.raises(InputError, match=r"line 2: expected limits that leave joint 'j0' values"):
         read(tmp_path, chain(2, lambda k: limit))
@@ -296,6 +300,7 @@ def test_factors_that_leave_the_numbers_are_refused(tmp_path):
 
 @pytest.mark.parametrize("value", [1e201, -1e308, np.nan, np.inf])
 def test_values_whose_poses_would_be_no_numbers_are_refused(value, arm):
+    """Joint values that would make poses infinite or NaN are refused, with the joint's name."""
     for q in (np.array([0.0, value]), [0.0, value], [[0.0, 0.0], [0.0, value]]):
         with pytest.raises(InputError, match="numbers.* for j1"):
             arm.forward_kinematics(q)
@@ -400,6 +405,7 @@ def test_a_scene_in_millimetres_is_told_once():
 
 
 def test_a_robot_in_millimetres_is_told_once(tmp_path):
+    """A robot whose lengths look like millimetres is warned about once, not for every link."""
     ball = '<collision><geometry><sphere radius="1100"/></geometry></collision>'
     with pytest.warns(UserWarning, match="link 'l0': expected lengths in metres") as told:
         read(tmp_path, chain(3, body=ball))
@@ -444,6 +450,7 @@ def bomb(levels, width):
     ],
 )
 def test_scenes_that_would_grow_are_refused(text, words, tmp_path):
+    """Scene files that expand, nest too deep or are too large are refused in a short message."""
     (tmp_path / "s.yaml").write_text(text)
     with pytest.raises(FileError, match=words) as caught:
         load_scene(tmp_path / "s.yaml")
@@ -460,6 +467,7 @@ def test_a_body_that_many_aliases_name_is_counted_each_time(tmp_path):
 
 
 def test_aliases_that_stay_small_are_read(tmp_path):
+    """YAML aliases are read where they do not make a file grow."""
     (tmp_path / "s.yaml").write_text(
         "bodies:\n  a: {sphere: &s {radius: 0.5}}\n  b: {sphere: *s, position: &p [3, 0, 0]}\n"
     )
@@ -471,6 +479,7 @@ def test_aliases_that_stay_small_are_read(tmp_path):
 @pytest.mark.parametrize("name", ['"a\\0b.stl"', '"\\ud800.stl"', "n" * 300 + ".stl", "."])
 @pytest.mark.parametrize("key", ["mesh", "saved"])
 def test_scenes_that_name_no_file(key, name, tmp_path):
+    """A scene entry whose path cannot name a file is refused with line and body."""
     (tmp_path / "s.yaml").write_text(f"bodies:\n  a: {{{key}: {name}}}\n")
     with pytest.raises(FileError, match="s.yaml, line 2: bodies/a/"):
         load_scene(tmp_path / "s.yaml")
@@ -495,6 +504,7 @@ def problems(**change):
     ],
 )
 def test_problems_that_would_grow_are_refused(text, words, tmp_path):
+    """Planning problems that nest too deep or repeat keys are refused in a short message."""
     (tmp_path / "p.json").write_text(text)
     with pytest.raises(FileError, match=words) as caught:
         read_motion_bench_maker(tmp_path / "p.json")

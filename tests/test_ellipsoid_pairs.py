@@ -88,6 +88,7 @@ def test_appendix_a_agrees_with_the_contact_function(rng, thinnest):
 
 
 def test_appendix_a_holds_far_apart_and_one_inside_the_other(rng):
+    """The eigenvalue test is right for ellipsoids far apart and for one inside the other."""
     A = random_ellipsoids(rng, 200)
     for k in (10.0, 1e3, 1e5):
         B = Ellipsoids(A.center + k * np.array([0.6, 0.0, 0.8]), A.factor[::-1])
@@ -139,6 +140,7 @@ def test_scaling_by_root_f_makes_them_touch(rng):
 
 @pytest.mark.parametrize("thinnest", [0.3, 1e-3, 1e-6])
 def test_contact_function_is_symmetric_and_affine_invariant(rng, thinnest):
+    """The contact function changes neither with the order of the pair nor under an affine map of both."""
     A, B = random_pairs(rng, 500, thinnest)
     F = contact_function(A, B)
     # The rounding of the factors' own entries moves F by a rounding of the squared axis ratio.
@@ -179,6 +181,7 @@ def test_overlap_against_rational_arithmetic(rng):
 
 
 def test_batches_broadcast(rng):
+    """Batches of ellipsoids broadcast as arrays do, empty ones included."""
     A, B = random_pairs(rng, 6)
     table = Ellipsoids(A.center.reshape(6, 1, 3), A.factor.reshape(6, 1, 3, 3))
     for method in ellipsoid_pairs.OVERLAP_METHODS:
@@ -210,6 +213,7 @@ def test_near_points_of_spheres(method, p, q, gap):
 
 
 def test_near_points_along_a_common_axis():
+    """Every method finds the near points of two ellipsoids whose poles face each other."""
     A = Ellipsoids.from_semi_axes([0, 0, 0], [0.5, 2, 1])
     B = Ellipsoids.from_semi_axes([0, 0, 4], [3, 1, 0.25])
     for method in METHODS:
@@ -243,6 +247,7 @@ def slow_distance(A, B):
 
 
 def test_lin_han_against_a_slow_reference(rng):
+    """The Lin-Han distance is the one that a slow reference finds."""
     A, B = random_pairs(rng, 60, thinnest=0.2, spread=1.5)
     near = near_points(A, B, angle=1e-9)
     for k in range(60):
@@ -276,6 +281,7 @@ def test_lin_han_keeps_its_angle_and_its_certificate(rng, thinnest, angle):
 
 
 def test_tighter_angles_never_lengthen_the_distance_by_much(rng):
+    """The distance at any angle is at least the best one, and at most twice the angle longer."""
     A, B = random_pairs(rng, 500, spread=1.2)
     best = near_points(A, B, angle=1e-10).distance
     for angle in (0.1, 0.01, 1e-4):
@@ -324,6 +330,7 @@ def test_appendix_a_point_is_the_rimon_boyd_point(rng):
 
 
 def test_center_line_points_lie_on_the_segment(rng):
+    """Center-line points lie on the segment of the centers, on the surfaces of ellipsoids that it finds apart."""
     A, B = random_pairs(rng, 300, spread=1.5)
     near = near_points(A, B, method="center-line")
     apart = near.distance > 0
@@ -338,6 +345,7 @@ def test_center_line_points_lie_on_the_segment(rng):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_overlapping_pairs_give_a_common_point(rng, method):
+    """At distance zero both near points are one point, and it is in both ellipsoids."""
     A, B = random_pairs(rng, 500, spread=0.1)
     near = near_points(A, B, method=method)
     found = near.distance == 0
@@ -349,6 +357,7 @@ def test_overlapping_pairs_give_a_common_point(rng, method):
 
 @pytest.mark.parametrize("method", ["rimon-boyd", "center-line"])
 def test_no_rule_is_nearer_than_the_nearest(rng, method):
+    """The other rules never give a smaller distance than the exact one."""
     A, B = random_pairs(rng, 1000, thinnest=0.02, spread=1.2)
     best = near_points(A, B, angle=1e-9).distance
     assert (near_points(A, B, method=method).distance >= best * (1 - 1e-9)).all()
@@ -377,6 +386,7 @@ def test_swap_offset_and_scale_change_nothing(rng, method):
 
 
 def test_rigid_motion_moves_the_near_points(rng):
+    """A rigid motion of both ellipsoids moves their near points along and keeps the distance."""
     A, B = random_pairs(rng, 100, spread=1.5)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
@@ -414,6 +424,7 @@ def test_pairs_that_nearly_touch_converge_to_the_gap(rng, thinnest, gap):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_coincident_ellipsoids(method):
+    """An ellipsoid overlaps itself, at distance zero."""
     A = Ellipsoids.from_semi_axes([1, 2, 3], [1, 0.5, 0.2])
     near = near_points(A, A, method=method)
     assert near.distance == 0
@@ -456,6 +467,7 @@ def test_f_of_concentric_balls(rule, d):
 
 @pytest.mark.parametrize(("rule", "method"), [(0, "rimon-boyd"), (1, "lin-han"), (2, "center-line")])
 def test_f_is_the_printed_formula_in_both_branches(rng, rule, method):
+    """The kernel's f is the formula as the paper prints it, in either branch."""
     I1, I2 = random_pairs(rng, 300, thinnest=0.3, spread=1.5)
     branches = set()
     for a, b in zip(I1, I2, strict=True):
@@ -476,6 +488,7 @@ def test_f_is_the_printed_formula_in_both_branches(rng, rule, method):
 
 @pytest.mark.parametrize("rule", [0, 1, 2])
 def test_f_is_never_positive_when_the_inner_ellipsoids_overlap(rng, rule):
+    """The estimate f is at most zero where the inner ellipsoids overlap."""
     I1, I2 = random_pairs(rng, 200, spread=0.1)
     for a, b in zip(I1, I2, strict=True):
         if near_points(a, b, method=METHODS[[1, 0, 2][rule]]).distance > 0:
@@ -496,6 +509,7 @@ def test_f_is_positive_when_the_line_misses_the_outer_overlap(rule):
 
 
 def test_bad_input_is_refused(rng):
+    """Operands of other types, dimensions or batch shapes, and unknown methods, are refused by name."""
     A = random_ellipsoids(rng, 3)
     disc = Ellipsoids(np.zeros(2), np.eye(2))
     for call in (overlap, contact_function, near_points):
@@ -520,6 +534,7 @@ def test_bad_input_is_refused(rng):
 
 
 def test_ratios_beyond_float64_are_an_error_not_a_number():
+    """Sizes too far apart for float64 give a finite number or a ConvergenceError."""
     speck, giant = ball([0, 0, 0], 1e-200), ball([2e200, 0, 0], 1e200)
     for call in (contact_function, near_points):
         try:
@@ -530,6 +545,7 @@ def test_ratios_beyond_float64_are_an_error_not_a_number():
 
 
 def test_a_pair_that_does_not_converge_is_an_error(monkeypatch, rng):
+    """Pairs that do not converge raise a ConvergenceError that tells how many of them there are."""
     A, B = random_pairs(rng, 4)
 
     def stuck(*arguments):

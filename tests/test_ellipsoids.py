@@ -32,6 +32,7 @@ def ellipsoids(rng):
 
 
 def test_factor_and_shape_matrix_describe_the_same_set(ellipsoids):
+    """An ellipsoid made again from its shape matrix has the same shape matrix and semi-axes."""
     again = Ellipsoids.from_shape_matrix(ellipsoids.center, ellipsoids.shape_matrix)
     np.testing.assert_allclose(again.shape_matrix, ellipsoids.shape_matrix, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(again.semi_axes, ellipsoids.semi_axes, rtol=1e-9)
@@ -39,6 +40,7 @@ def test_factor_and_shape_matrix_describe_the_same_set(ellipsoids):
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 5])
 def test_semi_axes_and_rotation_rebuild_the_ellipsoid(rng, dim):
+    """Semi-axes are in falling order, and with the rotation they make the same ellipsoid again."""
     E = random_ellipsoids(rng, 20, dim)
     assert E.dim == dim
     assert (np.diff(E.semi_axes, axis=-1) <= 0).all()
@@ -80,6 +82,7 @@ def test_contains_by_level(level, seed):
 
 
 def test_bounding_box_is_tight(ellipsoids):
+    """The bounding box ends at the support points along the axes."""
     low, high = ellipsoids.bounding_box()
     for axis in range(3):
         d = np.eye(3)[axis]
@@ -98,6 +101,7 @@ def test_motion_moves_points_along(ellipsoids, rng):
 
 
 def test_motions_compose_and_none_is_the_identity(ellipsoids, rng):
+    """Moving by A B is moving by B, then by A; None moves nothing."""
     A, B = random_pose(rng), random_pose(rng)
     once, twice = ellipsoids.transformed(A @ B), ellipsoids.transformed(B).transformed(A)
     np.testing.assert_allclose(once.center, twice.center, atol=1e-13)
@@ -116,6 +120,7 @@ def test_affine_image_holds_the_images(rng):
 
 
 def test_batches_index_and_have_lengths(ellipsoids):
+    """A batch has a length and can be indexed and sliced; a single ellipsoid has neither."""
     assert len(ellipsoids) == 50
     assert ellipsoids.batch_shape == (50,)
     assert ellipsoids[3].batch_shape == ()
@@ -130,6 +135,7 @@ def test_batches_index_and_have_lengths(ellipsoids):
 
 
 def test_results_and_fields_are_read_only_copies():
+    """Fields are copies of what was handed in, and cannot be written."""
     center = np.zeros(3)
     E = Ellipsoids(center, np.eye(3))
     center[0] = 5.0
@@ -152,11 +158,13 @@ def test_results_and_fields_are_read_only_copies():
     ],
 )
 def test_bad_ellipsoids_are_refused(center, factor, error):
+    """NaN, infinite, singular or misshapen centers and factors are refused."""
     with pytest.raises(error):
         Ellipsoids(center, factor)
 
 
 def test_bad_shape_matrices_and_semi_axes_are_refused():
+    """Shape matrices have to be symmetric positive definite, semi-axes positive, rotations orthogonal."""
     with pytest.raises(GeometryError, match="symmetric"):
         Ellipsoids.from_shape_matrix([0, 0], [[1, 0.5], [0, 1]])
     with pytest.raises(GeometryError, match="positive definite"):
@@ -170,6 +178,7 @@ def test_bad_shape_matrices_and_semi_axes_are_refused():
 
 
 def test_bad_queries_are_refused(ellipsoids):
+    """A zero direction, a point of another dimension and a motion that is not rigid are refused."""
     with pytest.raises(InputError, match="non-zero"):
         ellipsoids.support([0, 0, 0])
     with pytest.raises(InputError, match="shape"):
@@ -183,6 +192,7 @@ def test_bad_queries_are_refused(ellipsoids):
 
 
 def test_empty_batch_gives_empty_answers():
+    """A batch without ellipsoids gets answers without entries."""
     none = Ellipsoids(np.zeros((0, 3)), np.zeros((0, 3, 3)))
     assert none.contains([0, 0, 0]).shape == (0,)
     assert none.semi_axes.shape == (0, 3)

@@ -330,6 +330,7 @@ def test_bad_tolerance(tol: object) -> None:
 
 
 def test_bad_method() -> None:
+    """An unknown method of fits is refused."""
     with pytest.raises(InputError, match="method"):
         mvce(SQUARE, method="khachiyan")
 
@@ -367,6 +368,7 @@ def test_no_pieces() -> None:
 
 
 def test_results_are_frozen() -> None:
+    """A fit and its arrays cannot be changed."""
     fit = mvce(SQUARE)
     with pytest.raises(ValueError, match="read-only"):
         fit.ellipsoid.center[0] = 1

@@ -76,6 +76,8 @@ def test_memory_that_runs_out_is_ours():
 @pytest.mark.parametrize("query", [loewner.classify, loewner.collide])
 @pytest.mark.parametrize("count", [1, 3])
 def test_queries_guard_their_quick_way_too(query, count, monkeypatch):
+    """An interrupt inside a kernel reaches the caller as KeyboardInterrupt, for one pair and for several."""
+
     def interrupted(*_):
         raise chained(KeyboardInterrupt(), 2)
 
@@ -134,12 +136,14 @@ OLD = "36 32 0:33 / /sys/fs/cgroup/memory rw - cgroup cgroup rw,memory\n35 32 0:
     ],
 )
 def test_control_groups_of_the_second_kind(files, expected, tmp_path):
+    """Of nested control groups (version 2) the tightest limit counts, and cached files count as free."""
     write(tmp_path, {"proc/self/cgroup": "0::/a/b\n", "proc/self/mountinfo": NEW, **files})
     write(tmp_path, {"proc/meminfo": f"MemTotal: 9 kB\nMemAvailable: {2**20} kB\n"})
     assert _memory.left(tmp_path)[0] == expected
 
 
 def test_control_groups_of_the_first_kind(tmp_path):
+    """The limit of a control group (version 1) counts, and its cached files count as free."""
     write(tmp_path, {"proc/self/cgroup": "4:memory:/jobs/one\n3:cpu:/\n0::/\n", "proc/self/mountinfo": OLD})
     write(tmp_path, {"sys/fs/cgroup/memory/jobs/one/memory.limit_in_bytes": str(2**63 - 4096)})
     group = tmp_path / "sys/fs/cgroup/memory/jobs"
@@ -148,6 +152,7 @@ def test_control_groups_of_the_first_kind(tmp_path):
 
 
 def test_where_no_limit_is_known_there_is_none(tmp_path):
+    """Without any known limit memory counts as unlimited; on Linux this machine's is known."""
     assert _memory.left(tmp_path) == (sys.maxsize, "")
     assert 0 < _memory.left()[0] < sys.maxsize or sys.platform != "linux"
 
@@ -195,6 +200,7 @@ def test_what_has_to_be_loaded_does_not_crash(body, room):
 
 
 def test_a_verdict_is_written_by_its_name():
+    """A verdict is printed as its name, without its class."""
     assert [str(verdict) for verdict in Verdict] == ["FREE", "COLLIDING", "AMBIGUOUS"]
     assert f"{Verdict.FREE}" == "FREE"
 

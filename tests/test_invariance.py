@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import loewner
-from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, sizes
+from families import EIGHT, FAMILIES, box_corners, near_contact, pieces, random_poses, sizes, translation
 from loewner import Bodies, Body, Verdict
 from oracles import exact_collides, hull, pack, signed_distances
 
@@ -81,8 +81,7 @@ def test_pieces_far_from_their_own_origin(pairs):
     offset = np.array([3e3, -1e3, 2e3])
     a = Bodies.from_points([P + offset for P in points])
     _, b = bodies(points)
-    back = np.eye(4)
-    back[:3, 3] = -offset
+    back = translation(*-offset)
     found = loewner.collide(a, Ta @ back, b, Tb)
     clear = np.abs(gap) > 1e-9 * np.maximum(size, 1)
     assert np.array_equal(found[clear], gap[clear] <= 0)
@@ -139,9 +138,7 @@ def test_poses_that_went_through_float32(pairs):
 def float32_corners(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Poses, rounded to float32, of two unit cubes that touch corner to corner."""
     T = random_poses(np.random.default_rng(0), count)
-    step = np.eye(4)
-    step[:3, 3] = 1
-    return T.astype(np.float32).astype(float), (T @ step).astype(np.float32).astype(float)
+    return T.astype(np.float32).astype(float), (T @ translation(1, 1, 1)).astype(np.float32).astype(float)
 
 
 def test_bent_poses_are_taken_at_their_word():
@@ -171,7 +168,7 @@ def test_bounds_hold_under_bent_poses():
 
 
 @pytest.mark.parametrize("offset", [0.0, 1000.0])
-def test_company(offset: float):
+def test_neighbours_and_precision_of_the_batch(offset: float):
     """A verdict is the pair's own: alone, in a batch, in any order, or beside pieces too small for single precision."""
     rng = np.random.default_rng(0)
     n = 2000

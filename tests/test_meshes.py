@@ -17,6 +17,7 @@ import trimesh
 from scipy.optimize import nnls
 
 import loewner
+from families import translation
 from loewner import FileError, GeometryError, InputError, MissingExtraError, Verdict, meshes
 from loewner.polytopes import Polytope
 
@@ -645,9 +646,7 @@ def test_convex_parts_are_pieces():
     body = loewner.Body.from_mesh(two_boxes())
     assert len(body.pieces) == 2
     assert body.covering.kind == "convex"
-    T = np.eye(4)
-    T[0, 3] = 1.5
-    assert not loewner.collide(body, None, loewner.Body.sphere(0.5), T)
+    assert not loewner.collide(body, None, loewner.Body.sphere(0.5), translation(1.5))
 
 
 def test_cavity_is_no_convex_part():

@@ -15,6 +15,7 @@ from families import (
     posed_near_contact,
     random_poses,
     rotations,
+    translation,
 )
 from oracles import (
     Hull,
@@ -36,12 +37,6 @@ from oracles import (
     signed_distance,
     signed_distances,
 )
-
-
-def translation(*t: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = t
-    return T
 
 
 @pytest.fixture(scope="module")

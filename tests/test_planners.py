@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from families import translation
 from gantry import RADIUS, gantry
 from loewner import (
     Body,
@@ -49,9 +50,7 @@ def robot(tmp_path):
 def scene():
     """A wall along y, 0.1 m thick, that ends at y = 0.5."""
     scene = Scene()
-    T = np.eye(4)
-    T[1, 3] = -1.5
-    scene.add("wall", Body.box([0.1, 4.0, 1.0]), T)
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]), translation(y=-1.5))
     return scene
 
 
@@ -90,6 +89,7 @@ def test_every_planner_goes_around_the_wall(checker, name, simplify):
 
 
 def test_simplified_paths_are_shorter(checker):
+    """Simplifying shortens a path, but never below the shortest way around the wall."""
     long, short = (
         planners.plan(checker, LEFT, RIGHT, joints="slide", resolution=RESOLUTION, simplify=s) for s in (False, True)
     )
@@ -129,6 +129,7 @@ def test_any_of_several_goals_will_do(checker):
 
 
 def test_start_is_the_goal(checker):
+    """From a configuration to itself the path stays there, and has two rows at least."""
     path = planners.plan(checker, LEFT, LEFT, joints="slide")
     np.testing.assert_array_equal(path, [LEFT] * len(path))
     assert len(path) >= 2
@@ -154,6 +155,7 @@ def test_own_planner(checker):
 
 
 def test_colliding_start_and_goal_name_the_pairs(checker):
+    """A start or goal in collision is refused with the pairs that meet."""
     with pytest.raises(PlanningError, match="start: .* collision of ball and wall, rod and wall"):
         planners.plan(checker, [-0.12, -0.5, 0.0], RIGHT)
     with pytest.raises(PlanningError, match="goal: .* collision of ball and wall"):
@@ -163,6 +165,7 @@ def test_colliding_start_and_goal_name_the_pairs(checker):
 
 
 def test_outside_the_limits(checker):
+    """A start or goal outside the joint limits is refused with joint, value and limits."""
     with pytest.raises(PlanningError, match=r"start: .* x = -1\.5 outside -1 \.\. 1, y = 2 outside"):
         planners.plan(checker, [-1.5, 2.0, 0.0], RIGHT)
     with pytest.raises(PlanningError, match=r"goal: .* y = 7 outside -1 \.\. 1"):
@@ -247,11 +250,13 @@ def test_what_cannot_be_settled_is_not_free(checker, monkeypatch):
     ],
 )
 def test_bad_options(checker, options, error, message):
+    """Every bad option is refused by its name, with what was expected."""
     with pytest.raises(error, match=message):
         planners.plan(checker, LEFT, RIGHT, **options)
 
 
 def test_bad_configurations(checker, robot):
+    """Start and goals of wrong shapes, and what is no checker, are refused by name."""
     with pytest.raises(InputError, match=r"start: expected one configuration, shape \(3,\)"):
         planners.plan(checker, [LEFT], RIGHT)
     with pytest.raises(InputError, match=r"goal: expected shape \(\.\.\., 3\)"):
@@ -274,6 +279,7 @@ def test_floating_joints_have_no_limits_to_search_within(tmp_path):
 
 
 def test_missing_package_is_named(checker, monkeypatch):
+    """Without OMPL the error names the package to install."""
     monkeypatch.setitem(sys.modules, "ompl", None)
     for ask in (lambda: planners.plan(checker, LEFT, RIGHT), lambda: planners.space_information(checker)):
         with pytest.raises(MissingExtraError, match=r"OMPL: pip install \"loewner\[planners\]\""):
@@ -295,9 +301,7 @@ def test_states_and_motions_are_the_checkers(checker, scene, rng):
     Q = np.column_stack([values, np.full(60, LEFT[2])])
     seen = []
     for x in (0.0, 0.6):
-        T = np.eye(4)
-        T[:2, 3] = x, -1.5
-        scene.move("wall", T)
+        scene.move("wall", translation(x, -1.5))
         valid = [information.isValid(state) for state in states]
         np.testing.assert_array_equal(valid, ~checker.collide(Q))
         moves = [information.checkMotion(a, b) for a, b in zip(states[:-1], states[1:], strict=True)]

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy.stats import binomtest
 
+from families import translation
 from gantry import gantry
 from loewner import (
     Body,
@@ -30,9 +31,7 @@ def checker(tmp_path):
     scene = Scene()
     scene.add("wall", Body.box([0.1, 4.0, 1.0]))
     scene.add("held", Body.box([0.05, 0.05, 0.05]))
-    T = np.eye(4)
-    T[2, 3] = 0.2
-    scene.attach("held", "ball", T)
+    scene.attach("held", "ball", translation(z=0.2))
     return CollisionChecker(Robot.from_urdf(urdf, srdf=srdf), scene)
 
 
@@ -66,6 +65,7 @@ def test_what_touches_is_red(checker, q, title, red):
 
 
 def test_all_of_it_is_in_the_frame(checker):
+    """The axes reach around the whole robot and the whole scene."""
     ax = plots.configuration(checker, [-0.6, 0.0, np.pi])
     assert ax.get_xlim()[0] < -1.05
     assert ax.get_ylim()[0] <= -2
@@ -73,6 +73,7 @@ def test_all_of_it_is_in_the_frame(checker):
 
 
 def test_one_configuration_only(checker):
+    """A figure shows one configuration; several are refused."""
     with pytest.raises(InputError, match=r"q: expected one configuration, shape \(3,\)"):
         plots.configuration(checker, np.zeros((2, 3)))
 
@@ -80,8 +81,7 @@ def test_one_configuration_only(checker):
 @pytest.mark.parametrize("x", [1.5, 0.25])
 def test_near_points_of_a_pair(x):
     """The line drawn joins the exact near points, or the ends of the depth; the legend says which and how far."""
-    a, b, T = Body.box([1, 1, 1]), Body.sphere(0.25), np.eye(4)
-    T[0, 3] = x
+    a, b, T = Body.box([1, 1, 1]), Body.sphere(0.25), translation(x)
     ax = plots.pair(a, None, b, T)
     found = distance(a, None, b, T, exact=True)
     (line,) = ax.get_lines()
@@ -196,6 +196,7 @@ def test_accuracy_has_wilsons_intervals():
     ],
 )
 def test_bad_input_is_refused(call, error, message):
+    """Every bad argument of a figure is refused by name, with what was found."""
     with pytest.raises(error, match=message):
         call()
 
@@ -210,12 +211,14 @@ def test_bad_input_is_refused(call, error, message):
     ],
 )
 def test_missing_matplotlib_is_told(draw, monkeypatch):
+    """Without matplotlib every figure's error names the extra to install."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r'pip install "loewner\[plots\]"'):
         draw()
 
 
 def test_drawn_into_axes_of_ones_own():
+    """A figure that is given axes draws into them and returns them."""
     one, two, three = Figure().subplots(1, 3)
     assert plots.costs([1], {"y": 1.0}, ax=one) is one
     assert plots.accuracy({"rule": {"balls": (1, 2)}}, ax=two) is two

@@ -206,6 +206,7 @@ def test_bad_halfspaces_are_named(name: str) -> None:
 
 
 def test_results_are_frozen() -> None:
+    """The arrays of a polytope cannot be written."""
     piece = Polytope.from_points(signs(3))
     with pytest.raises(ValueError, match="read-only"):
         piece.vertices[0] = 1

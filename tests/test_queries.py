@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch
+from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch, translation
 from loewner import Bodies, Body, Verdict, classify, collide, distance, queries
 from oracles import (
     HullPool,
@@ -36,12 +36,6 @@ GRAZING = 1e-9
 
 BODIES = 12  # of each family
 ROUNDS = 13  # poses of each body: 14 families x 12 x 13 = 2,184 pairs
-
-
-def translation(*t: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = t
-    return T
 
 
 class Pairs(NamedTuple):
@@ -328,6 +322,7 @@ def test_union_is_the_union(family: str, seed: int, count: int):
 
 
 def test_none_is_the_identity(world: dict[str, Pairs]):
+    """None as a pose means the identity, in every query and for either operand."""
     w = world["ball 20"]
     a, b, T = w.a[0], w.b[0], w.Tb[0, 0]
     assert loewner.classify(a, None, b, T) == loewner.classify(a, np.eye(4), b, T)
@@ -370,6 +365,7 @@ def test_bodies_broadcast_with_the_last_axis(world: dict[str, Pairs]):
 
 
 def test_same_answers_for_any_number_of_threads(world: dict[str, Pairs]):
+    """Verdicts and distances are the same to the last bit for any number of threads."""
     import numba
 
     w = world["boxes"]
@@ -624,9 +620,7 @@ def links_and_obstacles():
 
 
 def union_of_boxes(rng, count):
-    return Body.union(
-        Body.box([0.2, 0.3, 0.1]).transformed(posed(np.eye(3), x)) for x in rng.uniform(-1, 1, (count, 3))
-    )
+    return Body.union(Body.box([0.2, 0.3, 0.1]).transformed(translation(*x)) for x in rng.uniform(-1, 1, (count, 3)))
 
 
 def posed(R, t):
@@ -682,6 +676,7 @@ def test_distances_of_pairs_by_number(links_and_obstacles):
     ],
 )
 def test_pairs_that_do_not_exist(links_and_obstacles, pairs, told):
+    """Rows of `pairs` that are no two indices of existing bodies are refused with the range allowed."""
     a, Ta, b, Tb = links_and_obstacles
     for query in (classify, collide, distance):
         with pytest.raises(loewner.InputError, match=told):

@@ -12,7 +12,17 @@ import pytest
 import trimesh
 
 import loewner
-from loewner import FileError, GeometryError, InputError, PoseError, Robot, UnknownNameError, link_bodies
+from families import translation
+from loewner import (
+    CollisionChecker,
+    FileError,
+    GeometryError,
+    InputError,
+    PoseError,
+    Robot,
+    UnknownNameError,
+    link_bodies,
+)
 from loewner._kernels._jit import njit
 from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
@@ -354,8 +364,7 @@ def test_hull_by_default_and_pieces_on_request(tmp_path):
     np.testing.assert_allclose(bounds(hull), [[-1, -0.5, -0.5], [1, 1.5, 0.5]], atol=1e-7)
     parts = Robot.from_urdf(path, decompose=True).bodies["a"]
     assert len(parts.pieces) == 2
-    probe, at = loewner.Body.sphere(0.01), np.eye(4)
-    at[:3, 3] = -0.1, 0.6, 0
+    probe, at = loewner.Body.sphere(0.01), translation(-0.1, 0.6)
     assert loewner.collide(hull, None, probe, at)
     assert not loewner.collide(parts, None, probe, at)
 
@@ -655,6 +664,7 @@ def test_unknown_names_of_a_configuration(tmp_path):
 
 
 def test_a_mimicking_joint_has_no_value_to_set(tmp_path):
+    """Setting a mimicking joint is refused, and the error names the joint it follows."""
     mimic = joint("follow", "continuous", "b", "c", '<mimic joint="lead"/>')
     robot = read(tmp_path, links("abc") + joint("lead", "revolute", "a", "b") + mimic)
     with pytest.raises(UnknownNameError, match="'follow': follow mimics lead; set 'lead'"):
@@ -663,6 +673,7 @@ def test_a_mimicking_joint_has_no_value_to_set(tmp_path):
 
 @pytest.mark.parametrize("values", [3, [0.0, 1.0], {"ab"}])
 def test_what_names_no_configuration(values, tmp_path):
+    """Values are named by joints or by a state; anything else is refused."""
     with pytest.raises(InputError, match="values: expected a dict by names of joints or the name of a state, found"):
         read(tmp_path, TREE).configuration(values)
 
@@ -676,6 +687,7 @@ def test_numbers_of_random_configurations_that_are_none(n, tmp_path):
 
 @pytest.mark.parametrize("seed", [-1, 0.5, "a", None])
 def test_seeds_that_are_none(seed, tmp_path):
+    """A seed has to be a whole number that is not negative."""
     with pytest.raises(InputError, match="seed: expected an integer >= 0"):
         read(tmp_path, TREE).random_configurations(3, seed=seed)
 
@@ -684,6 +696,7 @@ def test_seeds_that_are_none(seed, tmp_path):
     ("path", "found"), [(None, "None"), (3, "3"), ('\n<robot name="r"/>', "XML text"), (b"r.urdf", "b'r.urdf'")]
 )
 def test_paths_that_are_none(path, found, tmp_path):
+    """What is no path, XML text included, is refused as a URDF and as an SRDF."""
     with pytest.raises(InputError, match=f"expected a path to a URDF, found {found}"):
         Robot.from_urdf(path)
     if path is not None:
@@ -692,6 +705,7 @@ def test_paths_that_are_none(path, found, tmp_path):
 
 
 def test_package_dirs_that_are_no_folders(tmp_path):
+    """Folders of packages that do not exist or are files are refused by name."""
     (tmp_path / "file").touch()
     for name in ("none", "file"):
         with pytest.raises(FileError, match=f"{name}: expected a folder of packages"):
@@ -706,6 +720,7 @@ PAIR = '<disable_collisions link1="a" link2="b"/>'
 
 
 def test_a_urdf_is_no_srdf(tmp_path):
+    """A URDF in place of the SRDF is recognised and refused, with the line."""
     path = urdf(tmp_path, TREE)
     with pytest.raises(InputError, match="line 3: expected an SRDF, with .*, found a URDF, with a <link>"):
         Robot.from_urdf(path, srdf=path)
@@ -724,6 +739,7 @@ def test_a_urdf_is_no_srdf(tmp_path):
     ],
 )
 def test_odd_srdf_files_are_told(text, message, tmp_path):
+    """An SRDF that is for another robot, empty or misspelt is read with a warning."""
     path = tmp_path / "robot.srdf"
     path.write_text(text)
     with pytest.warns(UserWarning, match=message):
@@ -744,6 +760,25 @@ def test_adjacent_pairs_reach_through_links_without_bodies(tmp_path):
     joints = [("a", "b"), ("b", "c"), ("b", "e"), ("e", "f"), ("c", "d"), ("f", "g")]
     robot = read(tmp_path, links + "".join(joint(x + y, "fixed", x, y) for x, y in joints))
     assert robot.adjacent_pairs == {("a", "c"), ("a", "f"), ("c", "f"), ("c", "d"), ("f", "g")}
+
+
+def test_links_that_two_joints_move_against_each_other_are_not_adjacent(tmp_path):
+    """Links without bodies between them change nothing about that: such a pair may well collide, and is checked."""
+    solid = shape('<sphere radius="0.3"/>')
+    links = "".join(f'<link name="{x}">{solid if x in "adf" else ""}</link>' for x in "abcdef")
+    kinds = [
+        ("a", "b", "fixed"),
+        ("b", "c", "revolute"),
+        ("c", "d", "fixed"),
+        ("c", "e", "revolute"),
+        ("e", "f", "revolute"),
+    ]
+    joints = "".join(joint(x + y, kind, x, y) for x, y, kind in kinds)
+    robot = read(tmp_path, links + joints)
+    assert robot.adjacent_pairs == {("a", "d")}
+    checker = CollisionChecker(robot)
+    assert set(checker.checked_pairs) == {("a", "f"), ("d", "f")}
+    assert checker.collide(np.zeros(3))  # the balls are larger than what the joints put between them
 
 
 # -- beside pinocchio ---------------------------------------------------------------------------

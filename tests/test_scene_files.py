@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import loewner
+from families import translation
 from loewner import Body, FileError, GeometryError, Scene, load_scene, read_motion_bench_maker, save_scene
 
 EVERYTHING = """\
@@ -70,6 +71,7 @@ def same_scenes(a: Scene, b: Scene) -> None:
 
 
 def test_every_key_is_read(folder):
+    """Every key of a scene file takes effect: shapes, poses, attachments, margins, allowed pairs."""
     scene = load_scene(folder / "scene.yaml")
     assert scene.names == ("table", "can", "ball", "egg", "pill", "hat", "rock", "1", "kept")
     kinds = {name: scene[name].pieces[0].kind for name in scene}
@@ -141,8 +143,7 @@ def test_strange_names_are_written_and_shared_bodies_once(folder):
 
 def test_moved_primitives_are_saved_as_they_are(folder):
     """A body that is no primitive in its own frame is not written as one."""
-    T = np.eye(4)
-    T[0, 3] = 0.1
+    T = translation(0.1)
     bodies = [make.transformed(T) for make in (Body.box([1, 2, 3]), Body.sphere(1.0), Body.capsule(0.1, 0.2))]
     scene = Scene()
     for k, body in enumerate([*bodies, Body.from_points(Body.box([1, 1, 1]).pieces[0].vertices)]):
@@ -154,6 +155,7 @@ def test_moved_primitives_are_saved_as_they_are(folder):
 @pytest.mark.filterwarnings("ignore:.*in metres, found:UserWarning")
 @given(st.integers(0, 2**32 - 1))
 def test_sizes_and_poses_survive_exactly(tmp_path_factory, seed):
+    """Primitives of any size at any pose are saved and loaded without changing a bit."""
     rng = np.random.default_rng(seed)
     sizes = 10 ** rng.uniform(-4, 4, size=3)
     makers = (Body.box, Body.ellipsoid, lambda s: Body.sphere(s[0]), lambda s: Body.cylinder(*s[:2]))
@@ -171,6 +173,8 @@ def test_sizes_and_poses_survive_exactly(tmp_path_factory, seed):
 
 
 def test_failed_save_leaves_the_old_file(folder, monkeypatch):
+    """A save that fails leaves the file as it was."""
+
     def refuse(*_):
         raise OSError("disk full")
 
@@ -248,6 +252,7 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
     ],
 )
 def test_malformed_scenes_are_refused_with_line_and_key(folder, text, line, message):
+    """Every malformed scene is refused with its line, its key, what was expected and what was found."""
     with pytest.raises(FileError, match=rf"scene.yaml, line {line}:.*{message}"):
         read(folder, text)
 
@@ -267,12 +272,14 @@ def test_malformed_scenes_are_refused_with_line_and_key(folder, text, line, mess
     ids=["empty", "comment", "utf16", "nul", "not-utf8", "no-character", "beyond-unicode", "deep"],
 )
 def test_files_that_are_no_yaml_are_refused(folder, data):
+    """Bytes that are no YAML scene are a FileError that names the file."""
     (folder / "scene.yaml").write_bytes(data)
     with pytest.raises(FileError, match="scene.yaml"):
         load_scene(folder / "scene.yaml")
 
 
 def test_missing_scene_file(tmp_path):
+    """A missing file and a directory are refused as what they are."""
     with pytest.raises(FileError, match="none.yaml: expected a scene in YAML, found no such file"):
         load_scene(tmp_path / "none.yaml")
     with pytest.raises(FileError, match="found a directory"):
@@ -294,6 +301,7 @@ def test_damaged_scenes_never_end_in_another_error(tmp_path_factory, start, cut,
 
 
 def test_missing_package_is_named(folder, monkeypatch):
+    """Without PyYAML the error names the package to install."""
     monkeypatch.setitem(sys.modules, "yaml", None)
     for ask in (load_scene, lambda file: save_scene(Scene(), file)):
         with pytest.raises(loewner.MissingExtraError, match=r"PyYAML: pip install \"loewner\[robots\]\""):
@@ -301,6 +309,7 @@ def test_missing_package_is_named(folder, monkeypatch):
 
 
 def test_equal_meshes_are_read_once(folder):
+    """Entries with the same mesh and scale share one body."""
     scene = read(
         folder,
         """bodies:
@@ -334,6 +343,7 @@ def test_scaled_mesh_is_the_mesh_of_scaled_vertices(seed):
 
 @pytest.mark.parametrize("scale", [0, [1, 0, 1], [1, 2], float("nan"), "wide"])
 def test_bad_scales(scale):
+    """A scale has to be one or three finite factors other than zero."""
     with pytest.raises(loewner.InputError, match="scale: expected"):
         Body.from_mesh(trimesh.creation.box((1, 1, 1)), scale=scale)
 
@@ -371,6 +381,7 @@ def write(tmp_path: Path, content: dict) -> Path:
 
 
 def test_problems_are_read(tmp_path):
+    """Names, ends, bodies and poses of planning problems are read as they are written."""
     first, second = read_motion_bench_maker(write(tmp_path, problems()))
     assert (first.group, first.index, first.robot, first.valid) == ("shelf", 1, "arm", True)
     assert (second.group, second.index, second.robot, second.valid) == ("tilted", 7, "arm", None)
@@ -417,6 +428,7 @@ def test_problems_are_read(tmp_path):
     ],
 )
 def test_malformed_problems_are_refused_with_place(tmp_path, change, message):
+    """Every malformed problem is refused with its place in the file."""
     content = problems()
     change(content["problems"]["shelf"][0])
     with pytest.raises(FileError, match=rf"problems.json, problems, shelf.*{message}"):
@@ -436,6 +448,7 @@ def test_malformed_problems_are_refused_with_place(tmp_path, change, message):
     ],
 )
 def test_files_that_are_no_problems_are_refused(tmp_path, text, message):
+    """Text that is no file of problems is a FileError that says why."""
     (tmp_path / "problems.json").write_text(text)
     with pytest.raises(FileError, match=message):
         read_motion_bench_maker(tmp_path / "problems.json")

@@ -6,16 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import random_poses
+from families import random_poses, translation
 from loewner import Body, Contact, InputError, PoseError, Scene, UnknownNameError
 
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def at(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
 
 
 @pytest.fixture
@@ -23,8 +17,8 @@ def scene() -> Scene:
     """A unit box, and balls of radius 0.5 whose surfaces are 0.1 and 0.4 from it along x."""
     scene = Scene()
     scene.add("box", Body.box([1, 1, 1]))
-    scene.add("near", Body.sphere(0.5), at(1.1))
-    scene.add("far", Body.sphere(0.5), at(-1.4))
+    scene.add("near", Body.sphere(0.5), translation(1.1))
+    scene.add("far", Body.sphere(0.5), translation(-1.4))
     return scene
 
 
@@ -99,13 +93,14 @@ def test_larger_margin_loses_no_pair(seed, more):
 def test_touching_is_a_contact():
     """A box that stands on another, face to face, is reported, though its distance may round to above zero."""
     scene = Scene()
-    scene.add("table", Body.box([1, 1, 0.1]), at(z=0.35))
-    scene.add("can", Body.box([0.1, 0.1, 0.3]), at(z=0.55))
+    scene.add("table", Body.box([1, 1, 0.1]), translation(z=0.35))
+    scene.add("can", Body.box([0.1, 0.1, 0.3]), translation(z=0.55))
     assert met(scene) == [("table", "can")]
     assert abs(scene.pairs()[0].distance) < 1e-12
 
 
 def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
+    """The margin of a pair precedes the larger one of its bodies, and that precedes the scene's."""
     assert met(scene) == []
     scene.set_margin(0.2)
     assert met(scene) == [("box", "near")]
@@ -124,12 +119,14 @@ def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
 
 
 def test_added_margin_is_that_of_the_body(scene):
-    scene.add("shy", Body.sphere(0.5), at(z=1.3), margin=0.35)
+    """A margin given with a new body holds for all pairs of that body."""
+    scene.add("shy", Body.sphere(0.5), translation(z=1.3), margin=0.35)
     assert met(scene) == [("box", "shy")]
 
 
 def test_allow_and_forbid(scene):
-    scene.move("near", at(0.5))
+    """An allowed pair is not reported until it is forbidden again, in either order of the names."""
+    scene.move("near", translation(0.5))
     assert met(scene) == [("box", "near")]
     scene.allow("near", "box")
     assert scene.allowed == {("box", "near")}
@@ -151,54 +148,56 @@ def test_removed_name_takes_its_rules_along(scene):
     assert scene.names == ("box", "far")
     assert scene.margins == {}
     assert scene.allowed == {("box", "hand")}
-    scene.add("near", Body.sphere(0.5), at(0.9))
+    scene.add("near", Body.sphere(0.5), translation(0.9))
     assert met(scene) == [("box", "near")]
 
 
 def test_attached_bodies_leave_the_world(scene):
-    scene.move("near", at(0.5))
+    """An attached body has no place in the world, and none of its pairs is reported until it is detached."""
+    scene.move("near", translation(0.5))
     assert scene.collide()
-    scene.attach("near", "hand", at(z=0.1), touch_links=["right_finger", "left_finger"])
+    scene.attach("near", "hand", translation(z=0.1), touch_links=["right_finger", "left_finger"])
     assert scene.static_names == ("box", "far")
     assert scene.names == ("box", "near", "far")
     assert not scene.collide()
     held = scene.attachments["near"]
     assert (held.link, held.touch_links) == ("hand", ("hand", "left_finger", "right_finger"))
-    np.testing.assert_array_equal(held.T_link_body, at(z=0.1))
+    np.testing.assert_array_equal(held.T_link_body, translation(z=0.1))
     for ask in (
-        lambda: scene.move("near", at(1)),
+        lambda: scene.move("near", translation(1)),
         lambda: scene.pose("near"),
         lambda: scene.distance("box", "near"),
-        lambda: scene.move({"far": at(5), "near": at(1)}),
+        lambda: scene.move({"far": translation(5), "near": translation(1)}),
     ):
         with pytest.raises(InputError, match="'near': expected a body that stands in the world.*'hand'"):
             ask()
-    np.testing.assert_array_equal(scene.pose("far"), at(-1.4))
+    np.testing.assert_array_equal(scene.pose("far"), translation(-1.4))
     scene.attach("near", "other_hand")
     assert scene.attachments["near"].touch_links == ("other_hand",)
-    scene.detach("near", at(0.6))
+    scene.detach("near", translation(0.6))
     assert scene.attachments == {}
     assert met(scene) == [("box", "near")]
     with pytest.raises(InputError, match="'near': expected an attached body"):
-        scene.detach("near", at())
+        scene.detach("near", translation())
 
 
 def test_many_bodies_move_at_once_or_not_at_all(scene):
+    """If one of many moves is faulty, no body moves."""
     with pytest.raises(UnknownNameError, match="did you mean 'far'"):
-        scene.move({"near": at(0.5), "fra": at()})
+        scene.move({"near": translation(0.5), "fra": translation()})
     with pytest.raises(PoseError, match="T_world_body of 'far'"):
-        scene.move({"near": at(0.5), "far": np.zeros((4, 4))})
-    np.testing.assert_array_equal(scene.pose("near"), at(1.1))
-    scene.move({"near": at(0.5), "far": None})
-    np.testing.assert_array_equal(scene.static_poses, [at(), at(0.5), at()])
+        scene.move({"near": translation(0.5), "far": np.zeros((4, 4))})
+    np.testing.assert_array_equal(scene.pose("near"), translation(1.1))
+    scene.move({"near": translation(0.5), "far": None})
+    np.testing.assert_array_equal(scene.static_poses, [translation(), translation(0.5), translation()])
 
 
 def test_versions_tell_of_every_change(scene):
     """`version` grows with each change; `structure_version` with each but those by `move`."""
     changes = (
-        lambda: scene.add("new", Body.sphere(1.0), at(9)),
+        lambda: scene.add("new", Body.sphere(1.0), translation(9)),
         lambda: scene.attach("new", "hand"),
-        lambda: scene.detach("new", at(9)),
+        lambda: scene.detach("new", translation(9)),
         lambda: scene.allow("new", "box"),
         lambda: scene.forbid("new", "box"),
         lambda: scene.set_margin(0.1),
@@ -211,13 +210,14 @@ def test_versions_tell_of_every_change(scene):
         assert (scene.version, scene.structure_version) > before
         assert scene.structure_version > before[1]
     packed, before = scene.static_bodies, (scene.version, scene.structure_version)
-    scene.move("box", at(0.1))
+    scene.move("box", translation(0.1))
     assert scene.version > before[0]
     assert scene.structure_version == before[1]
     assert scene.static_bodies is packed
 
 
 def test_failed_changes_change_nothing(scene):
+    """A refused change leaves the scene and its version as they were."""
     before = scene.version
     for change in (
         lambda: scene.add("box", Body.sphere(1.0)),
@@ -234,26 +234,28 @@ def test_failed_changes_change_nothing(scene):
 
 
 def test_copies_part_ways(scene):
+    """Changes of a copy do not reach the original."""
     scene.allow("box", "near")
     other = scene.copy()
     other.remove("near")
-    other.move("far", at(7))
+    other.move("far", translation(7))
     other.attach("box", "hand")
     assert scene.static_names == ("box", "near", "far")
     assert scene.allowed == {("box", "near")}
-    np.testing.assert_array_equal(scene.pose("far"), at(-1.4))
+    np.testing.assert_array_equal(scene.pose("far"), translation(-1.4))
 
 
 def test_poses_are_the_scenes_own(scene):
     """Neither what was handed in nor what is handed out is a way into the scene."""
-    T = at(0.3)
+    T = translation(0.3)
     scene.move("near", T)
     T[0, 3] = 5
     scene.pose("near")[0, 3] = 6
-    np.testing.assert_array_equal(scene.pose("near"), at(0.3))
+    np.testing.assert_array_equal(scene.pose("near"), translation(0.3))
 
 
 def test_scene_is_a_collection_of_names(scene):
+    """A scene has a length, iterates over its names, and is indexed by them."""
     assert len(scene) == 3
     assert list(scene) == ["box", "near", "far"]
     assert "near" in scene
@@ -262,6 +264,7 @@ def test_scene_is_a_collection_of_names(scene):
 
 
 def test_empty_scenes_answer():
+    """A scene with fewer than two bodies has no pairs and no collision."""
     scene = Scene()
     assert scene.pairs() == ()
     assert not scene.collide()
@@ -300,11 +303,13 @@ def test_empty_scenes_answer():
     ],
 )
 def test_bad_input_is_named(scene, wrong, error, message):
+    """Every bad argument is refused by a message that names it and what was found."""
     with pytest.raises(error, match=message):
         wrong(scene)
 
 
 def test_long_lists_of_names_are_cut():
+    """An error lists the first thirty of many names, and still suggests the nearest one."""
     scene = Scene()
     ball = Body.sphere(1.0)
     for k in range(200):

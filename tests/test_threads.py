@@ -25,6 +25,7 @@ def threads(request):
 
 @pytest.mark.parametrize("total", [0, 1, 9, 10, 11, 100, 163, 1000])
 def test_every_item_is_done_once_and_results_come_in_order(threads, total):
+    """Every item is done exactly once, and results come in the order of the shares."""
     done = np.zeros(total, dtype=int)
 
     def run(first, last):
@@ -38,6 +39,7 @@ def test_every_item_is_done_once_and_results_come_in_order(threads, total):
 
 
 def test_both_threads_take_part(threads):
+    """The caller and every further thread do a part of the work."""
     used = set()
 
     def run(first, last):
@@ -51,6 +53,7 @@ def test_both_threads_take_part(threads):
 
 @pytest.mark.parametrize("faulty", [0, 1, 7])
 def test_an_error_is_raised_and_nobody_goes_on(threads, faulty):
+    """After an error, which reaches the caller, no new share is started."""
     started = []
 
     def run(first, last):
@@ -67,6 +70,8 @@ def test_an_error_is_raised_and_nobody_goes_on(threads, faulty):
 
 
 def test_shares_within_shares_do_not_wait_for_each_other(threads):
+    """A share may divide its own work into shares without a deadlock."""
+
     def inner(first, last):
         return last - first
 
@@ -77,6 +82,7 @@ def test_shares_within_shares_do_not_wait_for_each_other(threads):
 
 
 def test_callers_on_threads_of_their_own(threads):
+    """Several callers at once get their own complete results."""
     results = {}
 
     def call(name):
@@ -91,6 +97,7 @@ def test_callers_on_threads_of_their_own(threads):
 
 
 def test_one_thread_alone_takes_large_shares():
+    """With one thread shares grow to a fixed multiple after the first two."""
     before = numba.get_num_threads()
     numba.set_num_threads(1)
     try:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import loewner
+from families import translation
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, viewer
 from loewner.viewer import drawing, guard
 from loewner.viewer.visuals import visual_meshes
@@ -80,8 +81,8 @@ def arm(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(ARM)
     scene = Scene()
-    scene.add("wall/left", Body.box([0.1, 1, 1]), at(1.2))
-    scene.add("<b>ball</b>", Body.sphere(0.2), at(-1.2))
+    scene.add("wall/left", Body.box([0.1, 1, 1]), translation(1.2))
+    scene.add("<b>ball</b>", Body.sphere(0.2), translation(-1.2))
     return CollisionChecker(Robot.from_urdf(path), scene)
 
 
@@ -92,12 +93,6 @@ def lonely(tmp_path):
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     path.write_text(f'<robot name="lonely"><link name="base">{box}</link></robot>')
     return Robot.from_urdf(path)
-
-
-def at(x, y=0.0, z=0.0):
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
 
 
 def eventually(condition, seconds=20.0):
@@ -125,7 +120,7 @@ def eventually(condition, seconds=20.0):
 )
 def test_what_is_drawn_is_the_piece(body, volume):
     """The triangles enclose the piece's volume, face outward, and lie where the piece does; also once it is moved."""
-    T = at(0.3, -0.2, 0.5)
+    T = translation(0.3, -0.2, 0.5)
     T[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
     points, triangles = drawing.pieces(body)
     moved, same = drawing.pieces(body.transformed(T))
@@ -148,22 +143,22 @@ def test_ellipsoids_drawn_are_those_of_the_body(rng):
 def test_pair_follows_python():
     """A pose set in Python is answered before the assignment returns."""
     a, b = Body.box([1, 1, 1]), Body.box([1, 1, 1])
-    with viewer.show_pair(a, None, b, at(2.5)) as page:
+    with viewer.show_pair(a, None, b, translation(2.5)) as page:
         for x in (2.5, 1.3, 0.6):
-            page.T_world_b = at(x)
-            assert page.verdict == loewner.classify(a, None, b, at(x))
-            assert page.colliding == loewner.collide(a, None, b, at(x))
-            assert page.found.distance == loewner.distance(a, None, b, at(x), exact=True).distance
+            page.T_world_b = translation(x)
+            assert page.verdict == loewner.classify(a, None, b, translation(x))
+            assert page.colliding == loewner.collide(a, None, b, translation(x))
+            assert page.found.distance == loewner.distance(a, None, b, translation(x), exact=True).distance
             assert page.verdict.name in page._verdict.content
         assert page.verdict == Verdict.COLLIDING
-        page.T_world_a = at(-5)
+        page.T_world_a = translation(-5)
         assert page.verdict == Verdict.FREE
-        np.testing.assert_array_equal(page.T_world_a, at(-5))
+        np.testing.assert_array_equal(page.T_world_a, translation(-5))
 
 
 def test_numbers_typed_on_the_page_move_the_body():
     """What the page's number fields hold is where the body goes."""
-    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), at(2.5)) as page:
+    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), translation(2.5)) as page:
         page._inputs["B"].position.value = (0.6, 0.0, 0.0)
         page._inputs["B"].turn.value = (0.0, 0.0, 90.0)
         page._tell("type B")
@@ -173,7 +168,7 @@ def test_numbers_typed_on_the_page_move_the_body():
 
 def test_layers_switch_on_and_off():
     """A checkbox shows or hides its layer on both bodies, and nothing else."""
-    with viewer.show_pair(Body.cone(1, 1), None, Body.box([1, 1, 1]), at(2.5)) as page:
+    with viewer.show_pair(Body.cone(1, 1), None, Body.box([1, 1, 1]), translation(2.5)) as page:
         page._layers["outer"].value = False
         page._tell("layers")
         nodes = [shown._nodes for shown in page._drawings.values()]
@@ -197,7 +192,7 @@ def test_original_meshes_of_a_pair(tmp_path):
     mesh = trimesh.creation.torus(1.0, 0.3)
     mesh.export(tmp_path / "ring.stl")
     ring = Body.from_mesh(mesh, decompose=False)
-    with viewer.show_pair(ring, None, Body.sphere(0.2), at(3), mesh_a=tmp_path / "ring.stl") as page:
+    with viewer.show_pair(ring, None, Body.sphere(0.2), translation(3), mesh_a=tmp_path / "ring.stl") as page:
         a, b = page._drawings.values()
         assert "meshes" not in a._nodes
         assert not page._layers["meshes"].value
@@ -206,9 +201,9 @@ def test_original_meshes_of_a_pair(tmp_path):
         eventually(lambda: a._nodes.get("meshes") is not None and not a._nodes["pieces"].visible)
         assert len(a._nodes["meshes"].faces) == len(mesh.faces)
         assert b._nodes["pieces"].visible
-        page.T_world_b = at(1.0)
+        page.T_world_b = translation(1.0)
         assert a._nodes["meshes"].color == drawing.VERDICT_COLOURS[page.verdict]
-    with viewer.show_pair(ring, None, Body.sphere(0.2), at(3)) as page:
+    with viewer.show_pair(ring, None, Body.sphere(0.2), translation(3)) as page:
         assert "meshes" not in page._layers
 
 
@@ -312,7 +307,7 @@ def test_failed_query_leaves_no_verdict_standing(monkeypatch):
     def give_up(*_, **__):
         raise loewner.ConvergenceError("no answer")
 
-    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), at(2.5)) as page:
+    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), translation(2.5)) as page:
         assert "FREE" in page._verdict.content
         monkeypatch.setattr(viewer.pair, "collide", give_up)
         page.refresh()
@@ -325,7 +320,7 @@ def test_failed_query_leaves_no_verdict_standing(monkeypatch):
 def test_nothing_left_to_check(lonely):
     """When the last body leaves the scene, the page does not go on saying FREE."""
     scene = Scene()
-    scene.add("ball", Body.sphere(0.2), at(3))
+    scene.add("ball", Body.sphere(0.2), translation(3))
     with viewer.show_robot(CollisionChecker(lonely, scene)) as page:
         assert page.verdict == Verdict.FREE
         scene.remove("ball")
@@ -345,14 +340,14 @@ def test_robot_follows_python_and_the_scene(arm):
         page.q = [1.5, 0.0]
         assert page.colliding
         assert "wall/left" in {c.name_b for c in page.contacts}
-        arm.scene.move("wall/left", at(5))
+        arm.scene.move("wall/left", translation(5))
         eventually(lambda: not page.colliding)
         arm.scene.remove("wall/left")
-        arm.scene.add("post", Body.cylinder(0.1, 2), at(0.9))
-        arm.scene.attach("<b>ball</b>", "fore", at(0, 0, 1.0))
+        arm.scene.add("post", Body.cylinder(0.1, 2), translation(0.9))
+        arm.scene.attach("<b>ball</b>", "fore", translation(0, 0, 1.0))
         eventually(lambda: page.colliding)
         assert set(page._shown) == {"base", "upper", "fore", "post", "<b>ball</b>"}
-        page.move("post", at(-3))
+        page.move("post", translation(-3))
         assert not page.colliding
 
 
@@ -377,7 +372,7 @@ def test_sliders_move_the_robot(arm):
 
 def test_many_moves_are_answered_by_the_last():
     """Moves that wait are not answered one by one: the page never lags behind the mouse."""
-    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), at(2.5)) as page:
+    with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), translation(2.5)) as page:
         before = page.answered
         with page.lock:
             for x in np.linspace(2.5, 0.5, 500):
@@ -401,22 +396,26 @@ def test_port_in_use():
 
 @pytest.mark.parametrize("port", [-1, 65536, 80.5, "8080", True])
 def test_port_that_is_none(port):
+    """A port has to be a whole number from 0 to 65535."""
     with pytest.raises(loewner.InputError, match="port: expected a whole number"):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, port=port)
 
 
 def test_host_that_is_none():
+    """A host that does not exist is refused by its name."""
     with pytest.raises(loewner.InputError, match="no such host"):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None, host="no such host")
 
 
 def test_missing_extra_names_the_install(monkeypatch):
+    """Without viser the error names the extra to install."""
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(loewner.MissingExtraError, match=r'viser: pip install "loewner\[viewer\]"'):
         viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)
 
 
 def test_operands_are_checked(arm):
+    """Bodies, poses, checkers and configurations of a page are checked by name."""
     with pytest.raises(loewner.InputError, match=r"a: expected loewner\.Body, found str"):
         viewer.show_pair("a", None, Body.sphere(1), None)
     with pytest.raises(loewner.PoseError, match="T_world_b"):
@@ -474,25 +473,26 @@ def test_closed_page(arm):
     """What a closed page can no longer do is refused before anything is changed; its last answers can be read."""
     page = viewer.show_robot(arm)
     page.close()
-    pair = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), at(3))
+    pair = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), translation(3))
     pair.close()
     uses = [
         page.refresh,
         lambda: page.url,
-        lambda: page.move("wall/left", at(9)),
+        lambda: page.move("wall/left", translation(9)),
         lambda: setattr(page, "q", [0.1, 0.1]),
-        lambda: setattr(pair, "T_world_b", at(0.5)),
+        lambda: setattr(pair, "T_world_b", translation(0.5)),
         pair.__enter__,
     ]
     for use in uses:
         with pytest.raises(loewner.InputError, match="page: expected an open page, found a closed one"):
             use()
-    np.testing.assert_array_equal(arm.scene.pose("wall/left"), at(1.2))
-    np.testing.assert_array_equal(pair.T_world_b, at(3))
+    np.testing.assert_array_equal(arm.scene.pose("wall/left"), translation(1.2))
+    np.testing.assert_array_equal(pair.T_world_b, translation(3))
     assert pair.verdict == Verdict.FREE
 
 
 def test_close_twice_and_free_the_port():
+    """Closing a page twice is harmless, and its port is free afterwards."""
     page = viewer.show_pair(Body.sphere(1), None, Body.sphere(1), None)
     port = page.server.get_port()
     page.close()
@@ -510,7 +510,7 @@ SERVED = {False: 200, True: 101}
 
 
 def two_boxes(**options):
-    return viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), at(2.5), **options)
+    return viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), translation(2.5), **options)
 
 
 def ask(page, *lines, websocket=False, path="/", address="127.0.0.1"):
@@ -597,6 +597,7 @@ def test_foreign_origin_is_refused(open_page, origin, websocket):
 
 @pytest.mark.parametrize("websocket", [False, True], ids=["page", "websocket"])
 def test_no_host_is_refused(open_page, websocket):
+    """A request without a Host header is refused with status 403."""
     assert ask(open_page, "Accept: */*", websocket=websocket)[0] == 403
 
 
@@ -738,6 +739,7 @@ def test_viser_that_cannot_be_guarded(viser, change, monkeypatch):
     "host", [None, 3, True, b"127.0.0.1", ["127.0.0.1"], 10**400, "", "a\0b", "\ud800", "x" * 300, "[::1]", " "]
 )
 def test_host_that_is_no_address(host):
+    """A host has to be text that can be an address or a name."""
     with pytest.raises(loewner.InputError, match="host: expected an address or the name of a host"):
         two_boxes(host=host)
 
@@ -746,6 +748,7 @@ def test_host_that_is_no_address(host):
     "port", [None, b"80", 10**400, 10**5000, -(10**5000), float("nan"), np.nan, [80], np.bool_(True), 1j], ids=type
 )
 def test_port_that_is_no_number(port):
+    """A port that is no whole number, or far out of range, is refused."""
     with pytest.raises(loewner.InputError, match="port: expected a whole number"):
         two_boxes(port=port)
 
@@ -844,7 +847,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path):
     answer, distance, bounds, estimate, points and normal; and the bar and both bodies have the colour of the verdict.
     """
     a, b, y = Body.box([1, 1, 1]), Body.box([1, 1, 1]), 0.6
-    with viewer.show_pair(a, None, b, at(2.2, y)) as page:
+    with viewer.show_pair(a, None, b, translation(2.2, y)) as page:
         tab.goto(page.url)
         assert shown(tab, "FREE") == "FREE"
         eventually(lambda: len(page.server.get_clients()) == 1, PATIENCE / 1000)
@@ -861,7 +864,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path):
             eventually(lambda x=x: abs(page.T_world_b[0, 3] - x) < 0.05, PATIENCE / 1000)
             eventually(lambda: says_what_the_library_says(tab, a, b, page.T_world_b), PATIENCE / 1000)
             assert (panel(tab)["verdict"], panel(tab)["exact"]) == (verdict, exact)
-            np.testing.assert_allclose(page.T_world_b, at(page.T_world_b[0, 3], y), atol=1e-9)
+            np.testing.assert_allclose(page.T_world_b, translation(page.T_world_b[0, 3], y), atol=1e-9)
             np.testing.assert_allclose(position(tab, "/B"), page.T_world_b[:3, 3], atol=1e-9)
             assert set(colours(tab)) == {drawing.VERDICT_COLOURS[Verdict[verdict]]}
         picture = tab.screenshot(path=tmp_path / "page.png", timeout=PATIENCE)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from families import box_corners
+from families import box_corners, translation
 from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
 from loewner import compilation as compiling
@@ -277,9 +277,7 @@ def array(value: Any, *takes: Any, **more: Any) -> Arg:
 
 
 def pose(x: float = 0.0, *takes: Any) -> Arg:
-    T = np.eye(4)
-    T[0, 3] = x
-    return array(T, NONE, FINITE, "turned over", *takes)
+    return array(translation(x), NONE, FINITE, "turned over", *takes)
 
 
 def poses(*takes: Any) -> Arg:
@@ -310,10 +308,10 @@ def robot() -> Robot:
 
 def scene() -> Scene:
     made = Scene(margin=0.125)
-    made.add("post", ball(), _at(2.0))
-    made.add("can", ball(), _at(4.0))
-    made.add("box", cube(), _at(8.0))
-    made.attach("can", "rod", _at(1.0))
+    made.add("post", ball(), translation(2.0))
+    made.add("can", ball(), translation(4.0))
+    made.add("box", cube(), translation(8.0))
+    made.attach("can", "rod", translation(1.0))
     made.allow("post", "box")
     return made
 
@@ -337,12 +335,6 @@ def axes_in_space() -> Any:
     from matplotlib.figure import Figure
 
     return Figure().add_subplot(projection="3d")
-
-
-def _at(x: float) -> np.ndarray:
-    T = np.eye(4)
-    T[0, 3] = x
-    return T
 
 
 CUBE = box_corners(np.ones(3))
@@ -691,7 +683,7 @@ CALLS: dict[str, Call] = {
         loewner.Contact.from_distances,
         {
             "names": arg(lambda: [("a", "b")], NOTHING),
-            "found": arg(lambda: loewner.distance(ball(), _at(0.0)[None], ball(), None, exact=True)),
+            "found": arg(lambda: loewner.distance(ball(), translation(0.0)[None], ball(), None, exact=True)),
         },
     ),
     "load_scene": Call(loewner.load_scene, {"path": arg("scene.yaml")}),

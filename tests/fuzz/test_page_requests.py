@@ -4,10 +4,10 @@ import random
 import socket
 from collections import Counter
 
-import numpy as np
 import pytest
 
 import driver
+from families import translation
 from loewner import Body, InputError, viewer
 
 pytest.importorskip("viser")
@@ -95,9 +95,7 @@ def answer(port, sent):
 def campaign(count):
     """Outcomes of requests, and how many of them were to be served."""
     # Not one that asks for what is in the scene: the test is about the door.
-    far = np.eye(4)
-    far[0, 3] = 3.0
-    with viewer.show_pair(Body.sphere(1), None, Body.sphere(1), far) as page:
+    with viewer.show_pair(Body.sphere(1), None, Body.sphere(1), translation(3.0)) as page:
         port = page.server.get_port()
 
         def one(seed):

@@ -236,6 +236,7 @@ def test_bodies_of_many_pieces(counts: tuple[int, int]):
 
 
 def test_a_faulty_pose_while_pairs_wait():
+    """A faulty pose is found and named also while other pairs wait for the batched search."""
     rng = np.random.default_rng(11)
     a, Ta, b, Tb, _ = open_pairs(rng, 600)
     for at in (0, 5, 127, 128, 300, 599):

@@ -80,6 +80,7 @@ def crowd(request: pytest.FixtureRequest) -> Crowd:
 
 
 def test_alone(crowd: Crowd):
+    """A pair asked about alone gets the answer that it gets among all the others."""
     for n in range(0, len(crowd.Ta), 7):
         operands = crowd.a[n], crowd.Ta[n], crowd.b[n], crowd.Tb[n]
         assert loewner.classify(*operands) == crowd.verdict[n]
@@ -88,6 +89,7 @@ def test_alone(crowd: Crowd):
 
 @pytest.mark.parametrize("count", EDGES)
 def test_batches_around_whole_blocks(crowd: Crowd, count: int):
+    """Batches just below, at and above whole blocks give the answers of the whole batch."""
     for first in range(0, len(crowd.Ta) - count, 190):
         some = slice(first, first + count)
         verdict, colliding = crowd.ask(some)
@@ -96,6 +98,7 @@ def test_batches_around_whole_blocks(crowd: Crowd, count: int):
 
 
 def test_any_order_and_repeats(crowd: Crowd):
+    """Neither the order of the pairs nor asking about one repeatedly changes an answer."""
     rows = np.random.default_rng(1).integers(len(crowd.Ta), size=(3, 700))
     pairs = np.stack([rows, rows], axis=-1)
     operands = crowd.a, crowd.Ta, crowd.b, crowd.Tb
@@ -116,6 +119,7 @@ def test_any_number_of_threads(crowd: Crowd):
 
 
 def test_the_two_answers_agree(crowd: Crowd):
+    """`collide` never contradicts a certified verdict of `classify`."""
     assert not crowd.colliding[crowd.verdict == FREE].any()
     assert crowd.colliding[crowd.verdict == COLLIDING].all()
 
@@ -125,6 +129,7 @@ def test_the_two_answers_agree(crowd: Crowd):
 
 @pytest.mark.parametrize("apart", [0.0, 40.0], ids=["near", "far"])
 def test_a_faulty_pose_anywhere_is_found_and_named(apart: float):
+    """One faulty pose anywhere in a batch is refused, and the error gives its index."""
     rng = np.random.default_rng(4)
     a, b = bodies("ball 20", 1)[np.zeros(700, dtype=int)], Body.box([1, 2, 1])
     several = Body.union([Body.box([1, 1, 1]), Body.sphere(0.7)])

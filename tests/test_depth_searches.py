@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 import loewner
-from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, stretch
+from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, stretch, translation
 from loewner import Bodies, Body
 from loewner._kernels.ellipsoids import signed_distance
 from loewner._kernels.narrow import epa_fast, epa_robust
@@ -21,12 +21,6 @@ seeds = st.integers(0, 2**32 - 1)
 
 def exact(a: Any, Ta: Any, b: Any, Tb: Any) -> loewner.Distance:
     return loewner.distance(a, Ta, b, Tb, exact=True)
-
-
-def shift(*t: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = t
-    return T
 
 
 def turned(rng: np.random.Generator, count: int, spread: float) -> np.ndarray:
@@ -60,7 +54,7 @@ def test_ball_and_ellipsoid_by_the_confocal_root():
         axes = rng.uniform(0.2, 2, size=3)
         p, r = rng.uniform(-2, 2, size=3), rng.uniform(0.01, 1)
         T = turned(rng, 1, 3.0)[0]
-        ball = T @ shift(*p)
+        ball = T @ translation(*p)
         expected = point_to_ellipsoid(axes, p) - r
         for found in (
             exact(Body.ellipsoid(axes), T, Body.sphere(r), ball),
@@ -94,7 +88,7 @@ def test_ellipsoids_apart_along_a_common_axis(thin: float):
             T[:3, :3] = R
             along = np.zeros(3)
             along[axis] = a[axis] + b[axis] + gap
-            found = exact(Body.ellipsoid(a), T, Body.ellipsoid(b), T @ shift(*along))
+            found = exact(Body.ellipsoid(a), T, Body.ellipsoid(b), T @ translation(*along))
             assert found.distance == pytest.approx(gap, abs=1e-12 * (2 + gap))
             if gap >= 1e-3:
                 assert found.normal == pytest.approx(R[:, axis], abs=1e-9)
@@ -104,7 +98,7 @@ def test_spheres_written_as_ellipsoids():
     """Equal axes: every direction ties about one centre, and Newton's matrix vanishes there."""
     a, b = Body.ellipsoid([0.5] * 3), Body.ellipsoid([0.25] * 3)
     for t in [(0, 0, 0), (1e-15, 0, 0), (0, 1e-9, 1e-9), (0.1, 0, 0), (0.3, 0.4, 0.5), (3, -4, 12)]:
-        found = exact(a, None, b, shift(*t))
+        found = exact(a, None, b, translation(*t))
         assert found.distance == pytest.approx(np.linalg.norm(t) - 0.75, abs=1e-13 * (1 + np.linalg.norm(t)))
 
 
@@ -272,7 +266,7 @@ def test_fast_depth_gives_up_on_too_much():
     ball = fibonacci_sphere(1500)
     for points in (ball, ball[::4]):
         body = Body.from_points(points)
-        T = shift(0.3, 0.2, 0.1)[None]
+        T = translation(0.3, 0.2, 0.1)[None]
         status, _, careful = both_depths(Bodies([body]), np.eye(4)[None], Bodies([body]), T)
         if len(points) > epa_fast.MAX_CORNERS:
             assert status[0] == epa_fast.UNSETTLED
@@ -287,7 +281,10 @@ def test_fast_depth_of_boxes_by_hand():
         t = rng.choice([0.0, 0.125, -0.25, 0.5], size=3) * (trial > 5)
         R = random_poses(rng, 1, 1.0)[0]
         status, fast, _ = both_depths(
-            Bodies.from_points([box_corners(a)]), R[None], Bodies.from_points([box_corners(b)]), (R @ shift(*t))[None]
+            Bodies.from_points([box_corners(a)]),
+            R[None],
+            Bodies.from_points([box_corners(b)]),
+            (R @ translation(*t))[None],
         )
         depth = (0.5 * (a + b) - np.abs(t)).min()
         if depth > 1e-9:

@@ -149,6 +149,7 @@ def test_the_map_follows_its_piece(tmp_path: Path):
 
 
 def test_a_moved_body_has_a_map_of_its_own():
+    """The map of directions of a transformed body finds the farthest of the moved vertices."""
     T = random_poses(np.random.default_rng(4), 1, 2.0)[0]
     moved = Body.from_points(on_surface(600)).transformed(T)
     vertices = moved.pieces[0].vertices

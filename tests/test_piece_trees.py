@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import random_poses
+from families import random_poses, translation
 from loewner import Bodies, Body, Verdict, bodies, queries
 from loewner._kernels import codes
 from loewner._kernels.pieces import rigid
@@ -85,7 +85,7 @@ def test_no_collision_is_lost(seed, count_a, count_b, spread, margin):
 def test_bent_poses_touching_at_arms_length():
     """A metre from their origins, spheres touch by less than what the bend of a pose moves them."""
     rng = np.random.default_rng(4)
-    arm = Body.union([Body.sphere(0.01).transformed(shifted(1.0 + 0.1 * k, 0, 0)) for k in range(10)])
+    arm = Body.union([Body.sphere(0.01).transformed(translation(1.0 + 0.1 * k, 0, 0)) for k in range(10)])
     n = 200
     Ta = bent(rng, random_poses(rng, n, 1.0))
     tip = Ta @ np.array([1.9, 0, 0, 1.0])
@@ -101,12 +101,6 @@ def test_bent_poses_touching_at_arms_length():
     assert np.array_equal(loewner.collide(arm, Ta, arm, Tb), hit)
 
 
-def shifted(*t: float) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, 3] = t
-    return T
-
-
 @pytest.mark.parametrize("far", [1e6, 1e200, 5e307])
 def test_far_from_the_origin(far):
     """Poses far out, and bodies so far apart that lengths overflow: no collision is lost, no distance is short."""
@@ -114,7 +108,7 @@ def test_far_from_the_origin(far):
     a, b = cloud(rng, 20), cloud(rng, 20)
     here, there = random_poses(rng, 10, 0.5), random_poses(rng, 10, 0.5)
     both = np.array([far, -far, far])
-    assert not loewner.collide(a, here, b, shifted(*both)).any()
+    assert not loewner.collide(a, here, b, translation(*both)).any()
     here[:, :3, 3] += both
     there[:, :3, 3] += both
     plain_a, plain_b = without_trees(a), without_trees(b)
@@ -127,7 +121,7 @@ def test_lengths_that_overflow():
     """Where the distance of two bodies is no double, nothing is proven, with trees or without."""
     rng = np.random.default_rng(5)
     a, b = cloud(rng, 20), cloud(rng, 20)
-    left, right = shifted(-1.7e308, 0, 0), shifted(1.7e308, 0, 0)
+    left, right = translation(-1.7e308, 0, 0), translation(1.7e308, 0, 0)
     verdict = loewner.classify(without_trees(a), left, without_trees(b), right)
     assert loewner.classify(a, left, b, right) == verdict == Verdict.AMBIGUOUS
 
@@ -176,9 +170,9 @@ def test_work_grows_with_what_is_near():
         _, tally = queries._settle(codes.CERTIFY, 0.0, queries._prepare(a, None, b, T, check=True))
         return int(tally.sum())
 
-    near = np.stack([shifted(x, 0.2, 0.1) for x in np.linspace(0, 2.5, 20)])
+    near = np.stack([translation(x, 0.2, 0.1) for x in np.linspace(0, 2.5, 20)])
     assert 20 < looked_at(near) < 20 * 2500
-    assert looked_at(shifted(30.0, 0, 0)) == 0
+    assert looked_at(translation(30.0, 0, 0)) == 0
 
 
 def test_walk_in_small_steps_is_the_same_walk():
