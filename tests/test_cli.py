@@ -466,3 +466,37 @@ def test_installed_program(saved):
     done = subprocess.run([program, "check", "a.npz", "b.npz", "--pose-b", "9 0 0"], capture_output=True, text=True)
     assert done.returncode == 0
     assert done.stdout.startswith("FREE")
+
+
+def test_an_interrupt_is_told_in_a_line(monkeypatch, capsys):
+    """Ctrl+C ends a command with the status of an error and without a traceback."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loewner.Body, "load", interrupted)
+    assert cli.main(["check", "a.npz", "b.npz"]) == 2
+    assert capsys.readouterr().err == "loewner: interrupted\n"
+
+
+def test_a_mesh_in_millimetres(tmp_path, capsys):
+    """The command line can do what its warning advises, and prints the warning in its own form."""
+    trimesh.creation.box((2000, 300, 400)).export(tmp_path / "part.stl")
+    assert cli.main(["fit", str(tmp_path / "part.stl"), "-o", str(tmp_path)]) == 0
+    assert "loewner: warning: " in capsys.readouterr().err
+    assert cli.main(["fit", str(tmp_path / "part.stl"), "-o", str(tmp_path), "--scale", "0.001"]) == 0
+    assert capsys.readouterr().err == ""
+    largest = loewner.Body.load(tmp_path / "part.npz").outer[0].semi_axes.max()
+    np.testing.assert_allclose(largest, np.sqrt(3), rtol=1e-3)
+
+
+def test_files_with_a_byte_order_mark(tmp_path, capsys):
+    """As some programs write text: it is not part of the first number."""
+    for name in ("a", "b"):
+        loewner.Body.sphere(1.0).save(tmp_path / f"{name}.npz")
+    rows = "\n".join(" ".join(map(str, row)) for row in np.eye(4) + 5 * np.eye(4, k=3))
+    (tmp_path / "pose.txt").write_text(rows, encoding="utf-8-sig")
+    said = cli.main(
+        ["check", *(str(tmp_path / f"{name}.npz") for name in "ab"), "--pose-b", str(tmp_path / "pose.txt")]
+    )
+    assert (said, capsys.readouterr().err) == (0, "")

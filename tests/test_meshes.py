@@ -4,9 +4,11 @@ import base64
 import json
 import os
 import re
+import signal
 import struct
 import subprocess
 import sys
+import threading
 import tracemalloc
 from importlib.metadata import distribution
 from types import SimpleNamespace
@@ -831,3 +833,25 @@ def test_binary_stl_with_a_text_header(tmp_path):
     path.write_bytes(b"solid part".ljust(80, b" ") + data[80:-30])
     with pytest.raises(FileError):
         meshes.load(path)
+
+
+def test_a_decomposition_is_interrupted_at_once():
+    """Foreign code that takes long does not keep an interrupt waiting; what it raises is raised."""
+    started, end = threading.Event(), threading.Event()
+
+    def long() -> None:
+        started.set()
+        end.wait(60)
+
+    def interrupt() -> None:
+        started.wait()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        meshes._interruptible(long)
+    assert not end.is_set(), "the work has not ended"
+    end.set()
+    with pytest.raises(ZeroDivisionError):
+        meshes._interruptible(lambda: 1 // 0)
+    assert meshes._interruptible(lambda: 5) == 5

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 
@@ -9,7 +10,8 @@ import numba
 import numpy as np
 import pytest
 
-from loewner import _threads
+import loewner
+from loewner import Bodies, Body, _threads
 from loewner._threads import in_shares
 
 
@@ -208,3 +210,38 @@ def test_an_interrupt_while_arrays_are_handed_back_is_one(threads):
 
     with pytest.raises(SystemError, match="another"):
         in_shares(fault, 1, 10)
+
+
+def test_the_main_thread_takes_no_lock_that_others_wait_for():
+    """An interrupt just when Numba's lock has been taken would keep it for good: the main thread does not take it."""
+
+    def locks_taken(call) -> int:
+        taken = []
+
+        def trace(frame, event, argument):
+            if frame.f_code.co_name == "__enter__" and frame.f_code.co_filename.endswith("synchronize.py"):
+                taken.append(frame)
+
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            call()
+        finally:
+            sys.settrace(before)
+        return len(taken)
+
+    box, T = Body.box([1, 1, 1]), np.tile(np.eye(4), (20_000, 1, 1))
+    assert locks_taken(numba.get_num_threads) > 0, "or this test sees nothing"
+    assert locks_taken(lambda: loewner.collide(box, None, box, T)) == 0
+    assert locks_taken(lambda: loewner.overlapping_pairs(Bodies.spheres(np.ones(3000)), T[:3000])) == 0
+
+
+def test_threads_are_those_that_numba_is_set_to():
+    """As `numba.set_num_threads` says, for the thread that calls it."""
+    before = numba.get_num_threads()
+    try:
+        for count in {1, before}:
+            numba.set_num_threads(count)
+            assert _threads.usable() == count
+    finally:
+        numba.set_num_threads(before)

@@ -11,9 +11,10 @@ import threading
 import time
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numba
+from numba.np.ufunc import parallel
 
 from loewner._guard import guarded, meant
 
@@ -27,9 +28,29 @@ ALONE = 16
 LONG = 0.1
 
 
+_numba: Any = parallel  # its functions are bound when it is first used; no type knows them
+_launched = False  # whether Numba has been asked once
+
+
+def usable() -> int:
+    """How many threads Numba is set to use, by the calling thread's setting.
+
+    `numba.get_num_threads` takes a lock at each call. An interrupt just when it has been taken would leave it with the
+    main thread for good, and all other threads waiting for it. So it is called once, on a thread that nobody
+    interrupts; from then on the number is read without it.
+    """
+    global _launched
+    if not _launched:
+        asking = threading.Thread(target=numba.get_num_threads, name="loewner start", daemon=True)
+        asking.start()
+        asking.join()
+        _launched = True
+    return int(_numba._get_num_threads())
+
+
 def share(total: int, least: int) -> int:
     """Most items a thread takes at a time, `least` or more: a few shares each, so that the last is not waited for."""
-    threads = numba.get_num_threads()
+    threads = usable()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
 
@@ -53,7 +74,7 @@ def in_shares(
     else:
         work = _Work(run, total, least, min(share(total, least), total if most is None else most))
         try:
-            _lend_a_hand(work.help, min(numba.get_num_threads(), -(-total // least)) - 1)
+            _lend_a_hand(work.help, min(usable(), -(-total // least)) - 1)
             work.take(progress)
         finally:
             interrupt = None

@@ -120,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         options = _parser().parse_args(None if arguments is None else _words(arguments))
-        with _any_name_printed():
+        with _any_name_printed(), _warnings_as_lines():
             status = int(options.run(options))
             sys.stdout.flush()
         return status
@@ -129,6 +129,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # The reader left (`| head`). Python would fail once more when it closes standard output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("loewner: interrupted", file=sys.stderr)
     except Exception:
         # Python's own status for a crash is 1, which here says "colliding".
         traceback.print_exc()
@@ -219,6 +221,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_mesh_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--hull", action="store_true", help="take the convex hull of a mesh; do not decompose it")
+    command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
     command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
@@ -448,15 +451,15 @@ def _body(path: Path, options: argparse.Namespace) -> loewner.Body:
 
 
 def _from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:
-    with _warnings_as_lines():
-        return loewner.Body.from_mesh(
-            path,
-            decompose=not options.hull,
-            threshold=options.threshold,
-            max_pieces=options.max_pieces,
-            seed=options.seed,
-            **more,
-        )
+    return loewner.Body.from_mesh(
+        path,
+        decompose=not options.hull,
+        scale=options.scale,
+        threshold=options.threshold,
+        max_pieces=options.max_pieces,
+        seed=options.seed,
+        **more,
+    )
 
 
 def _pose(text: str | None, name: str) -> Floats | None:
@@ -485,7 +488,8 @@ def _pose_file(path: Path) -> Floats:
         if path.suffix.lower() == ".npy":
             T = np.load(path, allow_pickle=False)
         else:
-            T = np.array([line.split() for line in path.read_text().splitlines() if line.strip()], dtype=np.float64)
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+            T = np.array([line.split() for line in lines if line.strip()], dtype=np.float64)
     except OSError as error:
         raise FileError(f"{path}: expected a pose file, found {(error.strerror or str(error)).lower()}") from None
     except (ValueError, EOFError):
@@ -499,8 +503,8 @@ def _pose_file(path: Path) -> Floats:
 
 
 def _robot(options: argparse.Namespace) -> loewner.Robot:
-    """Read the robot, with progress; warnings become lines of their own."""
-    with _warnings_as_lines(), _progress() as progress:
+    """Read the robot, with progress."""
+    with _progress() as progress:
         task = progress.add_task(options.urdf.name, total=None)
         robot = loewner.Robot.from_urdf(
             options.urdf,
@@ -514,13 +518,15 @@ def _robot(options: argparse.Namespace) -> loewner.Robot:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    with warnings.catch_warnings(record=True) as caught:
+    """Print each warning as a line of its own, at once: the work it is about may take minutes."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"loewner: warning: {message}", file=sys.stderr, flush=True)
+
+    with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        try:
-            yield
-        finally:
-            for warning in caught:
-                print(f"loewner: warning: {warning.message}", file=sys.stderr)
+        warnings.showwarning = show
+        yield
 
 
 def _robot_info(options: argparse.Namespace) -> int:
@@ -614,7 +620,7 @@ def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
     try:
         if path.suffix.lower() == ".npy":
             return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode().splitlines()) if any(row)]
+        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode("utf-8-sig").splitlines()) if any(row)]
     except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     names = list(robot.configuration_names)

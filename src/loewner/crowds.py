@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,7 +12,7 @@ from loewner._kernels import codes
 from loewner._kernels.pipeline import fallback, verdicts
 from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._kernels.trees import boxes
-from loewner._threads import in_shares
+from loewner._threads import in_shares, usable
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Ints, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
@@ -82,7 +81,7 @@ def overlapping_pairs(
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
-    threads = min(numba.get_num_threads(), -(-n // CHUNK))
+    threads = min(usable(), -(-n // CHUNK))
     _check.fits_memory(BODY_BYTES * n + threads * 16 * (boxes.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies")
     tree = _tree(n, steps, operands)
     counts: list[int] = []  # of the pairs found so far

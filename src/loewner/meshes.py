@@ -7,11 +7,13 @@ surface (`cover`), because the decomposition itself cuts corners and those corne
 
 from __future__ import annotations
 
+import threading
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,8 @@ from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
     import trimesh
+
+T = TypeVar("T")
 
 SUFFIXES = mesh_files.SUFFIXES
 
@@ -400,15 +404,36 @@ def _convex_parts(vertices: Floats, triangles: Triangles, hull: Polytope, volume
     return parts
 
 
+def _interruptible(work: Callable[[], T]) -> T:
+    """Return work() of foreign code that may take minutes, and raise an interrupt at once.
+
+    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, for nobody.
+    """
+    done: list[T] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="loewner decomposition", daemon=True)
+    thread.start()
+    while not done and not errors:
+        thread.join(0.05)
+    if errors:
+        raise errors[0]
+    return done[0]
+
+
 def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:
     coacd = _import("coacd")
     coacd.set_log_level("error")
     middle, size = vertices.mean(axis=0), _size(vertices)  # its tolerances suit meshes of size 1 at the origin
-    found = coacd.run_coacd(
-        coacd.Mesh((vertices - middle) / size, triangles),
-        threshold=threshold,
-        max_convex_hull=-1 if most is None else most,
-        seed=seed,
+    mesh = coacd.Mesh((vertices - middle) / size, triangles)
+    found = _interruptible(
+        lambda: coacd.run_coacd(mesh, threshold=threshold, max_convex_hull=-1 if most is None else most, seed=seed)
     )
     hulls = []
     for points, _ in found:
