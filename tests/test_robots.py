@@ -27,6 +27,7 @@ from loewner._kernels._jit import njit
 from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import load, store
+from loewner.descriptions import Shape
 from robot_oracle import disagreement, robots_folder
 
 
@@ -751,6 +752,18 @@ def test_an_srdf_without_a_name_is_no_other_robots(tmp_path):
     path = tmp_path / "robot.srdf"
     path.write_text(f'<robot>{PAIR}<end_effector name="e"/><passive_joint name="ab"/><gripper name="g"/></robot>')
     assert read(tmp_path, TREE, srdf=path).disabled_pairs == {("a", "b")}
+
+
+def test_kept_bodies_are_those_of_this_code(tmp_path, monkeypatch):
+    """What another version of the code made of the same file is not found again."""
+    (tmp_path / "part.stl").write_bytes(b"the same bytes")
+    part = Shape("mesh", (), "part.stl", np.ones(3), np.eye(4), 1)
+    keys = [link_bodies._key(tmp_path / "part.stl", part, False, 1e-4)]
+    monkeypatch.setattr(link_bodies, "_code", lambda: "another version")
+    keys.append(link_bodies._key(tmp_path / "part.stl", part, False, 1e-4))
+    assert keys[0] != keys[1]
+    home = Path(link_bodies.__file__).parent
+    assert all((home / maker).exists() for maker in link_bodies._MAKERS)
 
 
 def test_adjacent_pairs_reach_through_links_without_bodies(tmp_path):

@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 import loewner._kernels._jit as compiled
-from loewner import bodies, meshes
+from loewner import mesh_files, meshes
 from loewner._check import Floats
 from loewner._files import read_regular
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_RADIUS
@@ -25,11 +26,11 @@ from loewner.errors import ConvergenceError, FileError, InputError
 # Next to the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
 CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
 
-# The largest mesh file that is looked at [bytes].
-MOST_BYTES = 2**30
+# glTF files may keep their points in other files, so that their own bytes do not tell their content.
+NOT_CACHED = (".gltf", ".glb")
 
-# A glTF file keeps its points in other files, so that its own bytes do not tell its content.
-NOT_CACHED = (".gltf",)
+# What makes a body of a mesh file, apart from the kernels.
+_MAKERS = ("mesh_files", "meshes.py", "polytopes.py", "fits.py", "bodies")
 
 _PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
@@ -162,12 +163,22 @@ def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
     return Body.from_mesh(_Mesh(*placed_mesh(file, shape)), decompose=decompose, tol=tol)
 
 
+@cache
+def _code() -> str:
+    """Hash of the code that makes bodies: what another version made of a file, with a fault perhaps, is not used."""
+    digest = hashlib.sha256(compiled.CACHE_FOLDER.name.encode())
+    home = Path(__file__).parent
+    for maker in _MAKERS:
+        for path in sorted((home / maker).rglob("*.py")) or [home / maker]:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
     """Hash of all that decides a fit: what is in the file, where it stands, how it is fitted, and by which code."""
-    code = (compiled.CACHE_FOLDER.name, bodies.VERSION, file.suffix.lower())
-    digest = hashlib.sha256(repr((code, decompose, tol)).encode())
+    digest = hashlib.sha256(repr((_code(), file.suffix.lower(), decompose, tol)).encode())
     digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
-    digest.update(read_regular(file, "a mesh file", MOST_BYTES))
+    digest.update(read_regular(file, "a mesh file", mesh_files.LIMIT))
     return digest.hexdigest()[:32]
 
 
@@ -175,15 +186,18 @@ def _union(parts: list[Body]) -> Body:
     """One body of all shapes of a link, with what their meshes leave uncovered."""
     body = Body.union(parts)
     known = [part.covering for part in parts if part.covering is not None]
-    if known:
-        body.covering = meshes.Covering(
+    if not known:
+        return body
+    return Body(
+        body._packed,
+        meshes.Covering(
             kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
             exact=all(c.exact for c in known),
             max_uncovered=max(c.max_uncovered for c in known),
             excess_volume=float("nan"),
             samples=sum(c.samples for c in known),
-        )
-    return body
+        ),
+    )
 
 
 # -- files --------------------------------------------------------------------------------------
