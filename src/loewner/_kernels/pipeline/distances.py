@@ -55,18 +55,14 @@ POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tigh
 # Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
 # ellipsoid's nine rows are its center and its shape matrix.
 LANES = 32
-_SIZES = {
-    "ROT_A": 9, "ROT_B": 9, "OUTER_A": 9, "OUTER_B": 9, "INNER_A": 9, "INNER_B": 9, "SHIFT": 3, "SIZE": 1, "SIGMA_A": 1,
-    "SIGMA_B": 1, "BELOW": 1, "NORMAL": 3, "F_OUTER": 1, "WIDTH": 1, "ABOVE": 1, "F_INNER": 1, "P": 6, "Q": 6, "R": 3,
-    "POLYNOMIALS": 8, "TRIED": 3, "PN": 3, "QN": 3, "WIDTH_P": 1, "WIDTH_Q": 1,
-}  # fmt: skip
-# Typed: of a plain constant Numba would compile each small function below once more.
-_FIRST = np.cumsum([0, *_SIZES.values()])
-(
-    ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B, SHIFT, SIZE, SIGMA_A, SIGMA_B, BELOW, NORMAL, F_OUTER, WIDTH,
-    ABOVE, F_INNER, P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q, ROWS,
-) = _FIRST  # fmt: skip
+# Literals: as typed numbers they would save compiling a few small functions more than once, and cost the loops over the
+# lanes their vectors (bounds then take twice as long).
+ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B = 0, 9, 18, 27, 36, 45
+SHIFT, SIZE, SIGMA_A, SIGMA_B = 54, 57, 58, 59
+BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
+P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
+ROWS = 102
 
 # Rows of the queue: which pair, pieces and poses each lane stands for; lanes that the fast search could not settle.
 PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, LATE = 0, 1, 2, 3, 4, 5
