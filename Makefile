@@ -20,7 +20,7 @@ help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
 
 demo: $(VENV)/.demo
-	$(BIN)/python -m loewner compile --only verdicts fits robots
+	$(BIN)/python -m loewner compile --only verdicts estimates fits robots
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
