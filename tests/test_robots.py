@@ -212,7 +212,7 @@ def test_poses_are_rigid(tmp_path):
     T = robot.forward_kinematics(robot.random_configurations(500))
     R = T[..., :3, :3]
     np.testing.assert_allclose(R.swapaxes(-1, -2) @ R, np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
-    loewner._check.poses(T, "T")
+    loewner._validate.poses(T, "T")
 
 
 def test_shapes_of_batches_and_odd_layouts(tmp_path):

@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check, queries
-from loewner._check import Floats
+from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._kernels.robots import configurations
 from loewner._threads import in_shares
+from loewner._validate import Floats, Ints, Pair
 from loewner._workspaces import workspace
-from loewner.bodies import Bodies, Ints
+from loewner.bodies import Bodies
 from loewner.checked_pairs import CheckedPairs, prepared
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import Verdict
 from loewner.robots import Robot
-from loewner.scenes import Contact, Pair, Scene
+from loewner.scenes import Contact, Scene
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
 LEAST_SHARE = 512
@@ -90,7 +90,7 @@ class StateDistance:
     normal: Any = None
 
     def __repr__(self) -> str:
-        return _check.brief(self)
+        return _validate.brief(self)
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class CollisionChecker:
         self._robot = robot
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
-        skip_adjacent = None if skip_adjacent is None else _check.flag(skip_adjacent, "skip_adjacent")
+        skip_adjacent = None if skip_adjacent is None else _validate.flag(skip_adjacent, "skip_adjacent")
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
@@ -346,17 +346,17 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
-        step = _check.positive_scalar(resolution, "resolution")
+        step = _validate.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
         if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
             return self._valid_edge(a, b, step)
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
-            texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
+            texts = _validate.shape_text(a.shape), _validate.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape = a.shape[:-1]
-        _check.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_check.shape_text(shape)} motions")
+        _validate.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_validate.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
         parts = self._parts(a, b, step)
         valid = np.ones(len(a), dtype=bool)
@@ -407,7 +407,7 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         ready = self._ready()
         flat = _flat(checked)
-        _check.fits_memory(
+        _validate.fits_memory(
             len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
         )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
@@ -446,9 +446,9 @@ class CollisionChecker:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
         longest = max(map(len, ready.names))
-        exact = _check.flag(exact, "exact")
+        exact = _validate.flag(exact, "exact")
         row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
-        _check.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
+        _validate.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
         each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
@@ -466,7 +466,7 @@ class CollisionChecker:
         ready = self._ready()
         flat = _flat(Q)
         total = len(flat)
-        _check.fits_memory(2 * total, f"{total} configurations")
+        _validate.fits_memory(2 * total, f"{total} configurations")
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
@@ -629,8 +629,8 @@ def pairs_by_sampling(
     >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
     {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
     """
-    samples = _check.whole_number(samples, "samples", 1)
-    if not 0 < _check.positive_scalar(always, "always") <= 1:
+    samples = _validate.whole_number(samples, "samples", 1)
+    if not 0 < _validate.positive_scalar(always, "always") <= 1:
         raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
     if not isinstance(robot, Robot):
         raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import loewner
-from loewner import _check as border
-from loewner._check import Floats
+from loewner import _validate
 from loewner._files import read_regular
 from loewner._rotations import from_quaternion
+from loewner._validate import Floats
 from loewner.compilation import PARTS, compile_kernels
 from loewner.errors import FileError, InputError, LoewnerError, PoseError
 
@@ -153,10 +153,10 @@ def _any_name_printed() -> Iterator[None]:
 
 
 def _words(arguments: Any) -> list[str]:
-    words = border.listed(arguments, "arguments")
+    words = _validate.listed(arguments, "arguments")
     for word in words:
         if not isinstance(word, str):
-            raise InputError(f"arguments: expected text only, found {border.short(word)}")
+            raise InputError(f"arguments: expected text only, found {_validate.short(word)}")
     return words
 
 
@@ -372,7 +372,7 @@ def _covering_text(covering: loewner.Covering | None) -> str:
 
 
 def _make_folder(folder: Path) -> None:
-    border.path(folder, "--out")
+    _validate.path(folder, "--out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -585,7 +585,7 @@ def _robot_check(options: argparse.Namespace) -> int:
 
 def _widen(scene: loewner.Scene, least: float) -> None:
     """Let every pair with a body of the scene keep at least `least` metres, and leave pairs of links as they are."""
-    least = border.positive_scalar(least, "--margin", zero=True)
+    least = _validate.positive_scalar(least, "--margin", zero=True)
     own = scene.margins
     for names, margin in own.items():
         if margin >= least:
@@ -605,7 +605,7 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
         return robot.configuration(options.state)[None]
     if options.configs is not None:
         Q = np.atleast_2d(robot.checked(_configuration_file(options.configs, robot), str(options.configs)))
-        return border.finite_array(Q, str(options.configs), (None, robot.dof))
+        return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
     if options.random < 1 or options.seed < 0:
         what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, options.seed)
         raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
@@ -641,7 +641,7 @@ def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> No
     """Check that each column is named once."""
     for name in order:
         if name not in names:
-            raise border.unknown_name(f"{path}, column", name, names)
+            raise _validate.unknown_name(f"{path}, column", name, names)
         if order.count(name) > 1:
             raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
     missing = [name for name in names if name not in order]

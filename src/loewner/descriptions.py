@@ -17,11 +17,11 @@ from xml.parsers import expat
 
 import numpy as np
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._files import read_regular
 from loewner._plausible import FARTHEST_LIMIT, doubt_about_rpy, warn
 from loewner._rotations import from_rpy
+from loewner._validate import Floats, Pair
 from loewner.errors import FileError, GeometryError, InputError, LoewnerError, UnknownNameError
 
 # Names of the values of a joint, by kind; a joint of one value gives it its own name.
@@ -172,7 +172,7 @@ class Semantics:
 
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     states: dict[str, tuple[str, dict[str, float | tuple[float, ...]]]] = field(default_factory=dict)
-    disabled_pairs: frozenset[tuple[str, str]] = frozenset()
+    disabled_pairs: frozenset[Pair] = frozenset()
 
 
 # -- XML ----------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def _read_xml(path: str | os.PathLike[str], what: str) -> _Element:
     """Root element of a robot description."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
-    path = _check.path(path, "path", wanted=f"a path to {what}")
+    path = _validate.path(path, "path", wanted=f"a path to {what}")
     data = read_regular(path, what, MOST_BYTES)
     parser = expat.ParserCreate()
     document = _Element("", {}, 1, path)
@@ -645,8 +645,8 @@ def _oddities(root: _Element, names: _Names) -> Iterator[str]:
         yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
 
 
-def _disabled_pairs(root: _Element, names: _Names) -> frozenset[tuple[str, str]]:
-    disabled: set[tuple[str, str]] = set()
+def _disabled_pairs(root: _Element, names: _Names) -> frozenset[Pair]:
+    disabled: set[Pair] = set()
     alone = list(dict.fromkeys(names.link(e, "link") for e in root.all("disable_default_collisions")))
     if len(alone) * len(names.robot.shapes) > MOST_PAIRS:
         root.fault(
@@ -664,7 +664,7 @@ def _disabled_pairs(root: _Element, names: _Names) -> frozenset[tuple[str, str]]
     return frozenset(disabled)
 
 
-def _sorted_pair(a: str, b: str) -> tuple[str, str]:
+def _sorted_pair(a: str, b: str) -> Pair:
     return (a, b) if a < b else (b, a)
 
 

@@ -15,11 +15,11 @@ import numpy as np
 
 import loewner._kernels._jit as compiled
 from loewner import mesh_files, meshes
-from loewner._check import Floats
 from loewner._files import read_regular
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
-from loewner.bodies import Body, Progress
+from loewner._validate import Floats, Progress
+from loewner.bodies import Body
 from loewner.descriptions import Description, Shape
 from loewner.errors import ConvergenceError, FileError, InputError
 

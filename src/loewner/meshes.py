@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from loewner import _check, mesh_files
-from loewner._check import Floats
+from loewner import _validate, mesh_files
 from loewner._files import shown
+from loewner._validate import Floats, Ints
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
 from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.polytopes import Polytope
@@ -127,7 +126,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        path = Path(source) if isinstance(source, str | Path) else _check.path(source, "source")
+        path = Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
         name = shown(path)
         vertices, triangles = mesh_files.read(path)
     else:
@@ -154,11 +153,11 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
         ) from None
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
-    vertices = _check.float_array(mesh.vertices, "mesh.vertices")
+    vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
     triangles = np.asarray(mesh.faces)
     for array, what in ((vertices, "vertices"), (triangles, "faces")):
         if array.ndim != 2 or array.shape[1] != 3:
-            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_check.shape_text(array.shape)}")
+            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_validate.shape_text(array.shape)}")
     if len(triangles) and triangles.dtype.kind not in "iu":
         raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
     return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
@@ -251,16 +250,16 @@ def convex_pieces(
     >>> len(pieces), pieces[0].shape, covering.exact
     (1, (8, 3), True)
     """
-    threshold = _check.positive_scalar(threshold, "threshold")
+    threshold = _validate.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
-    most = None if max_pieces is None else _check.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
-    seed = _check.whole_number(seed, "seed", 0, LARGEST_NUMBER)
-    decompose, cover = _check.flag(decompose, "decompose"), _check.flag(cover, "cover")
-    factors = _check.float_array(scale, "scale")
-    factors = _check.finite_array(factors, "scale", (3,) if factors.ndim else ())
+    most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
+    seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
+    decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
+    factors = _validate.float_array(scale, "scale")
+    factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
-        raise InputError(f"scale: expected factors other than 0, found {_check.short(scale)}")
+        raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
     vertices, triangles = load(source)
     name = shown(source) if isinstance(source, str | PathLike) else "mesh"
     with np.errstate(over="ignore"):
@@ -451,9 +450,7 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
 # -- covering -----------------------------------------------------------------------------------
 
 
-def _outside(
-    triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float
-) -> tuple[Floats, NDArray[np.int64], int]:
+def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float) -> tuple[Floats, Ints, int]:
     """Cells of the surface that lie in no single piece.
 
     A triangle lies in a convex piece if its corners do. One that lies in none is halved across
@@ -483,7 +480,7 @@ def _outside(
     return np.concatenate(rest), np.concatenate(owners), samples
 
 
-def _halved(triangles: Floats, edge: NDArray[np.int64]) -> Floats:
+def _halved(triangles: Floats, edge: Ints) -> Floats:
     """Cut each triangle across the edge that starts at the given corner."""
     row = np.arange(len(triangles))
     a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
@@ -491,7 +488,7 @@ def _halved(triangles: Floats, edge: NDArray[np.int64]) -> Floats:
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def _coverage(points: Floats, cells: NDArray[np.int64], hulls: list[Polytope]) -> tuple[Floats, NDArray[np.int64]]:
+def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
     """For each cell the piece it sticks out of least, and a lower bound on how far (<= 0: it lies inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):

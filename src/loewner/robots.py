@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.robots import kinematics
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
-from loewner.bodies import Body, Progress
+from loewner._validate import Floats, Ints, Pair, Progress
+from loewner.bodies import Body
 from loewner.descriptions import MOST_PAIRS, VALUES, Description, Joint, Semantics, read_srdf, read_urdf
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -41,7 +41,7 @@ _KINDS = {
     "floating": kinematics.FLOATING,
 }
 
-Tree = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]
+Tree = tuple[Ints, Ints, Ints, Floats, Floats, Floats]
 State = tuple[str, dict[str, float | tuple[float, ...]]]
 
 
@@ -103,8 +103,8 @@ class Robot:
     bodies: dict[str, Body]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
-    disabled_pairs: frozenset[tuple[str, str]]
-    adjacent_pairs: frozenset[tuple[str, str]]
+    disabled_pairs: frozenset[Pair]
+    adjacent_pairs: frozenset[Pair]
     tree: Tree
     urdf: Path
     package_dirs: tuple[Path, ...]
@@ -177,13 +177,17 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf")
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
-        tol, cache, decompose = checked_tolerance(tol), _check.flag(cache, "cache"), _check.flag(decompose, "decompose")
-        _check.callback(progress, "progress")
+        tol, cache, decompose = (
+            checked_tolerance(tol),
+            _validate.flag(cache, "cache"),
+            _validate.flag(decompose, "decompose"),
+        )
+        _validate.callback(progress, "progress")
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        listed = _check.listed(given, "package_dirs", wanted="a path or several")
-        places = [_check.path(folder, "package_dirs") for folder in listed]
+        listed = _validate.listed(given, "package_dirs", wanted="a path or several")
+        places = [_validate.path(folder, "package_dirs") for folder in listed]
         bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
         columns, dof = _columns(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
@@ -256,7 +260,7 @@ class Robot:
         >>> robot.forward_kinematics(robot.configuration())[0, :3, 3]
         array([0., 0., 5.])
         """
-        T = _check.pose(T_world_base, "T_world_base")
+        T = _validate.pose(T_world_base, "T_world_base")
         constants = self.tree[5].copy()
         on_base = np.flatnonzero(self.tree[0] < 0)
         R, t = T[:3, :3], T[:3, 3]
@@ -269,7 +273,7 @@ class Robot:
         return replace(self, tree=(*self.tree[:5], constants))
 
     @guarded
-    def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+    def disabling(self, pairs: Iterable[Pair]) -> Robot:
         """The same robot with more pairs of links that are exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
@@ -295,7 +299,7 @@ class Robot:
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
-    def link_pairs(self, pairs: Iterable[tuple[str, str]], name: str = "pairs") -> frozenset[tuple[str, str]]:
+    def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
         """Pairs of two different links of this robot, checked, each sorted by name.
 
         Parameters
@@ -316,13 +320,13 @@ class Robot:
             If they are no pairs of two different links.
         """
         found, known = set(), set(self.link_names)
-        for pair in _check.listed(pairs, name, wanted="pairs of names of links"):
-            names = tuple(_check.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
+        for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
+            names = tuple(_validate.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
-                raise InputError(f"{name}: expected pairs of names of links, found {_check.short(pair)} among them")
+                raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
             for link in names:
                 if not isinstance(link, str) or link not in known:
-                    raise _check.unknown_name("link", link, self.link_names)
+                    raise _validate.unknown_name("link", link, self.link_names)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
             found.add((min(names), max(names)))
@@ -361,7 +365,7 @@ class Robot:
         checked = self.checked(Q)
         batch, links = checked.shape[:-1], len(self.link_names)
         count = int(np.prod(batch))
-        _check.fits_memory(count * links * 128, f"{count} configurations of {links} links")
+        _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
         flat = checked.reshape(count, self.dof)
         out = np.empty((count, links, 4, 4))
         in_shares(lambda first, last: kinematics.forward(self.tree, flat, first, last, out), count, LEAST_SHARE)
@@ -399,11 +403,11 @@ class Robot:
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
-        array = _check.float_array(Q, name)
+        array = _validate.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
             raise InputError(
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
-                f"found {_check.shape_text(array.shape)}"
+                f"found {_validate.shape_text(array.shape)}"
             )
         if not self._watch.passes(array):
             refused = self._watch.refused(array)
@@ -442,7 +446,7 @@ class Robot:
         """
         checked = self.checked(q, name)
         if checked.ndim != 1:
-            found = _check.shape_text(checked.shape)
+            found = _validate.shape_text(checked.shape)
             raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
         return checked
 
@@ -473,11 +477,11 @@ class Robot:
         """
         if isinstance(values, str):
             if values not in self.states:
-                raise _check.unknown_name("state", values, self.states)
+                raise _validate.unknown_name("state", values, self.states)
             values = self.states[values][1]
         if values is not None and not isinstance(values, Mapping):
             raise InputError(
-                f"values: expected a dict by names of joints or the name of a state, found {_check.short(values)}"
+                f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
             )
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
@@ -491,10 +495,10 @@ class Robot:
                     f"set {followed!r}"
                 )
             if name not in places:
-                raise _check.unknown_name("joint", name, places)
+                raise _validate.unknown_name("joint", name, places)
             at = places[name]
-            given = np.atleast_1d(_check.float_array(value, name))
-            q[at] = _check.finite_array(given, name, (at.stop - at.start,))
+            given = np.atleast_1d(_validate.float_array(value, name))
+            q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
 
     @guarded
@@ -527,9 +531,9 @@ class Robot:
         >>> Q.shape, bool((Q[:, 0] >= 0).all() and (Q[:, 0] <= 2).all())
         ((1000, 2), True)
         """
-        n = _check.whole_number(n, "n", 0)
-        _check.fits_memory(n * self.dof * 8, f"{n} configurations")
-        rng = np.random.default_rng(_check.whole_number(seed, "seed", 0))
+        n = _validate.whole_number(n, "n", 0)
+        _validate.fits_memory(n * self.dof * 8, f"{n} configurations")
+        rng = np.random.default_rng(_validate.whole_number(seed, "seed", 0))
         lower, upper = self.usual_range(np.pi)
         Q = rng.uniform(lower, upper, (n, self.dof)).clip(lower, upper)
         for quaternion in self._quaternions.values():
@@ -557,7 +561,7 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf").usual_range(3.0)
         (array([ 0., -3.]), array([2., 3.]))
         """
-        reach = _check.positive_scalar(reach, "reach")
+        reach = _validate.positive_scalar(reach, "reach")
         if reach > FARTHEST_LIMIT:
             raise InputError(f"reach: expected at most {FARTHEST_LIMIT:g}, found {reach:g}")
         below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
@@ -584,7 +588,7 @@ class Robot:
         array([5., 1.])
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
-        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
         return self._distances(a, b)
 
     def _distances(self, a: Floats, b: Floats) -> Any:
@@ -626,8 +630,8 @@ class Robot:
                [1. , 2. ]])
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
-        at = _check.finite_array(t, "t", ("...",))[..., None]
-        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
+        at = _validate.finite_array(t, "t", ("...",))[..., None]
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
             p, q = a[..., quaternion], b[..., quaternion]
@@ -664,7 +668,7 @@ def _columns(robot: Description) -> tuple[dict[str, slice], int]:
     return columns, at
 
 
-def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
+def _adjacent_pairs(robot: Description) -> frozenset[Pair]:
     """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
 
     MoveIt's setup assistant lets such a path have any number of moving joints. But what two joints move against each
@@ -675,7 +679,7 @@ def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
     place = {name: name for name in robot.shapes}
     fixed: dict[str, set[str]] = {}
     moving: dict[str, set[str]] = {}
-    between: list[tuple[str, str]] = []  # places that a moving joint joins
+    between: list[Pair] = []  # places that a moving joint joins
     pairs = set()
     for link, shapes in robot.shapes.items():
         if link not in robot.joint_above:

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._files import read_regular, replacing
 from loewner._guard import guarded
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
+from loewner._validate import Floats
 from loewner.bodies import ARRAYS, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scenes import Scene
@@ -97,7 +97,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     >>> load_scene("table.yaml")
     Scene(1 bodies, 0 of them attached)
     """
-    file = _check.path(path, "path")
+    file = _validate.path(path, "path")
     root = _Entry(file, "", _composed(file))
     top = root.mapping(TOP_KEYS, required=("bodies",))
     scene = Scene()
@@ -148,7 +148,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     yaml = _yaml()
     if not isinstance(scene, Scene):
         raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
-    file = _check.path(path, "path")
+    file = _validate.path(path, "path")
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -380,7 +380,7 @@ def _recipe(shape: str, keys: dict[str, _Entry]) -> tuple[Any, Callable[[], Body
         points = entry.rows(3)
         return (shape, *map(tuple, points)), functools.partial(Body.from_points, np.array(points).reshape(-1, 3))
     with entry.blamed():
-        file = entry.file.parent / _check.path(entry.text(), shape)
+        file = entry.file.parent / _validate.path(entry.text(), shape)
     if shape == "saved":
         return (shape, file), functools.partial(Body.load, file)
     scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
@@ -406,7 +406,7 @@ def _pose(entry: _Entry, keys: dict[str, _Entry]) -> Floats:
     T = np.eye(4)
     if "pose" in given:
         with keys["pose"].blamed():
-            T = _check.poses([row.numbers(4) for row in keys["pose"].items(4)], "matrix")
+            T = _validate.poses([row.numbers(4) for row in keys["pose"].items(4)], "matrix")
     if "position" in given:
         T[:3, 3] = keys["position"].numbers(3)
     if "rpy" in given:
@@ -569,7 +569,7 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     >>> [(problem.group, problem.index) for problem in read_motion_bench_maker("problems.json")]
     [('shelf', 1)]
     """
-    file = _check.path(path, "path")
+    file = _validate.path(path, "path")
     try:
         content = json.loads(_json_text(file), object_pairs_hook=functools.partial(_once, file))
     except json.JSONDecodeError as error:

@@ -20,8 +20,8 @@ from typing import IO, Any
 import numpy as np
 
 from loewner import meshes
-from loewner._check import physical_memory
 from loewner._files import replacing
+from loewner._validate import physical_memory
 from loewner.bodies.checks import INTEGERS, check_shapes, checked
 from loewner.bodies.pack import ARRAYS, Packed, arrays_of
 from loewner.errors import FileError, InputError

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
+from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.checkers import CollisionChecker, StateDistance
 from loewner.errors import InputError
@@ -76,7 +76,7 @@ def show_robot(
     (True, 'FREE')
     >>> page.close()
     """
-    waits = _check.flag(block, "block")
+    waits = _validate.flag(block, "block")
     viewer = RobotViewer(checker, q, host=host, port=port)
     if waits:
         viewer.wait()
