@@ -18,9 +18,8 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Floats, Ints
-from loewner.checkers import CollisionChecker
 from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker, Robot
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)

@@ -19,9 +19,9 @@ from loewner._files import replacing
 from loewner._proportions import wilson
 from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.checkers import CollisionChecker, Settled
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
+from loewner.robots import CollisionChecker, Settled
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"

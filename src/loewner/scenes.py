@@ -531,6 +531,43 @@ class Scene:
                 self._margins[names] = keep
             self._changed()
 
+    def widen(self, least: float) -> None:
+        """Let every pair with a body of this scene keep `least` metres or more; margins of two links stay.
+
+        Parameters
+        ----------
+        least : float
+            Metres. Margins that are larger stay as well. The scene's own margin is raised, too.
+
+        Raises
+        ------
+        InputError
+            If it is negative or not finite.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.01)
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.05)
+        >>> scene.widen(0.02)
+        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
+        (0.05, 0.02)
+        """
+        least = _validate.positive_scalar(least, "least", zero=True)
+        with _CHANGING:
+            before = self.margins
+            for names, margin in before.items():
+                if margin >= least:
+                    continue
+                if any(name in self._bodies for name in names):
+                    self._margins[names] = least
+                elif len(names) == 1:  # a link's own goes before the scene's, but holds for other links as well
+                    for body in self._bodies:
+                        pair = _pair(body, *names)
+                        if (body,) not in before and pair not in before:
+                            self._margins[pair] = least
+            self._margin = max(least, self._margin)
+            self._changed()
+
     def margin_of(self, a: str, b: str) -> float:
         """Metres that two bodies or links keep.
 

@@ -17,6 +17,7 @@ from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import files
 from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
+from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 
@@ -105,7 +106,7 @@ class Body(_Bodies):
     array([1.5, 1. , 0.5])
     """
 
-    def __init__(self, packed: Packed, covering: meshes.Covering | None = None) -> None:
+    def __init__(self, packed: Packed, covering: Covering | None = None) -> None:
         if not isinstance(packed, Packed):
             raise InputError("Body: make one by Body.from_points, from_mesh, box, sphere, ... or load")
         if len(packed.piece_start) != 2:

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.checkers import CollisionChecker, StateDistance
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Mesh, Rgb, add_mesh, place, quaternions
 from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines

@@ -19,7 +19,7 @@ from loewner._kernels.robots import configurations, kinematics, placement
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
-from loewner.robots import Robot
+from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
 # An allowance for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
