@@ -24,9 +24,8 @@ import numpy as np
 import figures
 import report
 from clock import Cost, threads_set_to
-from loewner import CollisionChecker, Robot, read_motion_bench_maker
-from loewner.checkers import _coarse_first
-from loewner.scene_files import Problem
+from loewner import CollisionChecker, Problem, Robot, read_motion_bench_maker
+from loewner.robots.edges import coarse_first
 from report import REQUIRED, Row
 from rivals import Missing
 from robot_rivals import TREE, Pinocchio
@@ -234,7 +233,7 @@ class Judge:
 def on_the_way(robot: Robot, a: Array, b: Array) -> Array:
     """What `valid_edges` checks."""
     parts = max(1, int(np.ceil(robot.distances(a, b) / RESOLUTION)))
-    return robot.between(a, b, _coarse_first(parts))
+    return robot.between(a, b, coarse_first(parts))
 
 
 @dataclass

@@ -5,6 +5,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "src" / "loewner"
 TEXT = (ROOT / "ARCHITECTURE.md").read_text()
@@ -72,6 +74,17 @@ def test_arrows_point_down():
     level = {module: depth for depth, layer in enumerate(layers()) for module in layer}
     upward = [(module, name) for module, names in drawn().items() for name in names if level[name] <= level[module]]
     assert upward == []
+
+
+@pytest.mark.parametrize("package", ["robots", "scene_files", "cli"])
+def test_packages_are_listed(package):
+    """The list of a package names each file once, from the top layer of its import rules to the lowest."""
+    (block,) = re.findall(rf"^    {package}/\n(.*?)^$", TEXT, flags=re.M | re.S)
+    listed = re.findall(r"(\w+)\.py +", block)
+    files = [path.stem for path in (PACKAGE / package).glob("*.py") if path.stem != "__init__"]
+    level = {name: depth for depth, layer in enumerate(layers(f"loewner.{package}")) for name in layer}
+    assert sorted(listed) == sorted(files) == sorted(level)
+    assert [level[name] for name in listed] == sorted(level[name] for name in listed)
 
 
 def test_kernels_are_listed():

@@ -21,7 +21,7 @@ from loewner import (
     PoseError,
     Scene,
     UnknownNameError,
-    _check,
+    _validate,
 )
 
 CUBE = box_corners(np.ones(3))
@@ -305,8 +305,8 @@ def test_what_is_no_number(what: str):
     """Text, booleans, dates, masked entries and what no float can hold are refused as numbers, whoever asks."""
     a, bad = Body.sphere(1), NO_NUMBERS[what]
     for ask_for in (
-        lambda: _check.positive_scalar(bad, "x"),
-        lambda: _check.positive_scalar(bad, "x", zero=True),
+        lambda: _validate.positive_scalar(bad, "x"),
+        lambda: _validate.positive_scalar(bad, "x", zero=True),
         lambda: Body.sphere(bad),
         lambda: loewner.collide(a, None, a, None, margin=bad),
         lambda: loewner.mvce(CUBE, tol=bad),
@@ -321,7 +321,7 @@ def test_what_is_no_number(what: str):
 @pytest.mark.parametrize("what", NUMBERS)
 def test_what_is_a_number(what: str):
     """Whatever type it has, the number counts."""
-    assert _check.positive_scalar(NUMBERS[what], "x") == 2.0
+    assert _validate.positive_scalar(NUMBERS[what], "x") == 2.0
     assert Body.sphere(NUMBERS[what]).outer.semi_axes[0, 0] == pytest.approx(2.0)
 
 
@@ -329,16 +329,16 @@ def test_what_is_a_number(what: str):
 def test_what_is_no_count(what: str):
     """Of numbers, only integers that an array could have as its length."""
     with pytest.raises(InputError, match="n: expected an integer [<>]= "):
-        _check.whole_number(NO_NUMBERS.get(what, 2.5), "n", 0)
+        _validate.whole_number(NO_NUMBERS.get(what, 2.5), "n", 0)
 
 
 def test_counts():
     """Integers of any type, within the bounds given."""
     for x in (2, np.int8(2), np.uint64(2), np.array(2)):
-        assert _check.whole_number(x, "n", 0, 2) == 2
+        assert _validate.whole_number(x, "n", 0, 2) == 2
         for least, most in ((3, 9), (0, 1)):
             with pytest.raises(InputError, match="n: expected an integer"):
-                _check.whole_number(x, "n", least, most)
+                _validate.whole_number(x, "n", least, most)
 
 
 def masked(P: np.ndarray, at: object) -> np.ma.MaskedArray:
@@ -583,7 +583,7 @@ def test_any_array_of_poses_will_do(query: str, kind: str):
 def test_a_batch_beyond_memory_is_refused(query: str, monkeypatch: pytest.MonkeyPatch):
     """Before anything is computed, with the shape asked for and the memory that it would take."""
     a = Body.sphere(1)
-    monkeypatch.setattr(_check, "physical_memory", lambda: 2**30)
+    monkeypatch.setattr(_validate, "physical_memory", lambda: 2**30)
     across, down = row_of_poses(40_000), row_of_poses(40_000)[:, None]
     with pytest.raises(InputError, match=r"memory \(1 GiB\), found \(40000, 40000\) pairs, which need [0-9.]+ GiB"):
         ask(query, a, across, a, down)
@@ -593,7 +593,7 @@ def test_a_batch_beyond_memory_is_refused(query: str, monkeypatch: pytest.Monkey
 def test_distances_take_more_memory_than_verdicts(exact: bool, monkeypatch: pytest.MonkeyPatch):
     """A batch of as many distances as bytes: each takes more than one, and is counted so."""
     a, T = Body.sphere(1), row_of_poses(1000)
-    monkeypatch.setattr(_check, "physical_memory", lambda: 1000)
+    monkeypatch.setattr(_validate, "physical_memory", lambda: 1000)
     assert loewner.classify(a, T, a, None).shape == (1000,)
     with pytest.raises(InputError, match="fit into memory"):
         loewner.distance(a, T, a, None, exact=exact)
@@ -602,7 +602,7 @@ def test_distances_take_more_memory_than_verdicts(exact: bool, monkeypatch: pyte
 def test_a_crowd_with_more_pairs_than_memory_is_refused(monkeypatch: pytest.MonkeyPatch):
     """All of them in one place: 500,000 pairs, told as soon as they become too many."""
     T = np.tile(np.eye(4), (1000, 1, 1))
-    monkeypatch.setattr(_check, "physical_memory", lambda: 2**20)
+    monkeypatch.setattr(_validate, "physical_memory", lambda: 2**20)
     with pytest.raises(InputError, match="pairs of 1000 bodies"):
         loewner.overlapping_pairs(Body.sphere(1), T)
 
@@ -836,13 +836,13 @@ class Unfit(os.PathLike[str]):
 def test_what_is_no_path(bad: object):
     """A path is text that the file system can hold; anything else is an InputError that names the argument."""
     with pytest.raises(InputError, match="file: expected the path of a file, found "):
-        _check.path(bad, "file")
+        _validate.path(bad, "file")
 
 
 @pytest.mark.parametrize("good", ["a", "a b/ü", os.fsdecode(b"not\xffutf-8"), Path("a/b"), np.str_("a")], ids=ascii)
 def test_what_is_a_path(good: os.PathLike[str]):
     """Also names that are not UTF-8, as `os.listdir` gives them."""
-    assert _check.path(good, "file") == Path(good)
+    assert _validate.path(good, "file") == Path(good)
 
 
 # -- what is not bad ------------------------------------------------------------------------------------------

@@ -348,6 +348,19 @@ def test_tiers_count_what_the_careful_search_settled(tmp_path):
     assert (settled.total, settled.colliding, settled.free) == (3, 2, 1)
 
 
+def test_settle_is_collide_and_tiers(tmp_path):
+    """`settle` answers as `collide` does and counts as `tiers` does, of one configuration or of many."""
+    scene = Scene()
+    scene.add("o", Body.box([1.0, 1.0, 1.0]))
+    checker = CollisionChecker(slider(tmp_path), scene)
+    Q = np.array([[[1.0], [0.9999999]], [[3.0], [0.2]]])
+    found, settled = checker.settle(Q)
+    np.testing.assert_array_equal(found, checker.collide(Q))
+    assert settled == checker.tiers(Q)
+    assert checker.settle([3.0])[0] is False
+    assert checker.settle([0.2])[0] is True
+
+
 @far_outside
 def test_ends_of_a_motion_are_checked_exactly(tmp_path):
     """Not at a + (b - a), which may miss b by a rounding of a."""

@@ -223,7 +223,7 @@ def test_meshes_that_cannot_be_read_name_their_link(cache, tmp_path, monkeypatch
     """A file that is there and gives an error when it is read."""
     if not os.path.exists("/proc/self/mem"):
         pytest.skip("no such file here")
-    monkeypatch.setattr(loewner.link_bodies, "CACHE_FOLDER", tmp_path / "kept")
+    monkeypatch.setattr(loewner.robots.link_bodies, "CACHE_FOLDER", tmp_path / "kept")
     (tmp_path / "mem.stl").symlink_to("/proc/self/mem")
     mesh = '<collision><geometry><mesh filename="mem.stl"/></geometry></collision>'
     with pytest.raises(FileError, match="robot.urdf, line 2, link 'a': .*mem.stl"):

@@ -18,9 +18,9 @@ from loewner import (
     Robot,
     Scene,
     Verdict,
-    _check,
     _guard,
     _memory,
+    _validate,
 )
 from loewner._kernels.pipeline import verdicts
 
@@ -160,9 +160,9 @@ def test_where_no_limit_is_known_there_is_none(tmp_path):
 def test_a_large_request_is_held_against_the_limits(monkeypatch):
     """And the message says how much it would take, how much there is, and who says so."""
     monkeypatch.setattr(_memory, "left", lambda: (2**27, " left by RLIMIT_AS"))
-    _check.fits_memory(2**27, "few")
+    _validate.fits_memory(2**27, "few")
     with pytest.raises(MemoryLimitError, match=r"0\.125 GiB left by RLIMIT_AS\), found many, which need 0\.25 GiB"):
-        _check.fits_memory(2**28, "many")
+        _validate.fits_memory(2**28, "many")
     ball, T = Body.sphere(1.0), np.tile(np.eye(4), (20_000, 1, 1))
     calls = (
         lambda: loewner.collide(ball, T[:, None], ball, T),

@@ -28,7 +28,7 @@ def test_import_needs_no_yaml():
 
 def test_command_line_is_light_until_it_prints_tables():
     """The command line imports no optional package to parse its arguments."""
-    assert modules_after("import loewner.cli; loewner.cli._parser()").isdisjoint(OPTIONAL)
+    assert modules_after("from loewner.cli.main import _parser; _parser()").isdisjoint(OPTIONAL)
 
 
 def test_import_leaves_scipy_submodules_alone():

@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 
 import loewner
 from families import translation
-from loewner import FileError, GeometryError, InputError, MissingExtraError, Verdict, meshes
+from loewner import FileError, GeometryError, InputError, MissingExtraError, Verdict, coverage, meshes
 from loewner.polytopes import Polytope
 
 SUFFIXES = ("stl", "obj", "ply", "off", "glb", "dae")
@@ -737,7 +737,7 @@ def test_distance_to_a_piece():
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(40, 3))
     points = rng.normal(size=(200, 3)) * 1.5
-    found = meshes._distances(points, Polytope.from_points(vertices), 1e-10)
+    found = coverage._distances(points, Polytope.from_points(vertices), 1e-10)
     np.testing.assert_allclose(found, naive_distance(points, vertices), atol=1e-8)
 
 

@@ -21,13 +21,14 @@ from loewner import (
     PoseError,
     Robot,
     UnknownNameError,
-    link_bodies,
 )
 from loewner._kernels._jit import njit
 from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import load, store
-from loewner.descriptions import Shape
+from loewner.robots import link_bodies
+from loewner.robots.tree import _KINDS
+from loewner.robots.urdf import VALUES, Shape
 from robot_oracle import disagreement, robots_folder
 
 
@@ -212,7 +213,7 @@ def test_poses_are_rigid(tmp_path):
     T = robot.forward_kinematics(robot.random_configurations(500))
     R = T[..., :3, :3]
     np.testing.assert_allclose(R.swapaxes(-1, -2) @ R, np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
-    loewner._check.poses(T, "T")
+    loewner._validate.poses(T, "T")
 
 
 def test_shapes_of_batches_and_odd_layouts(tmp_path):
@@ -762,7 +763,7 @@ def test_kept_bodies_are_those_of_this_code(tmp_path, monkeypatch):
     monkeypatch.setattr(link_bodies, "_code", lambda: "another version")
     keys.append(link_bodies._key(tmp_path / "part.stl", part, False, 1e-4))
     assert keys[0] != keys[1]
-    home = Path(link_bodies.__file__).parent
+    home = Path(loewner.__file__).parent
     assert all((home / maker).exists() for maker in link_bodies._MAKERS)
 
 
@@ -809,7 +810,7 @@ def test_links_are_where_pinocchio_sees_them(name):
 def without_bodies(path: Path) -> Robot:
     """A robot whose meshes are left alone: only where its links are is asked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("loewner.robots.link_bodies", lambda *a, **k: {})
+        patch.setattr("loewner.robots.robot.link_bodies", lambda *a, **k: {})
         return Robot.from_urdf(path)
 
 
@@ -852,5 +853,5 @@ def test_reading_urdf_needs_no_optional_package(tmp_path):
 
 def test_kernels_and_descriptions_agree_on_widths():
     """Columns of a joint, by kind, are told twice: to kernels and to people."""
-    for kind, values in loewner.descriptions.VALUES.items():
-        assert kinematics.WIDTH[loewner.robots._KINDS[kind]] == len(values)
+    for kind, values in VALUES.items():
+        assert kinematics.WIDTH[_KINDS[kind]] == len(values)

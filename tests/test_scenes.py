@@ -118,6 +118,29 @@ def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
     assert met(scene) == []
 
 
+def test_widening_raises_margins_of_bodies_only(scene):
+    """After `widen`, a pair with a body keeps the larger of its old margin and the least one; two links keep theirs."""
+    scene.set_margin(0.01)
+    for margin, *names in (
+        (0.05, "box"),
+        (0.3, "far"),
+        (0.0, "near", "far"),
+        (0.02, "wrist"),
+        (0.4, "hand"),
+        (0.0, "tip", "box"),
+    ):
+        scene.set_margin(margin, *names)
+    links = ("wrist", "hand", "tip", "base")
+    with_bodies = [(a, b) for a in scene for b in (*scene, *links) if a != b]
+    before = {pair: scene.margin_of(*pair) for pair in with_bodies}
+    of_links = {pair: scene.margin_of(*pair) for pair in (("wrist", "hand"), ("wrist", "tip"))}
+    version = scene.structure_version
+    scene.widen(0.1)
+    assert {pair: scene.margin_of(*pair) for pair in with_bodies} == {p: max(m, 0.1) for p, m in before.items()}
+    assert {pair: scene.margin_of(*pair) for pair in of_links} == of_links
+    assert (scene.margin, scene.structure_version > version) == (0.1, True)
+
+
 def test_added_margin_is_that_of_the_body(scene):
     """A margin given with a new body holds for all pairs of that body."""
     scene.add("shy", Body.sphere(0.5), translation(z=1.3), margin=0.35)

@@ -463,7 +463,7 @@ def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, mon
     Path("broken.urdf").write_text("<robot")
     Path("bare.urdf").write_text('<robot name="bare"><link name="base"/></robot>')
     Path("broken.stl").write_text("solid part\nfacet")
-    assert cli.main(["view", *arguments, "--no-browser"]) == cli.ERROR
+    assert cli.main(["view", *arguments, "--no-browser"]) == 2
     captured = capsys.readouterr()
     assert expected in captured.err
     assert captured.out == ""

@@ -1,7 +1,7 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
 from loewner.bodies import Bodies, Body, Piece
-from loewner.checkers import CollisionChecker, Settled, StateDistance, pairs_by_sampling
+from loewner.coverage import Covering
 from loewner.crowds import overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
@@ -19,10 +19,9 @@ from loewner.errors import (
     UnknownNameError,
 )
 from loewner.fits import Fit, mvce, mvie
-from loewner.meshes import Covering
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker, Robot, Settled, StateDistance, pairs_by_sampling
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
 

@@ -13,7 +13,7 @@ from operator import le
 
 import numpy as np
 
-from loewner._check import Floats
+from loewner._validate import Floats
 
 # How far outside its limits the value of a joint may be: an angle may have been wrapped by a turn [rad]; a length is
 # compared with the way between the limits, and a metre on top.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loewner._check import Floats
+from loewner._validate import Floats
 from loewner.errors import PoseError
 
 # How far a written quaternion may be from unit length: three digits are enough to type.

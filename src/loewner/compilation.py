@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loewner import _check
+from loewner import _validate
 from loewner._kernels._jit import CACHE_FOLDER
 from loewner.errors import FileError
 
@@ -121,9 +121,9 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     FileError
         If a part cannot be compiled, or the folder not be written; with what the process said.
     """
-    wanted = [_check.choice(name, "parts", PARTS) for name in _check.listed(parts, "parts")]
+    wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [name for name in PARTS if name in wanted]
-    _check.callback(progress, "progress")
+    _validate.callback(progress, "progress")
     done = 0
     with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
         running = [pool.submit(_compile_apart, name) for name in chosen]

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._kernels.pipeline import fallback, verdicts
 from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._kernels.trees import boxes
 from loewner._threads import in_shares, usable
+from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
-from loewner.bodies import Bodies, Body, Ints, Packed
+from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a crowd that is worth handing to a thread.
@@ -76,13 +76,15 @@ def overlapping_pairs(
     >>> overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T)
     array([[0, 1]])
     """
-    mode = MODES[_check.choice(method, "method", MODES)]
-    keep = _check.positive_scalar(margin, "margin", zero=True)
+    mode = MODES[_validate.choice(method, "method", MODES)]
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
     threads = min(usable(), -(-n // CHUNK))
-    _check.fits_memory(BODY_BYTES * n + threads * 16 * (boxes.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies")
+    _validate.fits_memory(
+        BODY_BYTES * n + threads * 16 * (boxes.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
+    )
     tree = _tree(n, steps, operands)
     counts: list[int] = []  # of the pairs found so far
 
@@ -99,9 +101,9 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
     """Number of bodies, whether each has its own pieces and its own pose (1) or not (0), pieces and poses."""
     if not isinstance(bodies, (Body, Bodies)):
         raise InputError(f"bodies: expected loewner.Bodies or loewner.Body, found {type(bodies).__name__}")
-    T = _check.poses(T_world, "T_world")
+    T = _validate.poses(T_world, "T_world")
     if T_world is not None and T.ndim != 3:
-        raise PoseError(f"T_world: expected shape (n, 4, 4), found {_check.shape_text(T.shape)}")
+        raise PoseError(f"T_world: expected shape (n, 4, 4), found {_validate.shape_text(T.shape)}")
     if isinstance(bodies, Body):
         n = 1 if T_world is None else len(T)
     else:
@@ -164,7 +166,7 @@ def _settled(
         found.append(a[kept] * n + b[kept])
         counts.append(len(found[-1]))
         total = sum(counts)
-        _check.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
+        _validate.fits_memory(PAIR_BYTES * total, f"more than {total} pairs of {n} bodies")
     return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.ellipsoids import contact_robust as _contact
 from loewner._kernels.ellipsoids import near_points as _near
+from loewner._validate import Floats, Ints
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, InputError
 
@@ -55,10 +55,10 @@ class NearPoints:
     point_1: Floats
     point_2: Floats
     distance: Floats
-    iterations: NDArray[np.int64]
+    iterations: Ints
 
     def __repr__(self) -> str:
-        return _check.brief(self)
+        return _validate.brief(self)
 
 
 @guarded
@@ -98,7 +98,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     >>> bool(overlap(a, b))
     True
     """
-    if _check.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
+    if _validate.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
         pair = _Pair(E1, E2, "overlap", dim=None)
         try:
             with np.errstate(all="ignore"):  # what leaves the floats misses the second ellipsoid, and is told so
@@ -189,8 +189,8 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     >>> near_points(a, b).distance.round(12).item()
     2.0
     """
-    code = NEAR_POINT_METHODS[_check.choice(method, "method", NEAR_POINT_METHODS)]
-    tolerance = _check.positive_scalar(angle, "angle")
+    code = NEAR_POINT_METHODS[_validate.choice(method, "method", NEAR_POINT_METHODS)]
+    tolerance = _validate.positive_scalar(angle, "angle")
     pair = _Pair(E1, E2, "near_points")
     n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
@@ -240,7 +240,7 @@ class _Pair:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
         if dim is not None and E1.dim != dim:
             raise InputError(f"{caller}: expected ellipsoids in {dim}-D, found dimension {E1.dim}")
-        self.batch = _check.broadcast({"E1": E1.batch_shape, "E2": E2.batch_shape})
+        self.batch = _validate.broadcast({"E1": E1.batch_shape, "E2": E2.batch_shape})
         n = E1.dim
         self.c1 = self._flat(E1.center, n)
         F1, F2 = self._flat(E1.factor, n, n), self._flat(E2.factor, n, n)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.pieces import rigid
+from loewner._validate import Floats
 from loewner.errors import BodyIndexError, GeometryError, InputError
 
 
@@ -47,13 +47,13 @@ class Ellipsoids:
     factor: Floats
 
     def __init__(self, center: ArrayLike, factor: ArrayLike) -> None:
-        c = _check.finite_array(center, "center", ("...", None))
-        F = _check.finite_array(factor, "factor", ("...", None, None))
+        c = _validate.finite_array(center, "center", ("...", None))
+        F = _validate.finite_array(factor, "factor", ("...", None, None))
         n = c.shape[-1]
         if n == 0 or F.shape[-2:] != (n, n) or F.shape[:-2] != c.shape[:-1]:
             raise InputError(
-                f"factor: expected shape {_check.shape_text((*c.shape, n))} for a center of shape "
-                f"{_check.shape_text(c.shape)}, found {_check.shape_text(F.shape)}"
+                f"factor: expected shape {_validate.shape_text((*c.shape, n))} for a center of shape "
+                f"{_validate.shape_text(c.shape)}, found {_validate.shape_text(F.shape)}"
             )
         if F.size and not (np.linalg.svd(F, compute_uv=False)[..., -1] > 0).all():
             raise GeometryError("factor: expected an invertible matrix, found a singular one (a flat ellipsoid)")
@@ -93,9 +93,9 @@ class Ellipsoids:
         >>> Ellipsoids.from_shape_matrix([0, 0], [[4, 0], [0, 1]]).semi_axes
         array([2., 1.])
         """
-        Q = _check.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
+        Q = _validate.finite_array(shape_matrix, "shape_matrix", ("...", None, None))
         if Q.shape[-1] != Q.shape[-2]:
-            raise InputError(f"shape_matrix: expected square matrices, found shape {_check.shape_text(Q.shape)}")
+            raise InputError(f"shape_matrix: expected square matrices, found shape {_validate.shape_text(Q.shape)}")
         half, other = (
             Q / 2,
             np.swapaxes(Q, -1, -2) / 2,
@@ -131,20 +131,20 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([[0, 0, 0], [1, 0, 0]], [3, 2, 1])  # two of one shape
         Ellipsoids((2,), n=3)
         """
-        axes = _check.finite_array(semi_axes, "semi_axes", ("...", None))
+        axes = _validate.finite_array(semi_axes, "semi_axes", ("...", None))
         if not (axes > 0).all():
             raise GeometryError(f"semi_axes: expected lengths > 0, found {axes.min():g}")
         F = axes[..., None, :] * np.eye(axes.shape[-1])
         if rotation is not None:
-            R = _check.finite_array(rotation, "rotation", ("...", axes.shape[-1], axes.shape[-1]))
-            _check.broadcast({"rotation": R.shape[:-2], "semi_axes": axes.shape[:-1]})
+            R = _validate.finite_array(rotation, "rotation", ("...", axes.shape[-1], axes.shape[-1]))
+            _validate.broadcast({"rotation": R.shape[:-2], "semi_axes": axes.shape[:-1]})
             with np.errstate(over="ignore", invalid="ignore"):
                 defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
             if not defect <= rigid.ROTATION_TOLERANCE:
                 raise InputError(f"rotation: expected an orthogonal matrix, found a departure of {defect:.3g}")
             F = R @ F
-        c = _check.finite_array(center, "center", ("...", axes.shape[-1]))
-        batch = _check.broadcast({"center": c.shape[:-1], "semi_axes and rotation": F.shape[:-2]})
+        c = _validate.finite_array(center, "center", ("...", axes.shape[-1]))
+        batch = _validate.broadcast({"center": c.shape[:-1], "semi_axes and rotation": F.shape[:-2]})
         return cls(np.broadcast_to(c, (*batch, c.shape[-1])), np.broadcast_to(F, (*batch, *F.shape[-2:])))
 
     # -- what it is ---------------------------------------------------------------------------
@@ -171,16 +171,16 @@ class Ellipsoids:
             c, F = self.center[index], self.factor[index]
         except Exception as error:  # an IndexError, or what an object of the caller's raises
             raise BodyIndexError(
-                f"expected an index into a batch of shape {_check.shape_text(self.batch_shape)}, "
-                f"found {_check.short(index)} ({error})"
+                f"expected an index into a batch of shape {_validate.shape_text(self.batch_shape)}, "
+                f"found {_validate.short(index)} ({error})"
             ) from None
         if c.shape[-1:] != (self.dim,) or F.shape != (*c.shape, self.dim):
-            raise BodyIndexError(f"expected an index of the batch only, found {_check.short(index)}")
+            raise BodyIndexError(f"expected an index of the batch only, found {_validate.short(index)}")
         return Ellipsoids._trusted(c, F)
 
     def __repr__(self) -> str:
-        if self.batch_shape or self.dim > _check.FEW:
-            return f"Ellipsoids({_check.shape_text(self.batch_shape)}, n={self.dim})"
+        if self.batch_shape or self.dim > _validate.FEW:
+            return f"Ellipsoids({_validate.shape_text(self.batch_shape)}, n={self.dim})"
         return f"Ellipsoids(center={self.center.tolist()}, semi_axes={self.semi_axes.tolist()})"
 
     @property
@@ -238,8 +238,8 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([1, 0], [3, 2]).support([1, 0])
         array([4., 0.])
         """
-        d = _check.finite_array(direction, "direction", ("...", self.dim))
-        _check.broadcast({"direction": d.shape[:-1], "the batch": self.batch_shape})
+        d = _validate.finite_array(direction, "direction", ("...", self.dim))
+        _validate.broadcast({"direction": d.shape[:-1], "the batch": self.batch_shape})
         if d.size and not d.any(axis=-1).all():
             raise InputError("direction: expected a non-zero vector, found zero")
         w = np.einsum("...ji,...j->...i", _near_one(self.factor, (-2, -1))[0], _near_one(d, (-1,))[0])
@@ -265,8 +265,8 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([0, 0], [3, 2]).contains([[2.9, 0], [0, 2.1]])
         array([ True, False])
         """
-        p = _check.finite_array(points, "points", ("...", self.dim))
-        batch = _check.broadcast({"points": p.shape[:-1], "the batch": self.batch_shape})
+        p = _validate.finite_array(points, "points", ("...", self.dim))
+        batch = _validate.broadcast({"points": p.shape[:-1], "the batch": self.batch_shape})
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
         with np.errstate(over="ignore", invalid="ignore"):  # what is beyond the floats is outside
             x = np.broadcast_to(p - self.center, (*batch, self.dim))
@@ -321,8 +321,8 @@ class Ellipsoids:
         """
         if self.dim != 3:
             raise InputError(f"transformed: expected ellipsoids in 3-D, found dimension {self.dim}; use affine")
-        P = _check.poses(T, "T")
-        _check.broadcast({"T": P.shape[:-2], "the batch": self.batch_shape})
+        P = _validate.poses(T, "T")
+        _validate.broadcast({"T": P.shape[:-2], "the batch": self.batch_shape})
         return self._mapped(P[..., :3, :3], P[..., :3, 3])
 
     def affine(self, A: ArrayLike, b: ArrayLike) -> Ellipsoids:
@@ -351,11 +351,11 @@ class Ellipsoids:
         >>> Ellipsoids.from_semi_axes([0, 0], [1, 1]).affine([[2, 0], [0, 3]], [5, 5]).semi_axes
         array([3., 2.])
         """
-        A_ = _check.finite_array(A, "A", ("...", self.dim, self.dim))
-        b_ = _check.finite_array(b, "b", ("...", self.dim))
+        A_ = _validate.finite_array(A, "A", ("...", self.dim, self.dim))
+        b_ = _validate.finite_array(b, "b", ("...", self.dim))
         if A_.size and not (np.linalg.svd(A_, compute_uv=False)[..., -1] > 0).all():
             raise GeometryError("A: expected an invertible matrix, found a singular one")
-        _check.broadcast({"A": A_.shape[:-2], "b": b_.shape[:-1], "the batch": self.batch_shape})
+        _validate.broadcast({"A": A_.shape[:-2], "b": b_.shape[:-1], "the batch": self.batch_shape})
         return self._mapped(A_, b_)
 
     def _mapped(self, A: Floats, b: Floats) -> Ellipsoids:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.fits import halfspaces as halfspace_kernel
 from loewner._kernels.fits import hulls as hull_kernel
@@ -20,6 +19,7 @@ from loewner._kernels.fits import mvce as mvce_kernel
 from loewner._kernels.fits import mvie as mvie_kernel
 from loewner._kernels.fits import pieces as kernel
 from loewner._threads import in_shares
+from loewner._validate import Floats, Ints, Progress
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
@@ -27,7 +27,6 @@ from loewner.polytopes import (
     FLATNESS,
     LEAST_SHARE,
     Polytope,
-    Progress,
     center_error,
     check_enough,
     check_halfspaces,
@@ -35,8 +34,6 @@ from loewner.polytopes import (
     interior_point,
     writeable,
 )
-
-Ints = NDArray[np.int64]
 
 # The paper's tolerance: volumes within a factor e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
@@ -69,7 +66,7 @@ class Fit:
     iterations: int
 
     def __repr__(self) -> str:
-        return _check.brief(self)
+        return _validate.brief(self)
 
 
 @guarded
@@ -111,12 +108,12 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     >>> fit.ellipsoid.semi_axes.round(4)
     array([1.4142, 1.4142])
     """
-    x = writeable(_check.finite_array(points, "points", (None, None)))
+    x = writeable(_validate.finite_array(points, "points", (None, None)))
     check_enough(x, "points")
     tolerance = checked_tolerance(tol)
     n = x.shape[1]
     if not isinstance(method, str) or method not in ("direct", "lifted-mvie"):
-        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_check.short(method)}")
+        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_validate.short(method)}")
     if method == "lifted-mvie":
         return _mvce_lifted(x, tolerance)
     center, factor = np.empty(n), np.empty((n, n))
@@ -194,7 +191,7 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     tolerance = checked_tolerance(tol)
     if b is not None:
         return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
-    points = _check.finite_array(A, "points", (None, None))
+    points = _validate.finite_array(A, "points", (None, None))
     check_enough(points, "points")
     if points.shape[1] == 1:  # Qhull wants a plane at least; an interval is its own two half-spaces
         return _mvie_of_halfspaces(np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance)
@@ -252,10 +249,10 @@ def fit_pieces(
     GeometryError, ConvergenceError
         With the index of the piece.
     """
-    tolerance, progress = checked_tolerance(tol), _check.callback(progress, "progress")
-    V = _check.finite_array(vertices, "vertices", (None, 3))
-    A = _check.finite_array(normals, "normals", (None, 3))
-    _check.finite_array(offsets, "offsets", (len(A),))
+    tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
+    V = _validate.finite_array(vertices, "vertices", (None, 3))
+    A = _validate.finite_array(normals, "normals", (None, 3))
+    _validate.finite_array(offsets, "offsets", (len(A),))
     vs, fs = _starts(vert_start, "vert_start", len(V)), _starts(face_start, "face_start", len(A))
     if len(vs) != len(fs):
         raise InputError(f"face_start: expected {len(vs)} entries like vert_start, found {len(fs)}")
@@ -294,14 +291,14 @@ def _fit_all(
 
 def checked_tolerance(tol: float) -> float:
     """Check a gap in log-volume; see `mvce`."""
-    value = _check.positive_scalar(tol, "tol")
+    value = _validate.positive_scalar(tol, "tol")
     if not SMALLEST_TOLERANCE <= value <= 1.0:
         raise InputError(f"tol: expected a gap in log-volume between {SMALLEST_TOLERANCE:g} and 1, found {value:g}")
     return value
 
 
 def _starts(x: Ints, name: str, total: int) -> Ints:
-    starts = writeable(_check.integer_array(x, name))
+    starts = writeable(_validate.integer_array(x, name))
     if starts.ndim != 1 or len(starts) < 1 or starts[0] != 0 or starts[-1] != total or (np.diff(starts) < 0).any():
         raise InputError(f"{name}: expected indices that rise from 0 to {total}, found {starts.ravel()[:8].tolist()}")
     return starts

@@ -1,8 +1,6 @@
-"""Triangle meshes in, convex pieces out, with a bound on what the pieces leave uncovered.
+"""Triangle meshes in, convex pieces out.
 
-Two promises matter here. A file is read whole or refused: half a mesh would be free where the
-whole one collides. And the pieces of a decomposition are grown until they hold the mesh's whole
-surface (`cover`), because the decomposition itself cuts corners and those corners would be free too.
+A file is read whole or refused: half a mesh would be free where the whole one collides.
 """
 
 from __future__ import annotations
@@ -10,17 +8,16 @@ from __future__ import annotations
 import threading
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from loewner import _check, mesh_files
-from loewner._check import Floats
+from loewner import _validate, mesh_files
 from loewner._files import shown
+from loewner._validate import Floats
+from loewner.coverage import Covering, covered
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
 from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.polytopes import Polytope
@@ -40,56 +37,8 @@ CONVEX_VOLUME_TOLERANCE = 1e-3
 # of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
 
-# What sticks out of the nearest piece by more than GROWTH is cut into cells, down to CELL_SIZE; both
-# are relative to the diagonal of the mesh's box. So a piece grows by 0.1 % of it over a face and by
-# 0.25 % over an edge that it shares with another piece.
-GROWTH = 0.001
-CELL_SIZE = 0.0025
-
-# A sample this far outside a piece, relative to the same diagonal, is inside except for rounding:
-# far above Qhull's errors (about 1e-15), far below the accuracy of any mesh.
-COVER_TOLERANCE = 1e-10
-
-
 # CoACD takes numbers of pieces and seeds of 31 bits.
 LARGEST_NUMBER = 2**31 - 1
-
-
-@dataclass(frozen=True)
-class Covering:
-    """What the convex pieces of a mesh do to the word "certified".
-
-    Attributes
-    ----------
-    kind : str
-        ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
-        ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh.
-    exact : bool
-        Whether the union of the pieces holds the whole surface of the mesh, up to
-        `max_uncovered`, which is then rounding. FREE is then a statement about the mesh too.
-    max_uncovered : float
-        Proven upper bound on the distance from any point of the mesh's surface to the union of the
-        pieces, in metres. With ``margin`` at least the sum of both bodies' bounds, FREE is a
-        statement about both surfaces, whatever `exact` says.
-    excess_volume : float
-        Sum of the pieces' volumes over the mesh's volume, less 1: how much the pieces stick out
-        (overlaps counted twice). NaN if the mesh is not closed, for it then has no volume.
-    samples : int
-        Points of the surface that were tested, all mesh vertices included.
-
-    Examples
-    --------
-    >>> import trimesh
-    >>> from loewner import Body
-    >>> Body.from_mesh(trimesh.creation.box((1, 1, 1))).covering.exact
-    True
-    """
-
-    kind: str
-    exact: bool
-    max_uncovered: float
-    excess_volume: float
-    samples: int
 
 
 def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple[Floats, Triangles]:
@@ -127,7 +76,7 @@ def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        path = Path(source) if isinstance(source, str | Path) else _check.path(source, "source")
+        path = Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
         name = shown(path)
         vertices, triangles = mesh_files.read(path)
     else:
@@ -154,11 +103,11 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
         ) from None
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
-    vertices = _check.float_array(mesh.vertices, "mesh.vertices")
+    vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
     triangles = np.asarray(mesh.faces)
     for array, what in ((vertices, "vertices"), (triangles, "faces")):
         if array.ndim != 2 or array.shape[1] != 3:
-            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_check.shape_text(array.shape)}")
+            raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_validate.shape_text(array.shape)}")
     if len(triangles) and triangles.dtype.kind not in "iu":
         raise GeometryError(f"mesh.faces: expected whole numbers, found dtype {triangles.dtype}")
     return vertices * _metres(mesh), np.array(triangles, dtype=np.int64)
@@ -251,16 +200,16 @@ def convex_pieces(
     >>> len(pieces), pieces[0].shape, covering.exact
     (1, (8, 3), True)
     """
-    threshold = _check.positive_scalar(threshold, "threshold")
+    threshold = _validate.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
-    most = None if max_pieces is None else _check.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
-    seed = _check.whole_number(seed, "seed", 0, LARGEST_NUMBER)
-    decompose, cover = _check.flag(decompose, "decompose"), _check.flag(cover, "cover")
-    factors = _check.float_array(scale, "scale")
-    factors = _check.finite_array(factors, "scale", (3,) if factors.ndim else ())
+    most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
+    seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
+    decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
+    factors = _validate.float_array(scale, "scale")
+    factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
-        raise InputError(f"scale: expected factors other than 0, found {_check.short(scale)}")
+        raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
     vertices, triangles = load(source)
     name = shown(source) if isinstance(source, str | PathLike) else "mesh"
     with np.errstate(over="ignore"):
@@ -286,14 +235,8 @@ def convex_pieces(
         )
     hulls = _coacd(vertices, triangles, threshold, most, seed)
     size = _size(vertices)
-    cells, owner, samples = _outside(vertices[triangles], hulls, GROWTH * size, CELL_SIZE * size)
-    if cover and len(cells):
-        for j in np.unique(owner):
-            corners = cells[owner == j].reshape(-1, 3)
-            hulls[j] = Polytope.from_points(np.concatenate([hulls[j].vertices, corners]))
-    rounding = COVER_TOLERANCE * size
-    gap = _largest_gap(cells, hulls, rounding)
-    return _result(hulls, Covering("decomposition", gap <= rounding, gap, 0.0, samples), volume)
+    hulls, covering = covered(vertices[triangles], hulls, size, grow=cover)
+    return _result(hulls, covering, volume)
 
 
 def _result(hulls: list[Polytope], covering: Covering, volume: float) -> tuple[list[Floats], Covering]:
@@ -446,120 +389,3 @@ def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int |
             "mesh: the convex decomposition found no solid piece; decompose=False takes the convex hull"
         )
     return hulls
-
-
-# -- covering -----------------------------------------------------------------------------------
-
-
-def _outside(
-    triangles: Floats, hulls: list[Polytope], growth: float, cell_size: float
-) -> tuple[Floats, NDArray[np.int64], int]:
-    """Cells of the surface that lie in no single piece.
-
-    A triangle lies in a convex piece if its corners do. One that lies in none is halved across
-    its longest edge until it does, sticks out by no more than `growth`, or has no edge longer
-    than `cell_size`.
-
-    Returns
-    -------
-    cells : ndarray, shape (k, 3, 3)
-        Corners of what is left.
-    owner : ndarray of int, shape (k,)
-        The piece that each cell sticks out of least.
-    samples : int
-        Points tested.
-    """
-    rest, owners, samples = [np.empty((0, 3, 3))], [np.empty(0, dtype=np.int64)], 0
-    while len(triangles):
-        points, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-        samples += len(points)
-        worst, owner = _coverage(points, index.reshape(-1, 3), hulls)
-        triangles, worst, owner = triangles[worst > 0], worst[worst > 0], owner[worst > 0]
-        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        split = (worst > growth) & (edges.max(axis=1) > cell_size)
-        rest.append(triangles[~split])
-        owners.append(owner[~split])
-        triangles = _halved(triangles[split], edges[split].argmax(axis=1))
-    return np.concatenate(rest), np.concatenate(owners), samples
-
-
-def _halved(triangles: Floats, edge: NDArray[np.int64]) -> Floats:
-    """Cut each triangle across the edge that starts at the given corner."""
-    row = np.arange(len(triangles))
-    a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
-    middle = (a + b) / 2
-    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-
-
-def _coverage(points: Floats, cells: NDArray[np.int64], hulls: list[Polytope]) -> tuple[Floats, NDArray[np.int64]]:
-    """For each cell the piece it sticks out of least, and a lower bound on how far (<= 0: it lies inside)."""
-    worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
-    for j, hull in enumerate(hulls):
-        box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
-        ask = (worst > 0) & (box[cells].max(axis=1) < worst)
-        used = np.zeros(len(points), dtype=bool)
-        used[cells[ask]] = True
-        box[used] = _excess(points[used], hull)
-        excess = np.where(ask, box[cells].max(axis=1), np.inf)
-        better = excess < worst
-        worst[better], owner[better] = excess[better], j
-    return worst, owner
-
-
-def _excess(points: Floats, hull: Polytope) -> Floats:
-    """Largest of n·x - b over the faces: a lower bound on the distance, and negative inside."""
-    chunk = max(1, 2_000_000 // len(hull.normals))
-    parts = [(points[k : k + chunk] @ hull.normals.T - hull.offsets).max(axis=1) for k in range(0, len(points), chunk)]
-    return np.concatenate([np.empty(0), *parts])
-
-
-def _largest_gap(cells: Floats, hulls: list[Polytope], slack: float) -> float:
-    """Greatest over the cells of the least over the pieces of the distance of the cell's farthest corner."""
-    points, index = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
-    corner = index.reshape(-1, 3)
-    corner = corner[_coverage(points, corner, hulls)[0] > 0]
-    if len(corner) == 0:
-        return 0.0
-    least = np.full(len(corner), np.inf)
-    for hull in hulls:
-        # A piece that is farther by the lower bound than another one is by distance is not needed.
-        near = _excess(points, hull)[corner].max(axis=1) < least
-        used = np.unique(corner[near])
-        distance = np.full(len(points), np.inf)
-        distance[used] = _distances(points[used], hull, slack)
-        least = np.minimum(least, distance[corner].max(axis=1))
-    return float(least.max())
-
-
-def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
-    """Distance of points to a convex piece, 0 inside.
-
-    The nearest point lies on a face that the point sees; with `slack`, rounding hides none of them.
-    """
-    distance = np.zeros(len(points))
-    chunk = max(1, 500_000 // len(hull.simplices))
-    for k in range(0, len(points), chunk):
-        x = points[k : k + chunk]
-        height = x @ hull.normals.T - hull.offsets
-        seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
-        i, j = np.nonzero(seen[:, hull.face_of_simplex])
-        squared = np.full(len(x), np.inf)
-        face = hull.face_of_simplex[j]
-        np.minimum.at(squared, i, _squared_distances(x[i], hull.vertices[hull.simplices[j]], hull.normals[face]))
-        distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
-    return distance
-
-
-def _squared_distances(points: Floats, triangles: Floats, normals: Floats) -> Floats:
-    """Squared distance of each point to its triangle, from three edges and the inside; sound for slivers too."""
-    least = np.full(len(points), np.inf)
-    above = np.ones(len(points), dtype=bool)
-    for k in range(3):
-        a, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
-        x = points - a
-        length = np.einsum("ij,ij->i", edge, edge)
-        along = np.clip(np.einsum("ij,ij->i", x, edge) / np.where(length > 0, length, 1.0), 0, 1)
-        least = np.minimum(least, ((x - along[:, None] * edge) ** 2).sum(axis=1))
-        above &= np.einsum("ij,ij->i", np.cross(normals, edge), x) >= 0
-    height = np.einsum("ij,ij->i", points - triangles[:, 0], normals)
-    return np.where(above, np.minimum(least, height**2), least)

@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._plausible import FARTHEST_LIMIT
-from loewner.bodies import Ints
-from loewner.checkers import CollisionChecker
+from loewner._validate import Floats, Ints
 from loewner.errors import ConvergenceError, InputError, MissingExtraError, PlanningError, installing
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker, Robot
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
@@ -97,14 +95,14 @@ def plan(
     array([[0., 0.],
            [2., 0.]])
     """
-    timeout = _check.positive_scalar(timeout, "timeout")
-    seed, simplify = _check.whole_number(seed, "seed", 0, 2**32 - 2), _check.flag(simplify, "simplify")
+    timeout = _validate.positive_scalar(timeout, "timeout")
+    seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
     make = _planner(planner)
     robot = _checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:
         raise InputError(
-            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_check.shape_text(np.shape(goal))}"
+            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(goal))}"
         )
     space = _Space.of(checker, joints, q, goals, resolution)
     # Limits before all else: to values in degrees, nothing else that could be said would be to the point.
@@ -188,7 +186,7 @@ class _Space:
         resolution: float,
     ) -> _Space:
         """The space of some joints; where one has no limits it reaches half a turn beyond start and goals."""
-        step = _check.positive_scalar(resolution, "resolution")
+        step = _validate.positive_scalar(resolution, "resolution")
         robot = checker.robot
         columns = _columns(robot, joints)
         ends = np.vstack([q, goals])
@@ -311,7 +309,9 @@ def _search(
     problem.setGoal(region)
     planner = make(information)
     if not isinstance(planner, base.Planner):
-        raise InputError(f"planner: expected a function that returns a planner of OMPL, found {_check.short(planner)}")
+        raise InputError(
+            f"planner: expected a function that returns a planner of OMPL, found {_validate.short(planner)}"
+        )
     planner.setProblemDefinition(problem)
     planner.setup()
     planner.solve(timeout)
@@ -347,17 +347,17 @@ def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
     """Columns of a group, of some joints or of all, in ascending order."""
     if isinstance(joints, str):
         if joints not in robot.groups and joints not in robot.joint_names:
-            raise _check.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
         names = list(robot.groups.get(joints, (joints,)))
     else:
-        names = list(robot.joint_names) if joints is None else _check.listed(joints, "joints")
+        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
     if not names:
         raise InputError(
             "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
         )
     for name in names:
         if not isinstance(name, str) or name not in robot.joint_names:
-            raise _check.unknown_name("joints", name, robot.joint_names)
+            raise _validate.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
                 f"joints: expected joints of one value each, found {name!r}, which is planar or floating and has no "
@@ -377,7 +377,7 @@ def _planner(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
         if isinstance(each, type) and issubclass(each, base.Planner)
     }
     if not isinstance(planner, str) or planner not in known:
-        raise _check.unknown_name("planner", planner, known)
+        raise _validate.unknown_name("planner", planner, known)
     made: Callable[[Any], Any] = known[planner]
     return made
 

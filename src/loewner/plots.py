@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._files import replacing
 from loewner._proportions import wilson
+from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.checkers import CollisionChecker, Settled
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.queries import Verdict, classify, collide, distance
+from loewner.robots import CollisionChecker, Settled
 
 COLOURS = ("#4477aa", "#cc6677")
 INNER, OUTER = "#228833", "#777777"
@@ -84,7 +84,7 @@ def body(
     """
     if not isinstance(body, Body):
         raise InputError(f"body: expected loewner.Body, found {type(body).__name__}")
-    T, ellipsoids = _check.pose(T_world_body, "T_world_body"), _check.flag(ellipsoids, "ellipsoids")
+    T, ellipsoids = _validate.pose(T_world_body, "T_world_body"), _validate.flag(ellipsoids, "ellipsoids")
     ax = _axes(ax)
     _draw(ax, body, T, _colour(colour), ellipsoids)
     _frame(ax, _corners(body, T))
@@ -138,8 +138,8 @@ def pair(
     for operand, name in ((a, "a"), (b, "b")):
         if not isinstance(operand, Body):
             raise InputError(f"{name}: expected loewner.Body, found {type(operand).__name__}")
-    Ta, Tb = _check.pose(T_world_a, "T_world_a"), _check.pose(T_world_b, "T_world_b")
-    ellipsoids, near = _check.flag(ellipsoids, "ellipsoids"), _check.flag(near, "near")
+    Ta, Tb = _validate.pose(T_world_a, "T_world_a"), _validate.pose(T_world_b, "T_world_b")
+    ellipsoids, near = _validate.flag(ellipsoids, "ellipsoids"), _validate.flag(near, "near")
     ax = _axes(ax)
     _draw(ax, a, Ta, COLOURS[0], ellipsoids)
     _draw(ax, b, Tb, COLOURS[1], ellipsoids)
@@ -306,7 +306,7 @@ def costs(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['ours', 'theirs']
     """
-    x = _check.positive_vector(sizes, "sizes", None)
+    x = _validate.positive_vector(sizes, "sizes", None)
     if len(x) == 0:
         raise InputError("sizes: expected one or more, found none")
     curves = {name: _times(times, name, len(x)) for name, times in _named(seconds, "seconds").items()}
@@ -427,7 +427,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     >>> plots.save(plots.body(Body.sphere(0.5)), "sphere.png").name
     'sphere.png'
     """
-    target = _check.path(path, "path")
+    target = _validate.path(path, "path")
     figure = getattr(figure, "figure", figure)
     if not hasattr(figure, "savefig"):
         raise InputError(f"figure: expected a matplotlib figure or axes, found {type(figure).__name__}")
@@ -448,7 +448,7 @@ def _axes(given: Any) -> Any:
     if given is None:
         return _figure(6, 6).add_subplot(projection="3d")
     if getattr(given, "name", None) != "3d" or not hasattr(given, "add_collection3d"):
-        raise InputError(f"ax: expected matplotlib axes in space, found {_check.short(given)}")
+        raise InputError(f"ax: expected matplotlib axes in space, found {_validate.short(given)}")
     return given
 
 
@@ -457,7 +457,7 @@ def _flat_axes(given: Any) -> Any:
     if given is None:
         return _figure(6, 4).add_subplot()
     if getattr(given, "name", None) != "rectilinear" or not hasattr(given, "barh"):
-        raise InputError(f"ax: expected matplotlib axes in the plane, found {_check.short(given)}")
+        raise InputError(f"ax: expected matplotlib axes in the plane, found {_validate.short(given)}")
     return given
 
 
@@ -469,13 +469,13 @@ def _colour(x: Any) -> Any:
     except Exception:  # what an object of the caller's raises
         known = False
     if not known:
-        raise InputError(f"colour: expected a colour of matplotlib, found {_check.short(x)}")
+        raise InputError(f"colour: expected a colour of matplotlib, found {_validate.short(x)}")
     return x
 
 
 def _expect_text(x: Any, name: str) -> None:
     if not isinstance(x, str):
-        raise InputError(f"{name}: expected text, found {_check.short(x)}")
+        raise InputError(f"{name}: expected text, found {_validate.short(x)}")
 
 
 def _figure(width: float, height: float) -> Any:
@@ -501,8 +501,8 @@ def _tiers_of(group: Any, name: Any) -> dict[str, int]:
     found = asdict(group) if isinstance(group, Settled) else dict(_named(group, f"counts[{name!r}]"))
     for tier, count in found.items():
         if tier not in TIERS:
-            raise _check.unknown_name(f"counts[{name!r}]", tier, TIERS)
-        _check.whole_number(count, f"counts[{name!r}][{tier!r}]", 0)
+            raise _validate.unknown_name(f"counts[{name!r}]", tier, TIERS)
+        _validate.whole_number(count, f"counts[{name!r}][{tier!r}]", 0)
     if not any(found.values()):
         raise InputError(f"counts[{name!r}]: expected counts above zero, found none")
     return found
@@ -510,14 +510,14 @@ def _tiers_of(group: Any, name: Any) -> dict[str, int]:
 
 def _times(x: Any, name: str, count: int) -> Floats:
     """One time, or one for each size; NaN for what was not measured."""
-    times = _check.float_array(x, f"seconds[{name!r}]")
+    times = _validate.float_array(x, f"seconds[{name!r}]")
     if times.shape not in ((), (count,)):
-        found = _check.shape_text(times.shape)
+        found = _validate.shape_text(times.shape)
         raise InputError(f"seconds[{name!r}]: expected shape ({count},), as sizes, or a number; found shape {found}")
     measured = times[~np.isnan(times)]
     if not len(measured) or not (np.isfinite(measured) & (measured > 0)).all():
         raise InputError(
-            f"seconds[{name!r}]: expected times above zero, or NaN but not for all; found {_check.short(x)}"
+            f"seconds[{name!r}]: expected times above zero, or NaN but not for all; found {_validate.short(x)}"
         )
     return times
 
@@ -525,9 +525,9 @@ def _times(x: Any, name: str, count: int) -> Floats:
 def _counted(x: Any, name: str) -> tuple[int, int]:
     """How many were right, of how many."""
     try:
-        right, total = (_check.whole_number(n, name, 0) for n in x)
+        right, total = (_validate.whole_number(n, name, 0) for n in x)
     except Exception:  # other than two of them, or what an object of the caller's raises
-        raise InputError(f"{name}: expected two whole numbers (right, asked), found {_check.short(x)}") from None
+        raise InputError(f"{name}: expected two whole numbers (right, asked), found {_validate.short(x)}") from None
     if right > total:
         raise InputError(f"{name}: expected right <= asked, found {right} of {total}")
     return right, total

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -10,19 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check, _memory
-from loewner._check import Floats
+from loewner import _memory, _validate
 from loewner._guard import guarded
 from loewner._kernels.fits import halfspaces as halfspace_kernel
 from loewner._kernels.fits import hulls as kernel
 from loewner._kernels.fits.mvce import FLAT
 from loewner._threads import in_shares
+from loewner._validate import Floats, Ints, Progress
 from loewner.errors import GeometryError, InputError
 
 # SciPy's hulls and linear programs are imported where they are used: together they take longer than all of `loewner`.
 
-Ints = NDArray[np.int64]
-Progress = Callable[[int, int], None]
 
 # Hulls or pieces that a thread takes at a time, at least and at most: a progress report every 10 to 50 ms.
 LEAST_SHARE, BLOCK = 16, 512
@@ -106,7 +104,7 @@ class Polytope:
         >>> Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
         Polytope(4 vertices, 4 faces, n=3)
         """
-        return cls(*_hull(_check.finite_array(points, "points", (None, None)), "points"))
+        return cls(*_hull(_validate.finite_array(points, "points", (None, None)), "points"))
 
     @classmethod
     def from_halfspaces(cls, A: ArrayLike, b: ArrayLike) -> Polytope:
@@ -199,8 +197,8 @@ def flat_error(name: str, points: Floats) -> GeometryError:
 
 def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     """Half-spaces with rows of length about 1 (scaled by powers of two, so exactly), empty rows dropped."""
-    rows = _check.finite_array(A, "A", (None, None))
-    bounds = _check.finite_array(b, "b", (len(rows),))
+    rows = _validate.finite_array(A, "A", (None, None))
+    bounds = _validate.finite_array(b, "b", (len(rows),))
     if rows.shape[1] < 1 or len(rows) < 1:
         raise InputError(f"A: expected at least one half-space in dimension n >= 1, found shape {rows.shape}")
     size = np.abs(rows).max(axis=1)
@@ -358,7 +356,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
         made = []
         for i in range(first, last):
             name = f"point_sets[{i}]" if names is None else names[i]
-            made.append(_hull(_check.finite_array(point_sets[i], name, (None, 3)), name))
+            made.append(_hull(_validate.finite_array(point_sets[i], name, (None, 3)), name))
         return made
 
     parts = list(chain.from_iterable(in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)))

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
 from loewner._kernels.pipeline import distances, fallback, verdicts
 from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._threads import in_shares
+from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError
@@ -101,7 +101,7 @@ class Distance:
     normal: Any = None
 
     def __repr__(self) -> str:
-        return _check.brief(self)
+        return _validate.brief(self)
 
 
 # The plan of one pair, and the rows of pairs that are not listed by number: see `verdicts.settle_range`.
@@ -114,10 +114,10 @@ class _Pairs(NamedTuple):
 
     shape: tuple[int, ...]
     total: int
-    plan: NDArray[np.int64]
+    plan: Ints
     packs: tuple[Packed, Packed]
     poses: tuple[Floats, Floats]
-    rows: NDArray[np.int64] = NO_ROWS
+    rows: Ints = NO_ROWS
 
     @property
     def operands(self) -> tuple[Any, ...]:
@@ -157,8 +157,8 @@ def _prepare(
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
     if not isinstance(b, (Body, Bodies)):
         raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}")
-    Ta = _check.poses(T_world_a, "T_world_a", check=check)
-    Tb = _check.poses(T_world_b, "T_world_b", check=check)
+    Ta = _validate.poses(T_world_a, "T_world_a", check=check)
+    Tb = _validate.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed
     if chosen is not None:
         return _listed(chosen, a, Ta, b, Tb, each)
@@ -171,24 +171,24 @@ def _prepare(
     try:
         shape = np.broadcast_shapes(*parts)
     except ValueError:
-        texts = [_check.shape_text(p) for p in parts]
+        texts = [_validate.shape_text(p) for p in parts]
         raise PoseError(
             "expected bodies and poses whose batch shapes broadcast, found "
             f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
         ) from None
-    _check.fits_memory(each * math.prod(shape), f"{_check.shape_text(shape)} pairs")
+    _validate.fits_memory(each * math.prod(shape), f"{_validate.shape_text(shape)} pairs")
     plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
     return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
 
 
 def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
     """Operands whose pairs are given by row numbers."""
-    rows = _check.integer_array(chosen, "pairs")
+    rows = _validate.integer_array(chosen, "pairs")
     if rows.ndim == 0 or rows.shape[-1] != 2:
-        found = _check.shape_text(rows.shape)
+        found = _validate.shape_text(rows.shape)
         raise InputError(f"pairs: expected row numbers of a and b, shape (..., 2) of integers, found {found}")
     count = rows.size // 2
-    _check.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
+    _validate.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
     flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
     plan = [[flat.shape[1]]]
     for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
@@ -221,7 +221,7 @@ def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:
     return strides
 
 
-def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> NDArray[np.int64]:
+def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
     """Merge neighbouring axes that every operand walks through evenly; mostly one axis is left.
 
     Returns the plan: the shape that is left, then the strides of each operand, one row each.
@@ -240,7 +240,7 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> NDArray[np.in
 def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any) -> int:
     """Verdict of two single bodies by the shortest way; -1 if they have to go the long one."""
     if type(a) is Body and type(b) is Body:
-        Ta, Tb = _check.one_pose(T_world_a), _check.one_pose(T_world_b)
+        Ta, Tb = _validate.one_pose(T_world_a), _validate.one_pose(T_world_b)
         if Ta is not None and Tb is not None:
             out = np.empty(1, dtype=np.int8)
             tally = np.zeros(codes.TIERS, dtype=np.int64)
@@ -254,15 +254,15 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
     return -1
 
 
-def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], Ints]:
     """Verdict of every pair, and how many piece pairs each tier settled."""
     out = np.empty(pairs.total, dtype=np.int8)
 
-    def run(first: int, last: int) -> NDArray[np.int64]:
+    def run(first: int, last: int) -> Ints:
         tally = np.zeros(codes.TIERS, dtype=np.int64)
         if not verdicts.settle_range(mode, margin, first, last, *pairs.handles, out, tally, workspace(WORKSPACE)):
             for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
-                _check.rigid_motions(T, name)
+                _validate.rigid_motions(T, name)
         return tally
 
     tally = reduce(np.add, in_shares(run, pairs.total, CHUNK))
@@ -320,7 +320,7 @@ def classify(
     >>> classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
     <Verdict.FREE: 0>
     """
-    keep = _check.positive_scalar(margin, "margin", zero=True)
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
     if pairs is None:
         one = _settle_one(codes.CERTIFY, keep, a, T_world_a, b, T_world_b)
         if one >= 0:
@@ -392,9 +392,9 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    _check.choice(method, "method", METHODS)
+    _validate.choice(method, "method", METHODS)
     code = _rule_code(rule)
-    keep = _check.positive_scalar(margin, "margin", zero=True)
+    keep = _validate.positive_scalar(margin, "margin", zero=True)
     if method == "exact" and pairs is None:
         one = _settle_one(codes.EXACT, keep, a, T_world_a, b, T_world_b)
         if one in (codes.FREE, codes.COLLIDING):
@@ -433,9 +433,9 @@ def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
     in_shares(run, pairs.total, CHUNK)
 
 
-def _copied(pairs: _Pairs, which: NDArray[np.int64]) -> _Pairs:
+def _copied(pairs: _Pairs, which: Ints) -> _Pairs:
     """Some of the pairs of a list, as pairs of copies that broadcast."""
-    _check.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
+    _validate.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
     (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
     packs = tuple(
         take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
@@ -495,7 +495,7 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
-    code, exact = _rule_code(rule), _check.flag(exact, "exact")
+    code, exact = _rule_code(rule), _validate.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
     shape = asked.shape
     if asked.rows.shape[1]:
@@ -532,7 +532,7 @@ def distance(
 
 
 def _rule_code(rule: str) -> int:
-    return RULES[_check.choice(rule, "rule", RULES)]
+    return RULES[_validate.choice(rule, "rule", RULES)]
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:

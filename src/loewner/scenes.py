@@ -16,16 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check, crowds, queries
-from loewner._check import Floats
+from loewner import _validate, crowds, queries
 from loewner._guard import guarded
 from loewner._kernels.pieces.shapes import OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
-from loewner.bodies import Bodies, Body, Ints
+from loewner._validate import Floats, Ints, Pair
+from loewner.bodies import Bodies, Body
 from loewner.errors import InputError
 from loewner.queries import Distance
-
-Pair = tuple[str, str]
 
 # Held while a scene changes or is copied, for microseconds each. One for all scenes: none has to be kept out of copies
 # and pickles, and a process that forks meanwhile has one to see to.
@@ -87,8 +85,8 @@ class Contact:
             If there are not as many pairs of names as exact distances.
         """
         if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
-            raise InputError(f"found: expected exact distances of a row of pairs, found {_check.short(found)}")
-        listed = [_pair_as_given(pair) for pair in _check.listed(names, "names")]
+            raise InputError(f"found: expected exact distances of a row of pairs, found {_validate.short(found)}")
+        listed = [_pair_as_given(pair) for pair in _validate.listed(names, "names")]
         if len(listed) != len(found.normal):
             raise InputError(f"names: expected {len(found.normal)} pairs, as found, found {len(listed)}")
         rows = zip(listed, found.distance.tolist(), found.witness_a, found.witness_b, found.normal, strict=True)
@@ -156,7 +154,7 @@ class Scene:
     """
 
     def __init__(self, *, margin: float = 0.0) -> None:
-        self._margin = _check.positive_scalar(margin, "margin", zero=True)
+        self._margin = _validate.positive_scalar(margin, "margin", zero=True)
         self._bodies: dict[str, Body] = {}
         self._poses: dict[str, Floats] = {}
         self._attachments: dict[str, Attachment] = {}
@@ -311,8 +309,8 @@ class Scene:
         _check_name(name, "name")
         if not isinstance(body, Body):
             raise InputError(f"body of {name!r}: expected loewner.Body, found {type(body).__name__}")
-        T = _check.pose(T_world_body, f"T_world_body of {name!r}")
-        keep = None if margin is None else _check.positive_scalar(margin, f"margin of {name!r}", zero=True)
+        T = _validate.pose(T_world_body, f"T_world_body of {name!r}")
+        keep = None if margin is None else _validate.positive_scalar(margin, f"margin of {name!r}", zero=True)
         with _CHANGING:
             if name in self._bodies:
                 raise InputError(
@@ -376,7 +374,7 @@ class Scene:
             moves = name
         else:
             moves = {self._known(name): T_world_body}
-        checked = {key: _check.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
+        checked = {key: _validate.pose(T, f"T_world_body of {key!r}") for key, T in moves.items()}
         with _CHANGING:
             self._poses.update({self._placed(key): T for key, T in checked.items()})
             self._version += 1
@@ -411,10 +409,10 @@ class Scene:
             link,
             *(
                 _check_name(touched, "touch_links")
-                for touched in _check.listed(touch_links, "touch_links", wanted="several names of links")
+                for touched in _validate.listed(touch_links, "touch_links", wanted="several names of links")
             ),
         }
-        T = _check.pose(T_link_body, f"T_link_body of {name!r}")
+        T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         with _CHANGING:
             self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
@@ -436,7 +434,7 @@ class Scene:
         InputError
             If the body is not attached.
         """
-        T = _check.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
+        T = _validate.pose(T_world_body, f"T_world_body of {self._known(name)!r}")
         with _CHANGING:
             if self._known(name) not in self._attachments:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
@@ -481,7 +479,7 @@ class Scene:
         pair = _pair(a, b)
         with _CHANGING:
             if pair not in self._allowed:
-                raise _check.unknown_name(
+                raise _validate.unknown_name(
                     "allowed pair", _text(pair), (_text(allowed) for allowed in sorted(self._allowed))
                 )
             self._allowed.remove(pair)
@@ -515,7 +513,7 @@ class Scene:
         >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
         (0.05, 0.01)
         """
-        keep = None if margin is None else _check.positive_scalar(margin, "margin", zero=True)
+        keep = None if margin is None else _validate.positive_scalar(margin, "margin", zero=True)
         if a is None:
             if b is not None:
                 raise InputError(f"a: expected a name with b = {b!r}, found None")
@@ -531,6 +529,43 @@ class Scene:
                 self._margins.pop(names, None)
             else:
                 self._margins[names] = keep
+            self._changed()
+
+    def widen(self, least: float) -> None:
+        """Let every pair with a body of this scene keep `least` metres or more; margins of two links stay.
+
+        Parameters
+        ----------
+        least : float
+            Metres. Margins that are larger stay as well. The scene's own margin is raised, too.
+
+        Raises
+        ------
+        InputError
+            If it is negative or not finite.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.01)
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.05)
+        >>> scene.widen(0.02)
+        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
+        (0.05, 0.02)
+        """
+        least = _validate.positive_scalar(least, "least", zero=True)
+        with _CHANGING:
+            before = self.margins
+            for names, margin in before.items():
+                if margin >= least:
+                    continue
+                if any(name in self._bodies for name in names):
+                    self._margins[names] = least
+                elif len(names) == 1:  # a link's own goes before the scene's, but holds for other links as well
+                    for body in self._bodies:
+                        pair = _pair(body, *names)
+                        if (body,) not in before and pair not in before:
+                            self._margins[pair] = least
+            self._margin = max(least, self._margin)
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
@@ -650,7 +685,7 @@ class Scene:
     def _known(self, name: Any) -> str:
         if not isinstance(name, str) or name not in self._bodies:
             with _CHANGING:
-                raise _check.unknown_name("body", name, self._bodies)
+                raise _validate.unknown_name("body", name, self._bodies)
         return name
 
     def _placed(self, name: Any) -> str:
@@ -665,7 +700,7 @@ class Scene:
 
 def _check_name(name: Any, what: str) -> str:
     if not isinstance(name, str) or not name:
-        raise InputError(f"{what}: expected a name, found {_check.short(name)}")
+        raise InputError(f"{what}: expected a name, found {_validate.short(name)}")
     return name
 
 
@@ -673,7 +708,7 @@ def _pair_as_given(pair: Any) -> Pair:
     try:
         a, b = pair
     except Exception:  # other than two, or what an object of the caller's raises
-        raise InputError(f"names: expected pairs of names, found {_check.short(pair)}") from None
+        raise InputError(f"names: expected pairs of names, found {_validate.short(pair)}") from None
     return _check_name(a, "names"), _check_name(b, "names")
 
 

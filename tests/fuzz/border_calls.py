@@ -674,6 +674,7 @@ CALLS: dict[str, Call] = {
         on(scene, "set_margin"),
         {"margin": margin(0.5, NONE), "a": arg("post", TEXTS), "b": arg("can", TEXTS, NONE)},
     ),
+    "Scene.widen": Call(on(scene, "widen"), {"least": margin(0.5)}),
     "Scene.margin_of": Call(on(scene, "margin_of"), {"a": arg("post", TEXTS), "b": arg("can", TEXTS)}),
     "Scene.pairs": Call(on(scene, "pairs"), {}),
     "Scene.collide": Call(on(scene, "collide"), {}),
@@ -754,6 +755,7 @@ CALLS: dict[str, Call] = {
     ),
     "CollisionChecker.collide": Call(on(checker, "collide"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.classify": Call(on(checker, "classify"), {"Q": CONFIGURATIONS}),
+    "CollisionChecker.settle": Call(on(checker, "settle"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.tiers": Call(on(checker, "tiers"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.valid_edges": Call(
         on(checker, "valid_edges"),

@@ -6,9 +6,9 @@ moved by handing a pose to a query; the fits are never computed again.
 `body` holds these two, `pack` the arrays behind them, `layout` what kernels see of the arrays, `files` the ``.npz``.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece, Progress
+from loewner.bodies.body import Bodies, Body, Piece
 from loewner.bodies.files import FORMAT, VERSION
-from loewner.bodies.layout import LARGEST, SMALLEST, Ints, KernelArrays
+from loewner.bodies.layout import LARGEST, SMALLEST, KernelArrays
 from loewner.bodies.pack import ARRAYS, KIND_NAMES, Packed, take
 from loewner.bodies.pack import arrays_of as _arrays
 

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check, fits, meshes, polytopes
-from loewner._check import Floats
+from loewner import _validate, fits, meshes, polytopes
 from loewner._guard import guarded
 from loewner._kernels.pieces import shapes
+from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import files
-from loewner.bodies.layout import Ints
 from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
+from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +106,7 @@ class Body(_Bodies):
     array([1.5, 1. , 0.5])
     """
 
-    def __init__(self, packed: Packed, covering: meshes.Covering | None = None) -> None:
+    def __init__(self, packed: Packed, covering: Covering | None = None) -> None:
         if not isinstance(packed, Packed):
             raise InputError("Body: make one by Body.from_points, from_mesh, box, sphere, ... or load")
         if len(packed.piece_start) != 2:
@@ -166,7 +164,7 @@ class Body(_Bodies):
         >>> Body.from_pieces([corners, corners + [2, 0, 0]])
         Body(2 pieces, 8 vertices)
         """
-        sets = _check.listed(point_sets, "point_sets")
+        sets = _validate.listed(point_sets, "point_sets")
         if not sets:
             raise GeometryError("point_sets: expected at least one piece, found none")
         return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol))
@@ -255,7 +253,7 @@ class Body(_Bodies):
         >>> Body.box([2, 4, 6]).outer.volume / Body.box([2, 4, 6]).inner.volume  # 3 sqrt(3)
         array([5.19615242])
         """
-        half = _check.positive_vector(size, "size", 3) / 2
+        half = _validate.positive_vector(size, "size", 3) / 2
         signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
         hull = polytopes.hulls([signs * half])
         # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
@@ -291,7 +289,7 @@ class Body(_Bodies):
         >>> Body.sphere(0.5).outer.semi_axes
         array([[0.5, 0.5, 0.5]])
         """
-        r = _check.positive_scalar(radius, "radius")
+        r = _validate.positive_scalar(radius, "radius")
         return _primitive(shapes.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
 
     @classmethod
@@ -313,7 +311,7 @@ class Body(_Bodies):
         >>> Body.ellipsoid([1, 2, 3])
         Body(ellipsoid, 0 vertices)
         """
-        s = _check.positive_vector(semi_axes, "semi_axes", 3)
+        s = _validate.positive_vector(semi_axes, "semi_axes", 3)
         return _primitive(shapes.ELLIPSOID, 0.0, s, s, s, 0.0)
 
     @classmethod
@@ -335,8 +333,8 @@ class Body(_Bodies):
         >>> Body.cylinder(radius=1, length=4).inner.semi_axes
         array([[2., 1., 1.]])
         """
-        r = _check.positive_scalar(radius, "radius")
-        h = _check.positive_scalar(length, "length") / 2
+        r = _validate.positive_scalar(radius, "radius")
+        h = _validate.positive_scalar(length, "length") / 2
         wide = r * np.sqrt(1.5)
         return _primitive(shapes.CYLINDER, 0.0, [r, r, h], [r, r, h], [wide, wide, np.sqrt(3.0) * h], 0.0)
 
@@ -359,8 +357,8 @@ class Body(_Bodies):
         >>> Body.cone(radius=1, length=4).inner.center
         array([[ 0.,  0., -1.]])
         """
-        r = _check.positive_scalar(radius, "radius")
-        H = _check.positive_scalar(length, "length")
+        r = _validate.positive_scalar(radius, "radius")
+        H = _validate.positive_scalar(length, "length")
         narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
         return _primitive(shapes.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
 
@@ -383,8 +381,8 @@ class Body(_Bodies):
         >>> Body.capsule(radius=1, length=4).inner.semi_axes
         array([[3., 1., 1.]])
         """
-        r = _check.positive_scalar(radius, "radius")
-        h = _check.positive_scalar(length, "length") / 2
+        r = _validate.positive_scalar(radius, "radius")
+        h = _validate.positive_scalar(length, "length") / 2
         a, b = around_capsules(np.array(r), np.array(h))
         return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
 
@@ -411,7 +409,7 @@ class Body(_Bodies):
         """
         if isinstance(bodies, Body):
             raise InputError("bodies: expected several bodies in a list, found one body")
-        listed = _check.listed(bodies, "bodies")
+        listed = _validate.listed(bodies, "bodies")
         if not listed:
             raise GeometryError("bodies: expected at least one body, found none")
         packed = join([_expect_body(b, "bodies")._packed for b in listed])
@@ -447,7 +445,7 @@ class Body(_Bodies):
         >>> Body.sphere(1.0).transformed(T).outer.center
         array([[5., 0., 0.]])
         """
-        return Body(moved(self._packed, _check.pose(T, "T")), self.covering)
+        return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
@@ -514,7 +512,7 @@ class Bodies(_Bodies):
     """
 
     def __init__(self, bodies: Iterable[Body]) -> None:
-        listed = [_expect_body(b, "bodies")._packed for b in _check.listed(bodies, "bodies")]
+        listed = [_expect_body(b, "bodies")._packed for b in _validate.listed(bodies, "bodies")]
         self._packed = join(listed) if listed else empty()
 
     @classmethod
@@ -547,8 +545,8 @@ class Bodies(_Bodies):
         >>> Bodies.from_points(np.random.default_rng(0).normal(size=(100, 12, 3)))
         Bodies(100 bodies, 100 pieces)
         """
-        sets = _check.listed(point_sets, "point_sets")
-        _check.callback(progress, "progress")
+        sets = _validate.listed(point_sets, "point_sets")
+        _validate.callback(progress, "progress")
         return cls._wrap(_from_point_sets(sets, np.arange(len(sets) + 1), tol, progress=progress))
 
     @classmethod
@@ -565,7 +563,7 @@ class Bodies(_Bodies):
         >>> Bodies.spheres([0.5, 1.0])
         Bodies(2 bodies, 2 pieces)
         """
-        r = _check.positive_vector(radii, "radii", None)
+        r = _validate.positive_vector(radii, "radii", None)
         axes = np.repeat(r[:, None], 3, axis=1)
         return cls._wrap(primitives(shapes.POINT, r, axes, axes, axes, 0.0))
 
@@ -583,7 +581,7 @@ class Bodies(_Bodies):
         >>> Bodies.ellipsoids([[1, 2, 3], [1, 1, 1]])
         Bodies(2 bodies, 2 pieces)
         """
-        s = _check.positive_array(semi_axes, "semi_axes", (None, 3))
+        s = _validate.positive_array(semi_axes, "semi_axes", (None, 3))
         return cls._wrap(primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
 
     def __len__(self) -> int:
@@ -596,18 +594,18 @@ class Bodies(_Bodies):
         if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
             if not -len(self) <= index < len(self):
                 raise BodyIndexError(
-                    f"expected an index from {-len(self)} to {len(self) - 1}, found {_check.short(index)}"
+                    f"expected an index from {-len(self)} to {len(self) - 1}, found {_validate.short(index)}"
                 )
             return Body(take(self._packed, np.array([index % len(self)])))
         try:
             rows = np.arange(len(self))[index]
         except Exception as error:  # an IndexError, or what an object of the caller's raises
-            found = _check.short(index)
+            found = _validate.short(index)
             raise BodyIndexError(
                 f"expected indices from {-len(self)} to {len(self) - 1}, found {found} ({error})"
             ) from None
         if rows.ndim != 1:
-            raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_check.short(index)}")
+            raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_validate.short(index)}")
         return Bodies._wrap(take(self._packed, rows))
 
     def __repr__(self) -> str:

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._check import Floats
 from loewner._kernels.pieces import directions, rigid, shapes
-from loewner.bodies.layout import LARGEST, Ints, Maps, direction_maps
+from loewner._validate import Floats, Ints
+from loewner.bodies.layout import LARGEST, Maps, direction_maps
 from loewner.bodies.pack import ARRAYS, KIND_NAMES, Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError

@@ -19,11 +19,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from loewner import meshes
-from loewner._check import physical_memory
 from loewner._files import replacing
+from loewner._validate import physical_memory
 from loewner.bodies.checks import INTEGERS, check_shapes, checked
 from loewner.bodies.pack import ARRAYS, Packed, arrays_of
+from loewner.coverage import Covering
 from loewner.errors import FileError, InputError
 
 FORMAT, VERSION = "loewner-bodies", 1
@@ -48,7 +48,7 @@ HEADER = re.compile(
 )
 
 
-def save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Covering | None) -> None:
+def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:
     """Write a pack, and what the pieces of a mesh leave uncovered."""
     target = Path(_expect_path(path))
     if target.suffix != ".npz":
@@ -62,7 +62,7 @@ def save(packed: Packed, path: str | os.PathLike[str], covering: meshes.Covering
         np.savez_compressed(stream, **content)
 
 
-def load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:
+def load(path: str | os.PathLike[str]) -> tuple[Packed, Covering | None]:
     """Read what `save` wrote."""
     name = _expect_path(path)
     try:
@@ -78,7 +78,7 @@ def load(path: str | os.PathLike[str]) -> tuple[Packed, meshes.Covering | None]:
         raise FileError(f"{name}: could not be read ({error.strerror or error})") from None
 
 
-def _read(stream: IO[bytes], name: str) -> tuple[Packed, meshes.Covering | None]:
+def _read(stream: IO[bytes], name: str) -> tuple[Packed, Covering | None]:
     if not zipfile.is_zipfile(stream):
         raise FileError(
             f"{name}: expected a body saved as .npz, found another kind of file or a damaged one; "
@@ -95,7 +95,7 @@ def _read(stream: IO[bytes], name: str) -> tuple[Packed, meshes.Covering | None]
         raise FileError(f"{name}: expected a loewner .npz, found something unreadable ({error})") from None
 
 
-def _from_archive(archive: zipfile.ZipFile, name: str) -> tuple[Packed, meshes.Covering | None]:
+def _from_archive(archive: zipfile.ZipFile, name: str) -> tuple[Packed, Covering | None]:
     infos = {info.filename: info for info in archive.infolist()}
     if "format.npy" not in infos or _text(archive, infos["format.npy"]) != FORMAT:
         raise FileError(f"{name}: expected a loewner .npz, found another kind of .npz")
@@ -237,7 +237,7 @@ def _version(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Any:
     return int(_array(archive, info, header)) if whole else f"{header.dtype} of shape {header.shape}"
 
 
-def _covering(values: list[str]) -> meshes.Covering:
+def _covering(values: list[str]) -> Covering:
     """What a mesh's pieces leave uncovered, from the five texts that `save` writes."""
     if np.shape(values) != (5,):
         raise InputError(f"covering: expected five entries, found {values!r}")
@@ -252,7 +252,7 @@ def _covering(values: list[str]) -> meshes.Covering:
         raise InputError(f"covering: expected numbers, found {uncovered!r} and {excess!r}") from None
     if not 0 <= gap < math.inf or not (math.isnan(more) or -1 <= more < math.inf):
         raise InputError(f"covering: expected a length >= 0 and a ratio >= -1 or nan, found {uncovered} and {excess}")
-    return meshes.Covering(kind, exact == "True", gap, more, int(samples))
+    return Covering(kind, exact == "True", gap, more, int(samples))
 
 
 def _digest(arrays: dict[str, Any]) -> str:

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._check import Floats
 from loewner._kernels.pieces import directions, pack, rigid, shapes
 from loewner._kernels.simd import support
 from loewner._kernels.trees import piece_tree
+from loewner._validate import Floats, Ints
 from loewner.errors import GeometryError
 
 if TYPE_CHECKING:
     from loewner.bodies.pack import Packed
 
-Ints = NDArray[np.int64]
 Maps = dict[int, tuple[Ints, Floats]]
 
 # Sizes outside this range under- or overflow in sixth powers of lengths, which the contact function

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _check, _memory
-from loewner._check import Floats
+from loewner import _memory, _validate
 from loewner._kernels.pieces import shapes
-from loewner.bodies.layout import Ints, KernelArrays, Maps, direction_maps, starts
+from loewner._validate import Floats, Ints
+from loewner.bodies.layout import KernelArrays, Maps, direction_maps, starts
 from loewner.errors import GeometryError
 
 KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
@@ -110,7 +110,7 @@ def empty() -> Packed:
 
 def join(parts: list[Packed]) -> Packed:
     """All bodies of several packs, in order."""
-    _check.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
+    _validate.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
     joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
@@ -136,7 +136,7 @@ def _ranges(starts: Ints, stops: Ints) -> Ints:
 
 def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
-    _check.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
+    _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     pieces = _ranges(first, last)
     layout = p.layout[pieces]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._check import Floats
 from loewner._kernels.pieces import shapes
-from loewner.bodies.layout import Ints
+from loewner._validate import Floats, Ints
 from loewner.bodies.pack import Packed
 
 # Relative allowance for the rounding of a closed form and of a stored factor.

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from loewner._check import Floats
 from loewner._files import read_regular, shown
+from loewner._validate import Floats
 from loewner.errors import FileError
 from loewner.mesh_files import dae, gltf, obj, off, ply, stl
 from loewner.mesh_files.parts import Refusal, Triangles

@@ -7,9 +7,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from loewner._check import Floats
+from loewner._validate import Floats, Ints
 from loewner.mesh_files.parts import (
-    Integers,
     Refusal,
     Triangles,
     check_range,
@@ -82,8 +81,8 @@ class _Element:
         expect(len(numbers) == count, f"<{self.tag}>: expected {count} numbers, found {len(numbers)}", self.line)
         return numbers
 
-    def integers(self) -> Integers:
-        numbers: Integers = self._tokens(integers)
+    def integers(self) -> Ints:
+        numbers: Ints = self._tokens(integers)
         return numbers
 
 
@@ -216,7 +215,7 @@ class _Scene:
         return self.made[name]
 
     def primitive(
-        self, element: _Element, assemble: Callable[[_Element, list[Integers]], Triangles]
+        self, element: _Element, assemble: Callable[[_Element, list[Ints]], Triangles]
     ) -> tuple[Floats, Triangles]:
         inputs = [(i.get("semantic"), i.number("offset"), i) for i in element.all("input")]
         at = [(offset, i) for semantic, offset, i in inputs if semantic == "VERTEX"]
@@ -264,20 +263,20 @@ class _Scene:
 # -- primitives ---------------------------------------------------------------------------------
 
 
-def _one_run(element: _Element, runs: list[Integers]) -> Integers:
+def _one_run(element: _Element, runs: list[Ints]) -> Ints:
     if not runs and not element.number("count"):
         return np.empty(0, dtype=np.int64)
     expect(len(runs) == 1, f"<{element.tag}>: expected one <p>, found {len(runs)}", element.line)
     return runs[0]
 
 
-def _triangles(element: _Element, runs: list[Integers]) -> Triangles:
+def _triangles(element: _Element, runs: list[Ints]) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
     expect(len(corners) == 3 * count, f"<triangles>: expected {3 * count} corners, found {len(corners)}", element.line)
     return corners.reshape(-1, 3)
 
 
-def _polylist(element: _Element, runs: list[Integers]) -> Triangles:
+def _polylist(element: _Element, runs: list[Ints]) -> Triangles:
     corners, count = _one_run(element, runs), element.number("count")
     sizes = element.one("vcount").integers() if count or element.all("vcount") else np.empty(0, dtype=np.int64)
     right = len(sizes) == count and (sizes >= 3).all() and (sizes <= len(corners)).all() and sizes.sum() == len(corners)
@@ -287,7 +286,7 @@ def _polylist(element: _Element, runs: list[Integers]) -> Triangles:
     return fans(corners, sizes)
 
 
-def _runs(element: _Element, runs: list[Integers]) -> list[Integers]:
+def _runs(element: _Element, runs: list[Ints]) -> list[Ints]:
     count = element.number("count")
     expect(len(runs) == count, f"<{element.tag}>: expected {count} <p>, found {len(runs)}", element.line)
     for run in runs:
@@ -295,18 +294,18 @@ def _runs(element: _Element, runs: list[Integers]) -> list[Integers]:
     return runs
 
 
-def _polygons(element: _Element, runs: list[Integers]) -> Triangles:
+def _polygons(element: _Element, runs: list[Ints]) -> Triangles:
     runs = _runs(element, runs)
     return fans(
         np.concatenate([np.empty(0, dtype=np.int64), *runs]), np.array([len(run) for run in runs], dtype=np.int64)
     )
 
 
-def _strips(element: _Element, runs: list[Integers]) -> Triangles:
+def _strips(element: _Element, runs: list[Ints]) -> Triangles:
     return np.concatenate([np.empty((0, 3), dtype=np.int64), *(strip(run) for run in _runs(element, runs))])
 
 
-_PRIMITIVES: dict[str, Callable[[_Element, list[Integers]], Triangles]] = {
+_PRIMITIVES: dict[str, Callable[[_Element, list[Ints]], Triangles]] = {
     "triangles": _triangles,
     "polylist": _polylist,
     "polygons": _polygons,

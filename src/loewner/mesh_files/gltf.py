@@ -12,21 +12,10 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._check import Floats
 from loewner._files import read_regular
+from loewner._validate import Floats, Ints
 from loewner.errors import FileError
-from loewner.mesh_files.parts import (
-    MOST,
-    Integers,
-    Refusal,
-    Triangles,
-    check_range,
-    expect,
-    joined,
-    placed,
-    quoted,
-    strip,
-)
+from loewner.mesh_files.parts import MOST, Refusal, Triangles, check_range, expect, joined, placed, quoted, strip
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _INDICES = (5121, 5123, 5125)
@@ -327,7 +316,7 @@ class _Reader:
         return self.files[uri]
 
 
-def _assembled(corners: Integers, mode: int, where: str) -> Triangles:
+def _assembled(corners: Ints, mode: int, where: str) -> Triangles:
     if mode == _TRIANGLES:
         expect(len(corners) % 3 == 0, f"{where}: expected three corners a triangle, found {len(corners)} corners")
         return corners.reshape(-1, 3)

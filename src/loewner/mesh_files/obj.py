@@ -5,18 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from loewner._check import Floats
-from loewner.mesh_files.parts import (
-    Integers,
-    Refusal,
-    Triangles,
-    expect,
-    fans,
-    floats,
-    integers,
-    is_integer,
-    quoted,
-)
+from loewner._validate import Floats, Ints
+from loewner.mesh_files.parts import Refusal, Triangles, expect, fans, floats, integers, is_integer, quoted
 
 # Bytes whose words are taken apart at a time; they take some twenty times as much memory.
 BLOCK = 1 << 23
@@ -35,9 +25,9 @@ _WIDTHS = (3, 4, 6, 7)
 def read(data: bytes) -> tuple[Floats, Triangles]:
     """Vertices as stored; polygons become fans."""
     points: list[Floats] = []
-    corners: list[Integers] = []
-    sizes: list[Integers] = []
-    lines: list[Integers] = []
+    corners: list[Ints] = []
+    sizes: list[Ints] = []
+    lines: list[Ints] = []
     total = 0
     for first, block in _blocks(_plain(data)):
         vertex_lines: list[bytes] = []
@@ -133,7 +123,7 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
     raise Refusal("expected vertices, found something else")
 
 
-def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], Integers]:
+def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], Ints]:
     """Corners of all faces, one after the other, and how many each has."""
     sizes = np.fromiter((len(line.split()) for line in face_lines), dtype=np.int64, count=len(face_lines)) - 1
     if sizes.min() < 3:
@@ -146,7 +136,7 @@ def _words(face_lines: list[bytes], numbers: list[int]) -> tuple[list[bytes], In
     return [word for line in face_lines for word in line.split()[1:]], sizes
 
 
-def _corners(flat: list[bytes], numbers: Integers, seen: Integers) -> Integers:
+def _corners(flat: list[bytes], numbers: Ints, seen: Ints) -> Ints:
     """Indices from 0 of the vertices that the faces name; negative ones count back from the last vertex before."""
     if b"/" in b"".join(flat):
         for k, word in enumerate(flat):

@@ -6,19 +6,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._check import Floats
-from loewner.mesh_files.parts import (
-    Integers,
-    Refusal,
-    Triangles,
-    check_range,
-    data_lines,
-    expect,
-    fans,
-    floats,
-    integers,
-    quoted,
-)
+from loewner._validate import Floats, Ints
+from loewner.mesh_files.parts import Refusal, Triangles, check_range, data_lines, expect, fans, floats, integers, quoted
 
 T = TypeVar("T", np.float64, np.int64)
 
@@ -61,7 +50,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     return points, fans(np.concatenate(parts), np.array(list(map(len, parts)), dtype=np.int64))
 
 
-def _face(line: list[bytes], number: int, count: int) -> Integers:
+def _face(line: list[bytes], number: int, count: int) -> Ints:
     """Corners of one face, which may have a colour."""
     size = int(_at(number, integers, line[:1])[0])
     expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)

@@ -3,12 +3,10 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from loewner._check import Floats
+from loewner._validate import Floats, Ints
 
-Triangles = NDArray[np.int64]
-Integers = NDArray[np.int64]
+Triangles = Ints
 
 # Most vertices, and most triangles, of a mesh: a file of 2 GiB holds about as many. A short file can name the same
 # ones a million times over.
@@ -61,7 +59,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
     raise Refusal(f"expected a number, found {quoted(bad)}")
 
 
-def integers(tokens: Sequence[bytes]) -> Integers:
+def integers(tokens: Sequence[bytes]) -> Ints:
     """Whole numbers of tokens; the first token that is none, or is absurdly large, is refused."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
@@ -73,7 +71,7 @@ def integers(tokens: Sequence[bytes]) -> Integers:
     raise Refusal(f"expected a whole number, found {quoted(bad)}")
 
 
-def fans(corners: Integers, sizes: Integers) -> Triangles:
+def fans(corners: Ints, sizes: Ints) -> Triangles:
     """Triangles of polygons, each a fan about its first corner; `corners` holds those of all, one after the other."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
@@ -82,7 +80,7 @@ def fans(corners: Integers, sizes: Integers) -> Triangles:
     return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
 
 
-def strip(corners: Integers) -> Triangles:
+def strip(corners: Ints) -> Triangles:
     """Triangles of a strip, all turned the same way as its first."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     triangles[1::2] = triangles[1::2, ::-1]
@@ -116,7 +114,7 @@ def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, T
     return vertices @ T[:3, :3].T + T[:3, 3], triangles
 
 
-def check_range(corners: Integers, count: int, what: str, line: int | None = None) -> None:
+def check_range(corners: Ints, count: int, what: str, line: int | None = None) -> None:
     """Refuse indices outside 0..count-1."""
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
         bad = corners[(corners < 0) | (corners >= count)][0]

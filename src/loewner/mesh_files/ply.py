@@ -6,19 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from loewner._check import Floats
-from loewner.mesh_files.parts import (
-    Integers,
-    Refusal,
-    Triangles,
-    check_range,
-    data_lines,
-    expect,
-    fans,
-    floats,
-    integers,
-    quoted,
-)
+from loewner._validate import Floats, Ints
+from loewner.mesh_files.parts import Refusal, Triangles, check_range, data_lines, expect, fans, floats, integers, quoted
 
 _TYPES = {
     "char": "i1",
@@ -68,8 +57,8 @@ class _Content:
     """Of an element: its scalars, and its list of corners, one after the other."""
 
     scalars: dict[str, Any]
-    corners: Integers
-    sizes: Integers
+    corners: Ints
+    sizes: Ints
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
@@ -245,7 +234,7 @@ def _numbers(tokens: list[bytes], number: int) -> None:
         raise Refusal(str(refusal), number) from None
 
 
-def _no_integers() -> Integers:
+def _no_integers() -> Ints:
     return np.empty(0, dtype=np.int64)
 
 

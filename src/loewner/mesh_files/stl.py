@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from loewner._check import Floats
+from loewner._validate import Floats
 from loewner.mesh_files.parts import Refusal, Triangles, data_lines, expect, floats, plain_lines, quoted
 
 HEADER, FACET = 84, 50  # bytes

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
+from loewner._validate import Floats
 
 POINTS_PER_BODY = 20
 LARGEST_SHIFT = 2.0  # metres
@@ -84,9 +84,9 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     >>> np.array_equal(small.points_2, large.points_2[:5])
     True
     """
-    n, seed = _check.whole_number(pairs, "pairs", 1), _check.whole_number(seed, "seed", 0, _check.LARGEST_SEED)
-    _check.choice(dataset, "dataset", DATA_SETS)
-    _check.fits_memory(n * BYTES_PER_PAIR, f"{n} pairs of hulls")
+    n, seed = _validate.whole_number(pairs, "pairs", 1), _validate.whole_number(seed, "seed", 0, _validate.LARGEST_SEED)
+    _validate.choice(dataset, "dataset", DATA_SETS)
+    _validate.fits_memory(n * BYTES_PER_PAIR, f"{n} pairs of hulls")
     # One row of numbers per pair, whatever the number of pairs.
     uniform = np.random.default_rng(seed).random((n, 2 * POINTS_PER_BODY * 3 + 1))
     balls = _points_in_ball(uniform[:, :-1].reshape(n, 2, POINTS_PER_BODY, 3), dataset)

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
 from loewner._kernels.paper import detectors as _detectors
 from loewner._kernels.pieces import shapes
+from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies
 from loewner.ellipsoid_pairs import contact_function
 from loewner.ellipsoids import Ellipsoids
@@ -93,10 +93,10 @@ class Confusion:
 
 
 def _truths(x: Any, name: str) -> Bools:
-    array = _check.plain_array(x, name)
+    array = _validate.plain_array(x, name)
     if array.dtype != np.bool_ or array.ndim != 1:
         raise InputError(
-            f"{name}: expected booleans of shape (n,), found {array.dtype} of shape {_check.shape_text(array.shape)}"
+            f"{name}: expected booleans of shape (n,), found {array.dtype} of shape {_validate.shape_text(array.shape)}"
         )
     return array
 
@@ -115,7 +115,7 @@ class Faces:
 
     normals: Floats
     offsets: Floats
-    start: NDArray[np.int64]
+    start: Ints
 
     def take(self, index: NDArray[np.intp]) -> Faces:
         """Keep the bodies of an index array, in its order."""
@@ -174,7 +174,7 @@ class Pairs:
         UnknownNameError
             If there is no such heuristic.
         """
-        _check.choice(heuristic, "heuristic", HEURISTICS)
+        _validate.choice(heuristic, "heuristic", HEURISTICS)
         for name, bodies in (("a", a), ("b", b)):
             if not isinstance(bodies, Bodies):
                 raise InputError(f"{name}: expected loewner.Bodies, found {type(bodies).__name__}")
@@ -209,10 +209,10 @@ class Pairs:
         InputError
             If there is no such pair.
         """
-        index = _check.integer_array(index, "index")
+        index = _validate.integer_array(index, "index")
         if index.ndim != 1 or (index.size and not (index.min() >= 0 and index.max() < len(self))):
             raise InputError(
-                f"index: expected pairs from 0 to {len(self) - 1}, shape (k,), found {_check.short(index)}"
+                f"index: expected pairs from 0 to {len(self) - 1}, shape (k,), found {_validate.short(index)}"
             )
         return Pairs(
             self.inner_1[index],
@@ -350,9 +350,9 @@ def _expect_pairs(pairs: Any) -> Pairs:
 def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguous: object) -> Callable[[], None]:
     """Bind a kernel to its arrays."""
     if isinstance(detector, bool) or not isinstance(detector, (int, np.integer)) or int(detector) not in DETECTORS:
-        known, found = ", ".join(map(str, DETECTORS)), _check.short(detector)
+        known, found = ", ".join(map(str, DETECTORS)), _validate.short(detector)
         raise UnknownNameError(f"detector: expected one of {known}, found {found}")
-    angle = _check.positive_scalar(angle, "angle")
+    angle = _validate.positive_scalar(angle, "angle")
     inner_1, inner_2 = (pairs.heuristic_1, pairs.heuristic_2) if detector == 1 else (pairs.inner_1, pairs.inner_2)
     arguments: list[Any] = [x for E in (inner_1, pairs.outer_1, inner_2, pairs.outer_2) for x in (E.center, E.factor)]
     if detector == 1:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
+from loewner import _validate
 from loewner._files import replacing
 from loewner.bodies import Bodies
 from loewner.errors import FileError
@@ -168,8 +168,8 @@ def run(
     >>> len(paper.tables.rows(found))  # tables 1 to 4 and the estimate's, (a) and (b)
     10
     """
-    _check.callback(progress, "progress")
-    counts = None if json is None else _check.path(json, "json")
+    _validate.callback(progress, "progress")
+    counts = None if json is None else _validate.path(json, "json")
     data = sample(pairs, seed, dataset)
     # What could keep the results from being written is found out before the work, not after it.
     if counts is not None and not folder_exists(counts.parent):

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from loewner import _check
+from loewner import _validate
 from loewner.errors import FileError
 from loewner.paper import figures
 from loewner.paper.dataset import DATA_SETS
@@ -47,7 +47,7 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     FileError
     """
     figures.require_matplotlib()
-    target = _check.path(folder, "out")
+    target = _validate.path(folder, "out")
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:

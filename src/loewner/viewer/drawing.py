@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from loewner._check import Floats
+from loewner._validate import Floats, Ints
 from loewner.bodies import Body
 from loewner.queries import Verdict
 
-Mesh = tuple[Floats, NDArray[np.int64]]
+Mesh = tuple[Floats, Ints]
 Rgb = tuple[int, int, int]
 
 # Told apart by the colour-blind too; the name of the verdict is always written next to its colour.
@@ -165,7 +164,7 @@ def ellipsoids(body: Body, which: str) -> Mesh:
 def joined(meshes: Any) -> Mesh:
     """Several meshes as one."""
     points: list[Floats] = []
-    triangles: list[NDArray[np.int64]] = []
+    triangles: list[Ints] = []
     total = 0
     for vertices, faces in meshes:
         points.append(vertices)

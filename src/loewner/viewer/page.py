@@ -16,9 +16,9 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._rotations import from_quaternion, from_rpy
+from loewner._validate import Floats
 from loewner.errors import InputError, LoewnerError, MissingExtraError, installing
 from loewner.queries import Verdict
 from loewner.viewer import guard
@@ -337,6 +337,6 @@ def _worth_logging(record: logging.LogRecord) -> bool:
 def _checked_port(port: Any) -> int:
     if isinstance(port, bool) or not isinstance(port, (int, np.integer)) or not 0 <= port < PORTS:
         raise InputError(
-            f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {_check.short(port)}"
+            f"port: expected a whole number from 0 (any free port) to {PORTS - 1}, found {_validate.short(port)}"
         )
     return int(port)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check, meshes
-from loewner._check import Floats
+from loewner import _validate, meshes
+from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
@@ -74,7 +74,7 @@ def show_pair(
     (True, 'FREE')
     >>> page.close()
     """
-    waits = _check.flag(block, "block")
+    waits = _validate.flag(block, "block")
     viewer = PairViewer(a, T_world_a, b, T_world_b, margin=margin, mesh_a=mesh_a, mesh_b=mesh_b, host=host, port=port)
     if waits:
         viewer.wait()
@@ -123,11 +123,11 @@ class PairViewer(Viewer):
             if not body.pieces:
                 raise InputError(f"{name}: expected a body with pieces, found an empty one")
         self.a, self.b = a, b
-        self._margin = _check.positive_scalar(margin, "margin", zero=True)
+        self._margin = _validate.positive_scalar(margin, "margin", zero=True)
         self._meshes = {
             name: None if mesh is None else meshes.load(mesh) for name, mesh in (("A", mesh_a), ("B", mesh_b))
         }
-        self._first = {"A": _check.pose(T_world_a, "T_world_a"), "B": _check.pose(T_world_b, "T_world_b")}
+        self._first = {"A": _validate.pose(T_world_a, "T_world_a"), "B": _validate.pose(T_world_b, "T_world_b")}
         super().__init__("loewner: two bodies", host, port)
 
     @property
@@ -137,7 +137,7 @@ class PairViewer(Viewer):
 
     @T_world_a.setter
     def T_world_a(self, T: ArrayLike | None) -> None:
-        self._move("A", _check.pose(T, "T_world_a"))
+        self._move("A", _validate.pose(T, "T_world_a"))
 
     @property
     def T_world_b(self) -> Floats:
@@ -146,7 +146,7 @@ class PairViewer(Viewer):
 
     @T_world_b.setter
     def T_world_b(self, T: ArrayLike | None) -> None:
-        self._move("B", _check.pose(T, "T_world_b"))
+        self._move("B", _validate.pose(T, "T_world_b"))
 
     def _move(self, name: str, T: Floats) -> None:
         self._check_open()

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
+from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.checkers import CollisionChecker, StateDistance
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots import Robot
+from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
 from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Mesh, Rgb, add_mesh, place, quaternions
 from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines
@@ -76,7 +75,7 @@ def show_robot(
     (True, 'FREE')
     >>> page.close()
     """
-    waits = _check.flag(block, "block")
+    waits = _validate.flag(block, "block")
     viewer = RobotViewer(checker, q, host=host, port=port)
     if waits:
         viewer.wait()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from loewner.descriptions import Shape, read_visuals
 from loewner.errors import LoewnerError
-from loewner.link_bodies import mesh_file, placed_mesh, primitive
 from loewner.robots import Robot
+from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
+from loewner.robots.urdf import Shape, read_visuals
 from loewner.viewer.drawing import Mesh, joined, pieces
 
 

@@ -7,42 +7,31 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.robots import kinematics
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
-from loewner.bodies import Body, Progress
-from loewner.descriptions import MOST_PAIRS, VALUES, Description, Joint, Semantics, read_srdf, read_urdf
+from loewner._validate import Floats, Pair, Progress
+from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
-from loewner.link_bodies import link_bodies
+from loewner.robots.link_bodies import link_bodies
+from loewner.robots.srdf import Semantics, State, read_srdf
+from loewner.robots.tree import Tree, adjacent_pairs, columns_of, placed_tree, tree_of
+from loewner.robots.urdf import VALUES, read_urdf
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
 QUATERNION_TOLERANCE = 1e-6
 
 # Configurations a thread takes at a time, at least: about 0.1 ms of work.
 LEAST_SHARE = 1024
-
-_KINDS = {
-    "fixed": kinematics.FIXED,
-    "revolute": kinematics.REVOLUTE,
-    "continuous": kinematics.REVOLUTE,
-    "prismatic": kinematics.PRISMATIC,
-    "planar": kinematics.PLANAR,
-    "floating": kinematics.FLOATING,
-}
-
-Tree = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats]
-State = tuple[str, dict[str, float | tuple[float, ...]]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,7 +65,7 @@ class Robot:
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies and at most one
         moving joint.
     tree : tuple of ndarray
-        What kernels take; described in ``loewner/_kernels/kinematics.py``.
+        What kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
         The file it was read from.
     package_dirs : tuple of Path
@@ -103,8 +92,8 @@ class Robot:
     bodies: dict[str, Body]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
-    disabled_pairs: frozenset[tuple[str, str]]
-    adjacent_pairs: frozenset[tuple[str, str]]
+    disabled_pairs: frozenset[Pair]
+    adjacent_pairs: frozenset[Pair]
     tree: Tree
     urdf: Path
     package_dirs: tuple[Path, ...]
@@ -177,15 +166,19 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf")
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
-        tol, cache, decompose = checked_tolerance(tol), _check.flag(cache, "cache"), _check.flag(decompose, "decompose")
-        _check.callback(progress, "progress")
+        tol, cache, decompose = (
+            checked_tolerance(tol),
+            _validate.flag(cache, "cache"),
+            _validate.flag(decompose, "decompose"),
+        )
+        _validate.callback(progress, "progress")
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
-        listed = _check.listed(given, "package_dirs", wanted="a path or several")
-        places = [_check.path(folder, "package_dirs") for folder in listed]
+        listed = _validate.listed(given, "package_dirs", wanted="a path or several")
+        places = [_validate.path(folder, "package_dirs") for folder in listed]
         bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
-        columns, dof = _columns(robot)
+        columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
         for name, column in columns.items():
@@ -209,8 +202,8 @@ class Robot:
             groups=semantics.groups,
             states=semantics.states,
             disabled_pairs=semantics.disabled_pairs,
-            adjacent_pairs=_adjacent_pairs(robot),
-            tree=_tree(robot, columns),
+            adjacent_pairs=adjacent_pairs(robot),
+            tree=tree_of(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
             package_dirs=tuple(place.absolute() for place in places),
@@ -256,20 +249,11 @@ class Robot:
         >>> robot.forward_kinematics(robot.configuration())[0, :3, 3]
         array([0., 0., 5.])
         """
-        T = _check.pose(T_world_base, "T_world_base")
-        constants = self.tree[5].copy()
-        on_base = np.flatnonzero(self.tree[0] < 0)
-        R, t = T[:3, :3], T[:3, 3]
-        for first in (kinematics.ROTATION, kinematics.SINE, kinematics.COSINE):
-            block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
-            constants[on_base, first : first + 9] = (R @ block).reshape(-1, 9)
-        for first in (kinematics.TRANSLATION, kinematics.ACROSS, kinematics.ALONG):
-            constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
-        constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
-        return replace(self, tree=(*self.tree[:5], constants))
+        T = _validate.pose(T_world_base, "T_world_base")
+        return replace(self, tree=placed_tree(self.tree, T))
 
     @guarded
-    def disabling(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+    def disabling(self, pairs: Iterable[Pair]) -> Robot:
         """The same robot with more pairs of links that are exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
@@ -295,7 +279,7 @@ class Robot:
         """
         return replace(self, disabled_pairs=self.disabled_pairs | self.link_pairs(pairs))
 
-    def link_pairs(self, pairs: Iterable[tuple[str, str]], name: str = "pairs") -> frozenset[tuple[str, str]]:
+    def link_pairs(self, pairs: Iterable[Pair], name: str = "pairs") -> frozenset[Pair]:
         """Pairs of two different links of this robot, checked, each sorted by name.
 
         Parameters
@@ -316,13 +300,13 @@ class Robot:
             If they are no pairs of two different links.
         """
         found, known = set(), set(self.link_names)
-        for pair in _check.listed(pairs, name, wanted="pairs of names of links"):
-            names = tuple(_check.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
+        for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
+            names = tuple(_validate.listed(pair, f"{name}, one of them", wanted="a pair of names of links"))
             if len(names) != 2:
-                raise InputError(f"{name}: expected pairs of names of links, found {_check.short(pair)} among them")
+                raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
             for link in names:
                 if not isinstance(link, str) or link not in known:
-                    raise _check.unknown_name("link", link, self.link_names)
+                    raise _validate.unknown_name("link", link, self.link_names)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
             found.add((min(names), max(names)))
@@ -361,7 +345,7 @@ class Robot:
         checked = self.checked(Q)
         batch, links = checked.shape[:-1], len(self.link_names)
         count = int(np.prod(batch))
-        _check.fits_memory(count * links * 128, f"{count} configurations of {links} links")
+        _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
         flat = checked.reshape(count, self.dof)
         out = np.empty((count, links, 4, 4))
         in_shares(lambda first, last: kinematics.forward(self.tree, flat, first, last, out), count, LEAST_SHARE)
@@ -399,11 +383,11 @@ class Robot:
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
-        array = _check.float_array(Q, name)
+        array = _validate.float_array(Q, name)
         if array.ndim == 0 or array.shape[-1] != self.dof:
             raise InputError(
                 f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
-                f"found {_check.shape_text(array.shape)}"
+                f"found {_validate.shape_text(array.shape)}"
             )
         if not self._watch.passes(array):
             refused = self._watch.refused(array)
@@ -442,7 +426,7 @@ class Robot:
         """
         checked = self.checked(q, name)
         if checked.ndim != 1:
-            found = _check.shape_text(checked.shape)
+            found = _validate.shape_text(checked.shape)
             raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
         return checked
 
@@ -473,11 +457,11 @@ class Robot:
         """
         if isinstance(values, str):
             if values not in self.states:
-                raise _check.unknown_name("state", values, self.states)
+                raise _validate.unknown_name("state", values, self.states)
             values = self.states[values][1]
         if values is not None and not isinstance(values, Mapping):
             raise InputError(
-                f"values: expected a dict by names of joints or the name of a state, found {_check.short(values)}"
+                f"values: expected a dict by names of joints or the name of a state, found {_validate.short(values)}"
             )
         q = np.zeros(self.dof)
         for quaternion in self._quaternions.values():
@@ -491,10 +475,10 @@ class Robot:
                     f"set {followed!r}"
                 )
             if name not in places:
-                raise _check.unknown_name("joint", name, places)
+                raise _validate.unknown_name("joint", name, places)
             at = places[name]
-            given = np.atleast_1d(_check.float_array(value, name))
-            q[at] = _check.finite_array(given, name, (at.stop - at.start,))
+            given = np.atleast_1d(_validate.float_array(value, name))
+            q[at] = _validate.finite_array(given, name, (at.stop - at.start,))
         return self.checked(q, "values")
 
     @guarded
@@ -527,9 +511,9 @@ class Robot:
         >>> Q.shape, bool((Q[:, 0] >= 0).all() and (Q[:, 0] <= 2).all())
         ((1000, 2), True)
         """
-        n = _check.whole_number(n, "n", 0)
-        _check.fits_memory(n * self.dof * 8, f"{n} configurations")
-        rng = np.random.default_rng(_check.whole_number(seed, "seed", 0))
+        n = _validate.whole_number(n, "n", 0)
+        _validate.fits_memory(n * self.dof * 8, f"{n} configurations")
+        rng = np.random.default_rng(_validate.whole_number(seed, "seed", 0))
         lower, upper = self.usual_range(np.pi)
         Q = rng.uniform(lower, upper, (n, self.dof)).clip(lower, upper)
         for quaternion in self._quaternions.values():
@@ -557,7 +541,7 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf").usual_range(3.0)
         (array([ 0., -3.]), array([2., 3.]))
         """
-        reach = _check.positive_scalar(reach, "reach")
+        reach = _validate.positive_scalar(reach, "reach")
         if reach > FARTHEST_LIMIT:
             raise InputError(f"reach: expected at most {FARTHEST_LIMIT:g}, found {reach:g}")
         below, above = self.lower > -FARTHEST_LIMIT, self.upper < FARTHEST_LIMIT
@@ -584,7 +568,7 @@ class Robot:
         array([5., 1.])
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
-        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
         return self._distances(a, b)
 
     def _distances(self, a: Floats, b: Floats) -> Any:
@@ -626,8 +610,8 @@ class Robot:
                [1. , 2. ]])
         """
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
-        at = _check.finite_array(t, "t", ("...",))[..., None]
-        _check.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
+        at = _validate.finite_array(t, "t", ("...",))[..., None]
+        _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
             p, q = a[..., quaternion], b[..., quaternion]
@@ -650,114 +634,3 @@ class Robot:
         return {
             joint: slice(at.start + 3, at.stop) for joint, at in self._columns.items() if at.stop - at.start == width
         }
-
-
-# -- from the description -----------------------------------------------------------------------
-
-
-def _columns(robot: Description) -> tuple[dict[str, slice], int]:
-    """Columns of each driven joint, and their number."""
-    columns, at = {}, 0
-    for name in robot.driven:
-        columns[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
-        at = columns[name].stop
-    return columns, at
-
-
-def _adjacent_pairs(robot: Description) -> frozenset[tuple[str, str]]:
-    """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
-
-    MoveIt's setup assistant lets such a path have any number of moving joints. But what two joints move against each
-    other may well collide, and a pair that nobody checks is never found.
-    """
-    # Links without shapes that are rigidly joined are one place, named by its topmost link. Around each place are the
-    # links with shapes that fixed joints, and those that moving joints lead to.
-    place = {name: name for name in robot.shapes}
-    fixed: dict[str, set[str]] = {}
-    moving: dict[str, set[str]] = {}
-    between: list[tuple[str, str]] = []  # places that a moving joint joins
-    pairs = set()
-    for link, shapes in robot.shapes.items():
-        if link not in robot.joint_above:
-            continue
-        joint = robot.joint_above[link]
-        parent, around = joint.parent, fixed if joint.kind == "fixed" else moving
-        if shapes and robot.shapes[parent]:
-            pairs.add((min(link, parent), max(link, parent)))
-        elif shapes:
-            around.setdefault(place[parent], set()).add(link)
-        elif robot.shapes[parent]:
-            around.setdefault(link, set()).add(parent)
-        elif joint.kind == "fixed":
-            place[link] = place[parent]
-        else:
-            between.append((place[parent], link))
-    none: set[str] = set()
-    products = [(fixed[at], moving.get(at, none)) for at in fixed]
-    products += [(fixed.get(one, none), fixed.get(other, none)) for one, other in between]
-    total = sum(math.comb(len(links), 2) for links in fixed.values()) + sum(len(a) * len(b) for a, b in products)
-    if total > MOST_PAIRS:
-        most = max(len(links) for links in (*fixed.values(), *moving.values()))
-        raise InputError(
-            f"{robot.path}: expected at most {MOST_PAIRS} pairs of links that are joined through links without bodies, "
-            f"found more: {most} links around one place"
-        )
-    for links in fixed.values():
-        pairs.update(combinations(sorted(links), 2))
-    pairs.update((min(a, b), max(a, b)) for one, other in products for a in one for b in other if a != b)
-    return frozenset(pairs)
-
-
-def _tree(robot: Description, columns: dict[str, slice]) -> Tree:
-    """Flatten the robot for kernels; see `loewner._kernels.kinematics`."""
-    count = len(robot.shapes)
-    parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    multiplier, offset = np.ones(count), np.zeros(count)
-    constants = np.zeros((count, kinematics.CONSTANTS))
-    # For each link the first link of the rigid thing that it is part of, and its pose in there.
-    frames: dict[str, tuple[int, Floats]] = {}
-    for i, name in enumerate(robot.shapes):
-        joint = robot.joint_above.get(name)
-        if joint is None:
-            above, T = -1, np.eye(4)
-        else:
-            above, T_above_parent = frames[joint.parent]
-            T = T_above_parent @ joint.origin
-        parent[i] = above
-        if joint is None or joint.kind == "fixed":
-            constants[i, : kinematics.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
-            frames[name] = above, T
-            continue
-        mimic = joint.mimic
-        kind[i] = _KINDS[joint.kind]
-        column[i] = columns[mimic.joint if mimic else joint.name].start
-        if mimic:
-            multiplier[i], offset[i] = mimic.multiplier, mimic.offset
-        constants[i] = _joint_constants(joint, T)
-        frames[name] = i, np.eye(4)
-    return parent, kind, column, multiplier, offset, constants
-
-
-def _joint_constants(joint: Joint, T: Floats) -> Floats:
-    """Constants of a movable joint whose own frame is at T."""
-    R, axis = T[:3, :3], joint.axis
-    rotation, sine, cosine, across, along = R, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    if joint.kind in ("revolute", "continuous", "planar"):  # Rodrigues: n nᵀ + sin q [n]× + cos q (1 - n nᵀ)
-        x, y, z = axis
-        onto = np.outer(axis, axis)
-        rotation, cosine = R @ onto, R @ (np.eye(3) - onto)
-        sine = R @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    if joint.kind == "prismatic":
-        across = R @ axis
-    if joint.kind == "planar":
-        across, along = (R @ _from_z(axis))[:, :2].T
-    return np.concatenate([rotation.ravel(), T[:3, 3], sine.ravel(), cosine.ravel(), across, along])
-
-
-def _from_z(axis: Floats) -> Floats:
-    """Shortest rotation that takes the z axis to a unit vector."""
-    x, y, z = axis
-    if z < 0 and x * x + y * y < 1e-24:  # half a turn, about any axis across: x
-        return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

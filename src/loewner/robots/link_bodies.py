@@ -15,13 +15,14 @@ import numpy as np
 
 import loewner._kernels._jit as compiled
 from loewner import mesh_files, meshes
-from loewner._check import Floats
 from loewner._files import read_regular
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
-from loewner.bodies import Body, Progress
-from loewner.descriptions import Description, Shape
+from loewner._validate import Floats, Progress
+from loewner.bodies import Body
+from loewner.coverage import Covering
 from loewner.errors import ConvergenceError, FileError, InputError
+from loewner.robots.urdf import Description, Shape
 
 # Next to the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
 CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
@@ -30,7 +31,7 @@ CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
 NOT_CACHED = (".gltf", ".glb")
 
 # What makes a body of a mesh file, apart from the kernels.
-_MAKERS = ("mesh_files", "meshes.py", "polytopes.py", "fits.py", "bodies")
+_MAKERS = ("mesh_files", "meshes.py", "coverage.py", "polytopes.py", "fits.py", "bodies", "robots/link_bodies.py")
 
 _PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
@@ -167,7 +168,7 @@ def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
 def _code() -> str:
     """Hash of the code that makes bodies: what another version made of a file, with a fault perhaps, is not used."""
     digest = hashlib.sha256(compiled.CACHE_FOLDER.name.encode())
-    home = Path(__file__).parent
+    home = Path(meshes.__file__).parent
     for maker in _MAKERS:
         for path in sorted((home / maker).rglob("*.py")) or [home / maker]:
             digest.update(path.read_bytes())
@@ -190,7 +191,7 @@ def _union(parts: list[Body]) -> Body:
         return body
     return Body(
         body._packed,
-        meshes.Covering(
+        Covering(
             kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
             exact=all(c.exact for c in known),
             max_uncovered=max(c.max_uncovered for c in known),

@@ -1,13 +1,14 @@
-"""The border: array-likes in, checked C-order float64 arrays out.
+"""The border: array-likes in, checked C-order float64 arrays out, and the types that signatures share.
 
-Everything past this module may assume finite float64 in C order and rigid poses.
+Arrays that come from here are finite float64 in C order. Poses are not always rigid: `one_pose` and
+``poses(check=False)`` leave their entries to the kernels, which go through them anyway and report a bad one.
 """
 
 import difflib
 import math
 import operator
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,13 @@ from loewner._kernels.pieces import rigid
 from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Names of two bodies or links.
+Pair = tuple[str, str]
+
+# What is called as progress(done, total).
+Progress = Callable[[int, int], None]
 
 # Names that the message about an unknown one lists at most.
 LISTED = 30
@@ -55,7 +63,7 @@ def float_array(x: ArrayLike, name: str) -> Floats:
         return array.astype(np.float64, order="C")
 
 
-def integer_array(x: ArrayLike, name: str) -> NDArray[np.int64]:
+def integer_array(x: ArrayLike, name: str) -> Ints:
     """Return `x` as a C-order int64 array; anything that is not integers of at most 63 bits is an error."""
     array = plain_array(x, name)
     if array.dtype == np.object_ and array.size:

@@ -1,48 +1,39 @@
 """Is a robot free in a scene: at one configuration, at a million, along motions.
 
-A `CollisionChecker` has a robot and a scene prepared once (`loewner.checked_pairs`), asks the kernel
-(`loewner._kernels.states`), and notices when the scene changes.
+A `CollisionChecker` has a robot and a scene prepared once (`loewner.robots.checked_pairs`), asks the
+kernel (`loewner._kernels.robots.configurations`), and notices when the scene changes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _check, queries
-from loewner._check import Floats
+from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._kernels.robots import configurations
 from loewner._threads import in_shares
+from loewner._validate import Floats, Pair
 from loewner._workspaces import workspace
-from loewner.bodies import Bodies, Ints
-from loewner.checked_pairs import CheckedPairs, prepared
+from loewner.bodies import Bodies
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import Verdict
-from loewner.robots import Robot
-from loewner.scenes import Contact, Pair, Scene
+from loewner.robots import edges
+from loewner.robots.checked_pairs import CheckedPairs, prepared
+from loewner.robots.robot import Robot
+from loewner.scenes import Contact, Scene
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
 LEAST_SHARE = 512
 
 # Pairs are put in another order after so many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
-
-# Configurations of edges that are worth a call.
-AT_LEAST = 64
-
-# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
-MOST_AT_ONCE = 2**20
-
-# What a motion may be divided into; more is a slip in a unit.
-MOST_STEPS = 2**24
 
 # Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
 BY_PAIR = 1024
@@ -90,7 +81,7 @@ class StateDistance:
     normal: Any = None
 
     def __repr__(self) -> str:
-        return _check.brief(self)
+        return _validate.brief(self)
 
 
 @dataclass(frozen=True)
@@ -209,7 +200,7 @@ class CollisionChecker:
         self._robot = robot
         self._scene = Scene() if scene is None else scene
         skipped = set(robot.disabled_pairs)
-        skip_adjacent = None if skip_adjacent is None else _check.flag(skip_adjacent, "skip_adjacent")
+        skip_adjacent = None if skip_adjacent is None else _validate.flag(skip_adjacent, "skip_adjacent")
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
@@ -272,7 +263,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         out, _ = self._settle(codes.EXACT, checked)
-        return bool(out[0]) if checked.ndim == 1 else (out == Verdict.COLLIDING).reshape(checked.shape[:-1])
+        return _collisions(out, checked)
 
     def classify(self, Q: ArrayLike) -> Any:
         """Certified verdicts from the ellipsoids alone.
@@ -306,9 +297,29 @@ class CollisionChecker:
         -------
         Settled
         """
-        out, tiers = self._settle(codes.EXACT, self.robot.checked(Q))
+        return self.settle(Q)[1]
+
+    def settle(self, Q: ArrayLike) -> tuple[Any, Settled]:
+        """Decide as `collide` does, and count as `tiers` does, in one go.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+
+        Returns
+        -------
+        collides : bool, or ndarray of bool, shape (...)
+        settled : Settled
+
+        Raises
+        ------
+        InputError, UnknownNameError, ConvergenceError
+            As for `collide`.
+        """
+        checked = self.robot.checked(Q)
+        out, tiers = self._settle(codes.EXACT, checked)
         free, hit = (np.bincount(tiers[out == verdict], minlength=codes.TIERS).tolist() for verdict in (0, 1))
-        return Settled(
+        settled = Settled(
             free_by_bounds=free[codes.BY_SPHERE],
             free_by_ellipsoids=free[codes.BY_OUTER],
             free_by_planes=free[codes.BY_PLANE],
@@ -316,6 +327,7 @@ class CollisionChecker:
             colliding_by_ellipsoids=hit[codes.BY_INNER],
             colliding_by_search=hit[codes.BY_SEARCH],
         )
+        return _collisions(out, checked), settled
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> Any:
         """Decide which straight motions are free of collisions, at steps no longer than `resolution`.
@@ -346,21 +358,21 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
-        step = _check.positive_scalar(resolution, "resolution")
+        step = _validate.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
         if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
             return self._valid_edge(a, b, step)
         try:
             a, b = np.broadcast_arrays(a, b)
         except ValueError:
-            texts = _check.shape_text(a.shape), _check.shape_text(b.shape)
+            texts = _validate.shape_text(a.shape), _validate.shape_text(b.shape)
             raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
         shape = a.shape[:-1]
-        _check.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_check.shape_text(shape)} motions")
+        _validate.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_validate.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
-        parts = self._parts(a, b, step)
+        parts = edges.steps(self.robot._distances(a, b), step)
         valid = np.ones(len(a), dtype=bool)
-        for edge, at in _rounds(parts, valid):
+        for edge, at in edges.rounds(parts, valid):
             out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
             valid[edge[out != Verdict.FREE]] = False
         return valid.reshape(shape) if shape else bool(valid[0])
@@ -407,7 +419,7 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         ready = self._ready()
         flat = _flat(checked)
-        _check.fits_memory(
+        _validate.fits_memory(
             len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
         )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
@@ -446,9 +458,9 @@ class CollisionChecker:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
         longest = max(map(len, ready.names))
-        exact = _check.flag(exact, "exact")
+        exact = _validate.flag(exact, "exact")
         row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
-        _check.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
+        _validate.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
         each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
         parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
         columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
@@ -466,7 +478,7 @@ class CollisionChecker:
         ready = self._ready()
         flat = _flat(Q)
         total = len(flat)
-        _check.fits_memory(2 * total, f"{total} configurations")
+        _validate.fits_memory(2 * total, f"{total} configurations")
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
         pack = ready.bodies._packed.handle
 
@@ -483,22 +495,10 @@ class CollisionChecker:
                 out[k], tiers[k] = self._settle_with_care(ready, flat[k]), codes.BY_SEARCH
         return out, tiers
 
-    def _parts(self, a: Floats, b: Floats, step: float) -> Any:
-        """How many steps motions are divided into."""
-        lengths = self.robot._distances(a, b)
-        longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
-        if not longest / step <= MOST_STEPS:
-            raise InputError(
-                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
-            )
-        if isinstance(lengths, np.ndarray):
-            return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
-        return max(math.ceil(lengths / step), 1)
-
     def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
         """The same for one motion of joints that run straight, in one call."""
         ready = self._ready()
-        fractions = _coarse_first(self._parts(a, b, step))
+        fractions = edges.coarse_first(edges.steps(self.robot._distances(a, b), step))
         total = len(fractions)
         out, pack = np.empty(total, dtype=np.int8), ready.bodies._packed.handle
         verdict, settled = configurations.check_motion(
@@ -582,74 +582,9 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
-@guarded
-def pairs_by_sampling(
-    robot: Robot,
-    samples: int = 10_000,
-    seed: int = 0,
-    *,
-    known_free: ArrayLike | None = None,
-    always: float = 0.95,
-) -> dict[Pair, str]:
-    """Pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant finds them.
-
-    Parameters
-    ----------
-    robot : Robot
-        Its `disabled_pairs` are not looked at.
-    samples : int
-        Random configurations within the limits, see `Robot.random_configurations`.
-    seed : int
-    known_free : array_like, shape (..., dof), optional
-        Configurations that the robot is known to be free at, such as one that it stands in: what collides there does so
-        because its bodies are larger than the links.
-    always : float
-        Share of the samples, above 0 and up to 1, from which on two links count as always colliding.
-
-    Returns
-    -------
-    dict
-        Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
-        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
-        checked, and not in it.
-
-    Raises
-    ------
-    InputError
-        If the robot has no collision geometry, or an argument is none of what it should be.
-
-    Notes
-    -----
-    "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
-    samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
-
-    Examples
-    --------
-    >>> from loewner import pairs_by_sampling
-    >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
-    {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
-    """
-    samples = _check.whole_number(samples, "samples", 1)
-    if not 0 < _check.positive_scalar(always, "always") <= 1:
-        raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
-    if not isinstance(robot, Robot):
-        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
-    checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
-    counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
-    known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
-    overlapping = checker.collide_by_pair(_flat(known)).sum(axis=0).tolist()
-    found = {}
-    for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
-        pair = (min(a, b), max(a, b))
-        if pair in robot.adjacent_pairs:
-            found[pair] = "adjacent"
-        elif overlaps:
-            found[pair] = "default"
-        elif count >= always * samples:
-            found[pair] = "always"
-        elif count == 0:
-            found[pair] = "never"
-    return dict(sorted(found.items()))
+def _collisions(out: NDArray[np.int8], Q: Floats) -> Any:
+    """Whether configurations collide, from their verdicts."""
+    return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
 
 
 def _flat(Q: Floats) -> Floats:
@@ -662,42 +597,3 @@ def _no_distances(exact: bool) -> list[Any]:
     return (
         [empty, empty, empty, np.empty((0, 2), "U1"), *(np.empty((0, 3)) for _ in range(3))] if exact else [empty] * 2
     )
-
-
-# -- motions ----------------------------------------------------------------------------------
-
-
-def _rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
-    """Yield which edges to check where, as fractions of their way, coarsely first; an edge not `valid` is left out.
-
-    Parameters
-    ----------
-    parts : ndarray of int64
-        How many steps each edge is divided into.
-    valid : ndarray of bool
-        May change between two rounds.
-    """
-    done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
-    while True:
-        going = np.flatnonzero(valid & (parts >= done))
-        if len(going) == 0:
-            return
-        edges, fractions = [], []
-        for count in np.unique(parts[going]):
-            at = _coarse_first(int(count))[done : done + more]
-            those = going[parts[going] == count]
-            edges.append(np.repeat(those, len(at)))
-            fractions.append(np.tile(at, len(those)))
-        yield np.concatenate(edges), np.concatenate(fractions)
-        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
-
-
-@lru_cache(maxsize=256)
-def _coarse_first(parts: int) -> Floats:
-    """0, 1, then the multiples of 1 / parts between: the middle, the quarters, and so on."""
-    digits = max(1, (parts - 1).bit_length())
-    numbers = np.arange(1, 2**digits)
-    reversed_bits = np.zeros_like(numbers)
-    for k in range(digits):
-        reversed_bits |= (numbers >> k & 1) << (digits - 1 - k)
-    return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])

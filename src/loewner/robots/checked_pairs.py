@@ -12,15 +12,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _check
-from loewner._check import Floats
+from loewner import _validate
 from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
 from loewner._kernels.pieces import pack, rigid, shapes
 from loewner._kernels.robots import configurations, kinematics, placement
-from loewner.bodies import Bodies, Ints, Packed
+from loewner._validate import Floats, Ints, Pair
+from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
-from loewner.robots import Robot
-from loewner.scenes import Pair, Scene
+from loewner.robots.robot import Robot
+from loewner.scenes import Scene
 
 # An allowance for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
@@ -162,14 +162,14 @@ def _check_names(robot: Robot, scene: Scene) -> None:
     links, all_names = set(robot.link_names), dict.fromkeys((*scene.names, *robot.link_names))
     for body, held in scene.attachments.items():
         if held.link not in links:
-            raise _check.unknown_name(f"link in attach of {body!r}", held.link, robot.link_names)
+            raise _validate.unknown_name(f"link in attach of {body!r}", held.link, robot.link_names)
         for name in held.touch_links:
             if name not in all_names:
-                raise _check.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
+                raise _validate.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
     for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
         for name in (name for names in sorted(named) for name in names):
             if name not in all_names:
-                raise _check.unknown_name(f"body or link in {place}", name, all_names)
+                raise _validate.unknown_name(f"body or link in {place}", name, all_names)
     for name in scene.names:
         if name in links:
             raise UnknownNameError(f"expected bodies with names of their own, found {name!r}, which is also a link")

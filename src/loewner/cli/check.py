@@ -1,0 +1,104 @@
+"""``loewner check``: do two bodies touch, and how far are they apart?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import loewner
+from loewner._validate import Floats
+from loewner.cli import inputs
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text
+
+# By how much of the mesh's volume pieces may exceed it without a word.
+WORTH_TELLING = 0.01
+
+EXAMPLES = """examples:
+  loewner check arm.npz table.stl --pose-b "0.5 0 0"
+  loewner check arm.npz table.npz --pose-b "0.5 0 0 0.924 0 0 0.383" --margin 0.01
+  loewner check arm.npz table.npz --pose-a pose.npy --method certified --json
+
+poses: "x y z" in metres, "x y z qw qx qy qz" (quaternion in the order wxyz), or a 4x4 matrix in a .npy or .txt file
+
+exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (--method certified only)
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    check = inputs.command(commands, "check", "do two bodies touch, how far apart?", EXAMPLES)
+    check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
+    check.add_argument("b", metavar="B", type=Path)
+    check.add_argument("--pose-a", metavar="POSE", help="where A is (the origin)")
+    check.add_argument("--pose-b", metavar="POSE", help="where B is (the origin)")
+    check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
+    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres to keep (0)")
+    check.add_argument("--json", action="store_true", help="print JSON")
+    inputs.add_mesh_options(check)
+    check.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
+    a, b = inputs.body(options.a, options), inputs.body(options.b, options)
+    certified = loewner.classify(a, Ta, b, Tb, margin=options.margin)
+    found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
+    verdict = certified
+    if options.method != "certified" and certified == loewner.Verdict.AMBIGUOUS:
+        colliding = loewner.collide(a, Ta, b, Tb, method=options.method, margin=options.margin)
+        verdict = loewner.Verdict.COLLIDING if colliding else loewner.Verdict.FREE
+    if options.json:
+        print(json.dumps(_answer(options, a, b, certified, verdict, found), indent=2))
+    else:
+        _print_answer(options, a, b, certified, verdict, found)
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[verdict.name]
+
+
+def _answer(
+    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+) -> dict[str, Any]:
+    answer: dict[str, Any] = {
+        "verdict": verdict.name,
+        "method": options.method,
+        "margin": options.margin,
+        "certified": certified.name,
+        "lower": found.lower,
+        "upper": found.upper,
+        "estimate": found.estimate,
+    }
+    if found.distance is not None:
+        answer["distance"] = found.distance
+        answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
+    answer |= {f"{name}_exact": None if c is None else c.exact for name, c in (("a", a.covering), ("b", b.covering))}
+    return answer
+
+
+def _print_answer(
+    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+) -> None:
+    how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[options.method]
+    if certified == verdict != loewner.Verdict.AMBIGUOUS:
+        how = "certified by the ellipsoids"
+    relation = {loewner.Verdict.FREE: "by more than", loewner.Verdict.COLLIDING: "or closer than"}
+    keep = f" {relation.get(verdict, 'with a margin of')} {options.margin:g} m" if options.margin else ""
+    print(f"{verdict.name}{keep}  ({how})")
+    print(f"distance    {found.lower:.6g} .. {found.upper:.6g} m, from the ellipsoids")
+    if found.distance is not None:
+        several = len(a.pieces) > 1 or len(b.pieces) > 1
+        depth = f" (penetration depth{' of the deepest two pieces' if several else ''})" if found.distance < 0 else ""
+        print(f"            {found.distance:.9g} m, exact{depth}")
+        print(f"on A        {_numbers(found.witness_a)}")
+        print(f"on B        {_numbers(found.witness_b)}")
+        print(f"normal      {_numbers(found.normal)}, from A to B")
+    if verdict == loewner.Verdict.AMBIGUOUS:
+        print("            --method exact decides it")
+    for name, body in ((options.a, a), (options.b, b)):
+        # NaN, of a mesh that is not closed, is told as well.
+        if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
+            print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
+
+
+def _numbers(vector: Floats) -> str:
+    return " ".join(f"{round(x, 12) + 0.0:.6g}" for x in vector)

@@ -1,0 +1,29 @@
+"""``loewner compile``: all kernels now, instead of at first use."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from loewner.cli.output import progress_bar
+from loewner.compilation import PARTS, compile_kernels
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
+    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="some of it (default: all)")
+    compiling.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if not sys.stderr.isatty():  # where no bar shows
+        print(f"loewner: compiling {', '.join(options.only)}; takes a minute or two", file=sys.stderr, flush=True)
+    with progress_bar() as bar:
+        task = bar.add_task("compiling", total=None)
+        folder = compile_kernels(
+            options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    print(f"compiled into {folder}")
+    return 0

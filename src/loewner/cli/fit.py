@@ -1,0 +1,71 @@
+"""``loewner fit``: meshes to bodies, saved as ``.npz``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import loewner
+from loewner import _validate
+from loewner.cli import inputs
+from loewner.cli.output import covering_text, print_table, progress_bar
+from loewner.errors import FileError, InputError
+
+EXAMPLES = """examples:
+  loewner fit upper_arm.stl forearm.dae -o bodies
+  loewner fit gripper.obj -o bodies --threshold 0.02    more pieces, a closer fit
+  loewner fit table.glb -o bodies --hull                one piece: the convex hull
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    fit = inputs.command(commands, "fit", "meshes to bodies, saved as .npz", EXAMPLES)
+    fit.add_argument(
+        "meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
+    )
+    fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
+    inputs.add_mesh_options(fit)
+    fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")
+    fit.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    targets = [options.out / f"{mesh.stem}.npz" for mesh in options.meshes]
+    twice = {t.name for t in targets if targets.count(t) > 1}
+    if twice:
+        raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
+    table = Table(
+        "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "covering", title="loewner fit"
+    )
+    with progress_bar() as progress:
+        task = progress.add_task("", total=len(targets))
+        for mesh, target in zip(options.meshes, targets, strict=True):
+            progress.update(task, description=mesh.name)
+            body = inputs.from_mesh(mesh, options, tol=options.tol)
+            _make_folder(options.out)
+            body.save(target)
+            table.add_row(*_fit_row(target, body))
+            progress.advance(task)
+    print_table(table)
+    return 0
+
+
+def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:
+    vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
+    inner, outer = body.inner.volume.sum() * 1e3, body.outer.volume.sum() * 1e3
+    return (
+        str(target), str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
+        f"{body.gaps.max():.1e}", covering_text(body.covering),
+    )  # fmt: skip
+
+
+def _make_folder(folder: Path) -> None:
+    _validate.path(folder, "--out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder}: expected a folder, could not make it ({error.strerror or error})") from None

@@ -1,0 +1,115 @@
+"""What commands take: bodies, meshes, poses and robots, and the options that say how these are read."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner._rotations import from_quaternion
+from loewner._validate import Floats
+from loewner.cli.output import progress_bar
+from loewner.errors import FileError, PoseError
+
+
+def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
+    """Add a command whose help ends with examples."""
+    raw = argparse.RawDescriptionHelpFormatter
+    added: argparse.ArgumentParser = commands.add_parser(name, help=what, epilog=examples, formatter_class=raw)
+    return added
+
+
+def add_mesh_options(command: argparse.ArgumentParser) -> None:
+    """Options of commands that take meshes."""
+    command.add_argument("--hull", action="store_true", help="take the convex hull of a mesh; do not decompose it")
+    command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
+    command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
+    command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
+    command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
+
+
+def add_robot_options(command: argparse.ArgumentParser) -> None:
+    """Options of commands that take a robot."""
+    command.add_argument("urdf", type=Path, metavar="URDF")
+    command.add_argument("--srdf", type=Path, metavar="FILE", help="groups, states, pairs that need no check")
+    command.add_argument(
+        "--package-dir",
+        type=Path,
+        metavar="DIR",
+        action="append",
+        default=[],
+        help="folder of packages; repeatable",
+    )
+    command.add_argument("--decompose", action="store_true", help="split meshes that are not convex")
+
+
+def body(path: Path, options: argparse.Namespace) -> loewner.Body:
+    """A saved body, or one of a mesh."""
+    return loewner.Body.load(path) if path.suffix.lower() == ".npz" else from_mesh(path, options)
+
+
+def from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:
+    """Body of a mesh."""
+    return loewner.Body.from_mesh(
+        path,
+        decompose=not options.hull,
+        scale=options.scale,
+        threshold=options.threshold,
+        max_pieces=options.max_pieces,
+        seed=options.seed,
+        **more,
+    )
+
+
+def pose(text: str | None, name: str) -> Floats | None:
+    """Read a pose: numbers, or a matrix in a file."""
+    if text is None:
+        return None
+    if Path(text).suffix.lower() in (".npy", ".txt"):
+        return _pose_file(Path(text))
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
+        raise PoseError(
+            f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix, found {text!r}'
+        )
+    T = np.eye(4)
+    T[:3, 3] = numbers[:3]
+    if len(numbers) == 7:
+        T[:3, :3] = from_quaternion(numbers[3:], name)
+    return T
+
+
+def _pose_file(path: Path) -> Floats:
+    try:
+        if path.suffix.lower() == ".npy":
+            T = np.load(path, allow_pickle=False)
+        else:
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+            T = np.array([line.split() for line in lines if line.strip()], dtype=np.float64)
+    except OSError as error:
+        raise FileError(f"{path}: expected a pose file, found {(error.strerror or str(error)).lower()}") from None
+    except (ValueError, EOFError):
+        raise FileError(f"{path}: expected a 4x4 matrix of numbers, found something else") from None
+    if np.shape(T) != (4, 4):
+        raise PoseError(f"{path}: expected shape (4, 4), found {np.shape(T)}")
+    return np.asarray(T)
+
+
+def robot(options: argparse.Namespace) -> loewner.Robot:
+    """Read the robot, with progress."""
+    with progress_bar() as progress:
+        task = progress.add_task(options.urdf.name, total=None)
+        robot = loewner.Robot.from_urdf(
+            options.urdf,
+            srdf=options.srdf,
+            package_dirs=options.package_dir,
+            decompose=options.decompose,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    return robot

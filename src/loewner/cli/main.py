@@ -1,0 +1,108 @@
+"""The command line: parse, call the public API, print.
+
+Exit status: 0 done, or free; 1 colliding (of many configurations, one or more); 2 error; 3 ambiguous (only for
+``loewner check --method certified``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import loewner
+from loewner import _validate
+from loewner.cli import check, compile, fit, paper, robot, view
+from loewner.cli.output import ERROR
+from loewner.errors import InputError, LoewnerError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        What follows ``loewner``; default: those of the process.
+
+    Returns
+    -------
+    int
+        The exit status: 0 for free or done, 1 for colliding, 2 for an error, 3 for ambiguous.
+
+    Examples
+    --------
+    >>> from loewner import Body, cli
+    >>> Body.box([1, 1, 1]).save("box.npz")
+    >>> cli.main(["check", "box.npz", "box.npz", "--pose-b", "3 0 0"])  # doctest: +ELLIPSIS
+    FREE...
+    0
+    """
+    try:
+        options = _parser().parse_args(None if arguments is None else _words(arguments))
+        with _any_name_printed(), _warnings_as_lines():
+            status = int(options.run(options))
+            sys.stdout.flush()
+        return status
+    except LoewnerError as error:
+        print(f"loewner: error: {error}", file=sys.stderr)
+    except BrokenPipeError:
+        # The reader left (`| head`). Python would fail once more when it closes standard output.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("loewner: interrupted", file=sys.stderr)
+    except Exception:
+        # Python's own status for a crash is 1, which here says "colliding".
+        traceback.print_exc()
+    return ERROR
+
+
+@contextmanager
+def _any_name_printed() -> Iterator[None]:
+    """Escape what standard output cannot encode, such as names of files that are not UTF-8, instead of failing."""
+    out = sys.stdout
+    if not isinstance(out, io.TextIOWrapper):
+        yield
+        return
+    before = out.errors
+    out.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        out.reconfigure(errors=before)
+
+
+def _words(arguments: Any) -> list[str]:
+    words = _validate.listed(arguments, "arguments")
+    for word in words:
+        if not isinstance(word, str):
+            raise InputError(f"arguments: expected text only, found {_validate.short(word)}")
+    return words
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="loewner", description=loewner.__doc__)
+    parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in (fit, check, robot, view, compile, paper):
+        command.add(commands)
+    return parser
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Print each warning as a line of its own, at once: the work it is about may take minutes."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"loewner: warning: {message}", file=sys.stderr, flush=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield

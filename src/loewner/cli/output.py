@@ -1,0 +1,45 @@
+"""What commands give back: an exit status, tables on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import loewner
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+# Exit status: done, or free; one or more colliding; an error; the ellipsoids cannot tell.
+FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
+
+
+def progress_bar() -> Progress:
+    """Progress on standard error, so that standard output stays the answer."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    return Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+
+
+def print_table(table: Any) -> None:
+    """Print a table of Rich."""
+    from rich.console import Console
+
+    console = Console()
+    # A pipe has no width; there a table is not cut to 80 columns.
+    Console(width=None if console.is_terminal else 200).print(table)
+
+
+def covering_text(covering: loewner.Covering | None) -> str:
+    """What the pieces of a mesh hold of it, in a few words."""
+    if covering is None:
+        return "-"
+    excess = f", {100 * covering.excess_volume:+.1f} % volume"
+    if np.isnan(covering.excess_volume):
+        excess = ", volume of the mesh unknown"
+    if covering.exact:
+        return f"{covering.kind}, holds the mesh{excess}"
+    return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"

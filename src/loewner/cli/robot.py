@@ -1,0 +1,253 @@
+"""``loewner robot``: what a robot is, and whether configurations of it are free."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import _validate
+from loewner._files import read_regular
+from loewner._validate import Floats
+from loewner.cli import inputs
+from loewner.cli.output import COLLIDING, FREE, covering_text, print_table, progress_bar
+from loewner.errors import FileError, InputError
+
+# Configurations between two steps of the progress bar, and pairs that a table lists at most.
+AT_ONCE = 50_000
+LISTED = 20
+
+# The largest file of configurations that is read [bytes].
+MOST_BYTES = 2**33
+
+EXAMPLES = """examples:
+  loewner robot info panda.urdf --srdf panda.srdf
+  loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 10000
+"""
+INFO_EXAMPLES = """examples:
+  loewner robot info panda.urdf
+  loewner robot info ~/robots/panda.urdf --srdf panda.srdf --package-dir ~/robots --package-dir ~/meshes
+"""
+MARGIN_HELP = (
+    "metres that each pair with a body of the scene keeps at least, whatever margins the scene gives; those that are "
+    "larger stay; links keep none among each other unless the scene gives one"
+)
+CHECK_EXAMPLES = """examples:
+  loewner robot check panda.urdf --srdf panda.srdf --state ready
+  loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 100000 --seed 7
+  loewner robot check panda.urdf --scene shelf.yaml --configs path.csv --margin 0.02 --json
+
+configurations: a .npy file of shape (N, dof), or a .csv file with one line each, whose first line may name the columns
+
+exit status: 0 all free, 1 one or more colliding, 2 error
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the commands."""
+    robot = inputs.command(commands, "robot", "a robot: what it is, is it free?", EXAMPLES)
+    inner = robot.add_subparsers(required=True, metavar="COMMAND")
+    info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES)
+    inputs.add_robot_options(info)
+    info.set_defaults(run=_info)
+    check = inputs.command(inner, "check", "which configurations are in collision?", CHECK_EXAMPLES)
+    inputs.add_robot_options(check)
+    check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    which = check.add_mutually_exclusive_group(required=True)
+    which.add_argument("--random", type=int, metavar="N", help="N random configurations within the limits")
+    which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy or .csv)")
+    which.add_argument("--state", metavar="NAME", help="a state of the SRDF")
+    check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
+    check.add_argument("--margin", type=float, metavar="M", help=MARGIN_HELP)
+    check.add_argument("--json", action="store_true", help="print JSON")
+    check.set_defaults(run=_check)
+
+
+def _info(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    robot = inputs.robot(options)
+    links = Table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
+    for name in robot.link_names:
+        links.add_row(name, *(_link_row(robot.bodies[name]) if name in robot.bodies else ("-",) * 4))
+    columns = Table("column", "lower", "upper", title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
+    for name, lower, upper in zip(robot.configuration_names, robot.lower, robot.upper, strict=True):
+        columns.add_row(name, f"{lower:.6g}", f"{upper:.6g}")
+    print_table(links)
+    print_table(columns)
+    count = len(robot.bodies)
+    checked = len(loewner.CollisionChecker(robot).checked_pairs) if count else 0
+    print(f"pairs     {count * (count - 1) // 2} of links with bodies, {checked} checked")
+    disabled = f"{len(robot.disabled_pairs)} disabled by the SRDF" if options.srdf is not None else "no SRDF"
+    print(f"          {disabled}, {len(robot.adjacent_pairs)} adjacent")
+    if options.srdf is not None:
+        print(f"groups    {', '.join(f'{name} ({len(joints)})' for name, joints in robot.groups.items()) or '-'}")
+        print(f"states    {', '.join(robot.states) or '-'}")
+    return 0
+
+
+def _link_row(body: loewner.Body) -> tuple[str, ...]:
+    vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
+    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", covering_text(body.covering)
+
+
+def _check(options: argparse.Namespace) -> int:
+    if options.margin is not None and options.scene is None:
+        raise InputError("--margin: expected --scene with it, found none: it is kept from the bodies of the scene")
+    if options.state is not None and options.srdf is None:
+        raise InputError(
+            f"--state: expected --srdf with it, which has the states; no SRDF was given for {options.state!r}"
+        )
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    if options.margin is not None and scene is not None:
+        scene.widen(_validate.positive_scalar(options.margin, "--margin", zero=True))
+    robot = inputs.robot(options)
+    checker = loewner.CollisionChecker(robot, scene)
+    Q = _configurations(robot, options)
+    if not checker.checked_pairs:
+        raise InputError(
+            f"{options.urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
+            "there is nothing of a scene to meet; any configuration would count as free"
+        )
+    answer = _checked_configurations(checker, Q)
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_checked(answer)
+    return COLLIDING if answer["colliding"] else FREE
+
+
+def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
+    """The configurations asked for, shape (N, dof)."""
+    if options.state is not None:
+        return robot.configuration(options.state)[None]
+    if options.configs is not None:
+        Q = np.atleast_2d(robot.checked(_configuration_file(options.configs, robot), str(options.configs)))
+        return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
+    if options.random < 1 or options.seed < 0:
+        what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, options.seed)
+        raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
+    return robot.random_configurations(options.random, options.seed)
+
+
+def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
+    """Numbers of a .npy or .csv file, in the order of the robot's columns."""
+    if path.suffix.lower() not in (".npy", ".csv"):
+        raise FileError(f"{path}: expected a .npy or .csv file, found {path.suffix or 'no suffix'}")
+    data = read_regular(path, "configurations", MOST_BYTES)
+    try:
+        if path.suffix.lower() == ".npy":
+            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode("utf-8-sig").splitlines()) if any(row)]
+    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, csv.Error):
+        raise FileError(f"{path}: expected an array of numbers, found something else") from None
+    names = list(robot.configuration_names)
+    if rows and any(";" in cell for cell in rows[0]):
+        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
+    order = names
+    if rows and not any(_are_numbers([cell]) for cell in rows[0]):
+        order = rows.pop(0)
+        _check_columns(order, names, path)
+    for k, row in enumerate(rows):
+        if len(row) != len(names) or not _are_numbers(row):
+            raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
+    numbers = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    return np.asarray(numbers[:, [order.index(name) for name in names]])
+
+
+def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> None:
+    """Check that each column is named once."""
+    for name in order:
+        if name not in names:
+            raise _validate.unknown_name(f"{path}, column", name, names)
+        if order.count(name) > 1:
+            raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
+    missing = [name for name in names if name not in order]
+    if missing:
+        raise FileError(f"{path}: expected a column for each joint value, found none for {', '.join(missing)}")
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    try:
+        return all(np.isfinite(float(cell)) for cell in cells)
+    except ValueError:
+        return False
+
+
+def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
+    """All that is told about configurations."""
+    robot = checker.robot
+    if len(Q) == 0:
+        raise InputError("--configs: expected one configuration or more, found none")
+    checker.tiers(Q[:1])  # compiles, if this machine has not before
+    tiers: Counter[str] = Counter()
+    hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
+    colliding, seconds = [], 0.0
+    with progress_bar() as progress:
+        task = progress.add_task("configurations", total=len(Q))
+        for first in range(0, len(Q), AT_ONCE):
+            part = Q[first : first + AT_ONCE]
+            started = time.perf_counter()
+            collides, settled = checker.settle(part)
+            seconds += time.perf_counter() - started
+            found = np.flatnonzero(collides)
+            tiers.update(asdict(settled))
+            hits += checker.collide_by_pair(part[found]).sum(axis=0)
+            colliding += (found + first).tolist()
+            progress.advance(task, len(part))
+    outside = (robot.lower > Q) | (robot.upper < Q)
+    often = np.argsort(-hits, kind="stable")
+    return {
+        "robot": robot.name,
+        "configurations": len(Q),
+        "free": len(Q) - len(colliding),
+        "colliding": len(colliding),
+        "colliding_rows": colliding,
+        "tiers": dict(tiers),
+        "checked_pairs": len(hits),
+        "pairs": [[*checker.checked_pairs[p], int(hits[p])] for p in often if hits[p]],
+        "outside_limits": np.flatnonzero(outside.any(axis=1)).tolist(),
+        "outside_limits_of": [robot.configuration_names[k] for k in np.flatnonzero(outside.any(axis=0))],
+        "per_second": len(Q) / seconds,
+    }
+
+
+def _print_checked(answer: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    count, colliding = answer["configurations"], answer["colliding"]
+    print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
+    table = Table(
+        "settled by", "free", "colliding", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
+    )
+    for name, title in (
+        ("bounds", "bounding spheres and boxes"),
+        ("ellipsoids", "ellipsoids"),
+        ("planes", "planes about the pieces"),
+        ("search", "exact search"),
+    ):
+        cells = (answer["tiers"].get(f"{kind}_by_{name}") for kind in ("free", "colliding"))
+        table.add_row(title, *("-" if cell is None else f"{cell:,}" for cell in cells))
+    print_table(table)
+    if answer["pairs"]:
+        table = Table("pair", "", "collides", "of all")
+        for a, b, hits in answer["pairs"][:LISTED]:
+            table.add_row(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %")
+        if len(answer["pairs"]) > LISTED:
+            table.add_row(f"and {len(answer['pairs']) - LISTED} more")
+        print_table(table)
+    if answer["outside_limits"]:
+        rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
+        print(f"note: {len(rows):,} configurations are outside the limits, the first in row {rows[0]}: {names}")
+    if count > 1:
+        print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")

@@ -1,0 +1,92 @@
+"""``loewner view``: two bodies, or a robot, in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner.cli import inputs
+from loewner.errors import InputError
+
+EXAMPLES = """examples:
+  loewner view arm.npz table.stl --pose-b "0.5 0 0"
+  loewner view --robot panda.urdf --srdf panda.srdf --scene kitchen.yaml --package-dir robots
+
+The page is served on this machine, at the address that is printed; Ctrl+C closes it.
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    view = inputs.command(commands, "view", "two bodies, or a robot, in the browser", EXAMPLES)
+    view.add_argument("a", metavar="A", type=Path, nargs="?", help="a saved body (.npz) or a mesh")
+    view.add_argument("b", metavar="B", type=Path, nargs="?")
+    view.add_argument("--pose-a", metavar="POSE", help="where A is at first (the origin); as in loewner check")
+    view.add_argument("--pose-b", metavar="POSE", help="where B is at first (next to A)")
+    view.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres that A and B keep (0)")
+    view.add_argument("--robot", dest="urdf", metavar="URDF", type=Path, help="a robot instead of two bodies")
+    view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
+    view.add_argument("--scene", metavar="YAML", type=Path, help="what stands around it (docs/scenes.md)")
+    view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
+    view.add_argument("--decompose", action="store_true", help="split meshes of the robot that are not convex")
+    view.add_argument("--port", type=int, default=0, help="default: any that is free")
+    view.add_argument("--no-browser", action="store_true", help="only print the address")
+    inputs.add_mesh_options(view)
+    view.set_defaults(run=_run, default=view.get_default)
+
+
+def _run(options: argparse.Namespace) -> int:
+    import webbrowser
+
+    answer = sys.stdout
+    with redirect_stdout(sys.stderr):  # where viser's greetings belong
+        page = _view_robot(options) if options.urdf is not None else _view_pair(options)
+        print(f"{page.url}  (Ctrl+C closes it)", file=answer, flush=True)
+        if not options.no_browser:
+            webbrowser.open(page.url)
+        page.wait()
+    return 0
+
+
+def _view_pair(options: argparse.Namespace) -> Any:
+    from loewner import viewer
+
+    if options.a is None or options.b is None:
+        raise InputError("view: expected two bodies, A and B, or --robot URDF")
+    _refuse(options, ("srdf", "scene", "package_dir", "decompose"), "with --robot only, found it with A and B")
+    Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
+    a, b = inputs.body(options.a, options), inputs.body(options.b, options)
+    if Tb is None:
+        Tb = np.eye(4) if Ta is None else Ta.copy()
+        Tb[0, 3] += a.outer.bounding_box()[1][:, 0].max() - b.outer.bounding_box()[0][:, 0].min()
+    mesh_a, mesh_b = (None if path.suffix.lower() == ".npz" else path for path in (options.a, options.b))
+    return viewer.show_pair(a, Ta, b, Tb, margin=options.margin, mesh_a=mesh_a, mesh_b=mesh_b, port=options.port)
+
+
+def _view_robot(options: argparse.Namespace) -> Any:
+    from loewner import viewer
+
+    if options.a is not None:
+        raise InputError(f"view: expected no A and B with --robot, found {options.a}")
+    _refuse(options, ("pose_a", "pose_b", "hull", "threshold", "max_pieces", "seed"), "with A and B only, not --robot")
+    _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    if scene is not None and len(scene) == 0:
+        raise InputError(
+            f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
+        )
+    return viewer.show_robot(loewner.CollisionChecker(inputs.robot(options), scene), port=options.port)
+
+
+def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
+    """Refuse what would be passed over in silence."""
+    for name in names:
+        if getattr(options, name) != options.default(name):
+            raise InputError(f"view: expected --{name.replace('_', '-')} {where}")

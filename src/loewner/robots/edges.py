@@ -1,0 +1,84 @@
+"""Where a motion is checked, and in which order: its ends, its middle, then ever finer.
+
+In that order collisions tend to be found early.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._validate import Floats, Ints
+from loewner.errors import InputError
+
+# Configurations of edges that are worth a call.
+AT_LEAST = 64
+
+# Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
+MOST_AT_ONCE = 2**20
+
+# What a motion may be divided into; more is a slip in a unit.
+MOST_STEPS = 2**24
+
+
+@overload
+def steps(lengths: float, step: float) -> int: ...
+@overload
+def steps(lengths: Floats, step: float) -> Ints: ...
+def steps(lengths: float | Floats, step: float) -> int | Ints:
+    """How many steps no longer than `step` edges of these lengths are divided into.
+
+    Raises
+    ------
+    InputError
+        If they are more than `MOST_STEPS`.
+    """
+    longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
+    if not longest / step <= MOST_STEPS:
+        raise InputError(
+            f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), found {step:g}"
+        )
+    if isinstance(lengths, np.ndarray):
+        return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
+    return max(math.ceil(lengths / step), 1)
+
+
+def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
+    """Yield which edges to check where, as fractions of their way, coarsely first; an edge not `valid` is left out.
+
+    Parameters
+    ----------
+    parts : ndarray of int64
+        How many steps each edge is divided into.
+    valid : ndarray of bool
+        May change between two rounds.
+    """
+    done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
+    while True:
+        going = np.flatnonzero(valid & (parts >= done))
+        if len(going) == 0:
+            return
+        edges, fractions = [], []
+        for count in np.unique(parts[going]):
+            at = coarse_first(int(count))[done : done + more]
+            those = going[parts[going] == count]
+            edges.append(np.repeat(those, len(at)))
+            fractions.append(np.tile(at, len(those)))
+        yield np.concatenate(edges), np.concatenate(fractions)
+        done, more = done + more, max(more, min(done + more, MOST_AT_ONCE // len(going)))
+
+
+@lru_cache(maxsize=256)
+def coarse_first(parts: int) -> Floats:
+    """0, 1, then the multiples of 1 / parts between: the middle, the quarters, and so on."""
+    digits = max(1, (parts - 1).bit_length())
+    numbers = np.arange(1, 2**digits)
+    reversed_bits = np.zeros_like(numbers)
+    for k in range(digits):
+        reversed_bits |= (numbers >> k & 1) << (digits - 1 - k)
+    return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])

@@ -1,0 +1,85 @@
+"""Pairs of links that need no check, found by sampling."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._validate import Pair
+from loewner.errors import InputError
+from loewner.robots.checker import CollisionChecker
+from loewner.robots.robot import Robot
+
+
+@guarded
+def pairs_by_sampling(
+    robot: Robot,
+    samples: int = 10_000,
+    seed: int = 0,
+    *,
+    known_free: ArrayLike | None = None,
+    always: float = 0.95,
+) -> dict[Pair, str]:
+    """Pairs of links that need no check, for a robot without an SRDF, as MoveIt's setup assistant finds them.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its `disabled_pairs` are not looked at.
+    samples : int
+        Random configurations within the limits, see `Robot.random_configurations`.
+    seed : int
+    known_free : array_like, shape (..., dof), optional
+        Configurations that the robot is known to be free at, such as one that it stands in: what collides there does so
+        because its bodies are larger than the links.
+    always : float
+        Share of the samples, above 0 and up to 1, from which on two links count as always colliding.
+
+    Returns
+    -------
+    dict
+        Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
+        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
+        checked, and not in it.
+
+    Raises
+    ------
+    InputError
+        If the robot has no collision geometry, or an argument is none of what it should be.
+
+    Notes
+    -----
+    "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
+    samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+
+    Examples
+    --------
+    >>> from loewner import pairs_by_sampling
+    >>> pairs_by_sampling(Robot.from_urdf("arm.urdf"), 100)
+    {('cart', 'forearm'): 'adjacent', ('cart', 'rail'): 'adjacent', ('forearm', 'rail'): 'never'}
+    """
+    samples = _validate.whole_number(samples, "samples", 1)
+    if not 0 < _validate.positive_scalar(always, "always") <= 1:
+        raise InputError(f"always: expected a share above 0 and up to 1, found {always:g}")
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    checker = CollisionChecker(replace(robot, disabled_pairs=frozenset()), skip_adjacent=False)
+    counts = checker.collide_by_pair(robot.random_configurations(samples, seed)).sum(axis=0)
+    known = robot.checked(np.empty((0, robot.dof)) if known_free is None else known_free, "known_free")
+    overlapping = checker.collide_by_pair(known).sum(axis=tuple(range(known.ndim - 1))).tolist()
+    found = {}
+    for (a, b), count, overlaps in zip(checker.checked_pairs, counts.tolist(), overlapping, strict=True):
+        pair = (min(a, b), max(a, b))
+        if pair in robot.adjacent_pairs:
+            found[pair] = "adjacent"
+        elif overlaps:
+            found[pair] = "default"
+        elif count >= always * samples:
+            found[pair] = "always"
+        elif count == 0:
+            found[pair] = "never"
+    return dict(sorted(found.items()))

@@ -1,0 +1,279 @@
+"""SRDF files, read for a robot: groups, states and disabled pairs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from loewner._plausible import warn
+from loewner._validate import Pair
+from loewner.errors import UnknownNameError
+from loewner.robots.urdf import MOST_PAIRS, VALUES, Description
+from loewner.robots.xml_elements import LISTED, Element, by_name, known, read_xml, some
+
+# What pinocchio calls the free base that it puts under a robot; its SRDF files name it without declaring it.
+UNDECLARED_BASE = "root_joint"
+
+# Elements of SRDF files that are known, to us or to programs that add their own; any other is most likely a slip.
+SRDF_TAGS = frozenset((
+    "group", "group_state", "disable_collisions", "enable_collisions", "disable_default_collisions", "virtual_joint",
+    "end_effector", "passive_joint", "joint_property", "link_sphere_approximation",
+    "gripper", "handle", "contact", "position", "rotor_params", "specificities",
+))  # fmt: skip
+
+# Joints that all groups together may have at most: far more than any robot has.
+MOST_MEMBERS = 2**22
+
+# An SRDF that knows less than this share of the names it could know was written for another robot.
+LEAST_IN_COMMON = 0.25
+
+# Group, and values by joint; the group is "" for a state of the whole robot.
+State = tuple[str, dict[str, float | tuple[float, ...]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Semantics:
+    """What an SRDF adds.
+
+    Attributes
+    ----------
+    groups : dict
+        Group name to the names of its driven joints, in the order of the URDF.
+    states : dict
+        State name to (group, {driven joint: value or tuple of values}).
+    disabled_pairs : frozenset
+        Sorted pairs of links that are not to be checked.
+    """
+
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    states: dict[str, State] = field(default_factory=dict)
+    disabled_pairs: frozenset[Pair] = frozenset()
+
+
+class _Names:
+    """Looks names up in the URDF, and keeps count: an SRDF of another robot finds few."""
+
+    def __init__(self, robot: Description, without_values: Collection[str]) -> None:
+        self.robot = robot
+        self.without_values = without_values
+        self.known: set[tuple[str, str]] = set()
+        self.unknown: dict[tuple[str, str], Element] = {}
+
+    def link(self, element: Element, attribute: str) -> str | None:
+        return self._of("link", element, attribute, self.robot.shapes)
+
+    def joint(self, element: Element) -> str | None:
+        if element.text("name") in self.without_values:
+            return None
+        return self._of("joint", element, "name", self.robot.joints)
+
+    def group(self, element: Element, attribute: str, groups: Collection[str]) -> str | None:
+        """Name of a group, if there is such a one in this file."""
+        name = element.text(attribute)
+        if name in groups:
+            return name
+        self.unknown.setdefault(("group", name), element)
+        return None
+
+    def _of(self, kind: str, element: Element, attribute: str, valid: Collection[str]) -> str | None:
+        name = element.text(attribute)
+        if name in valid:
+            self.known.add((kind, name))
+            return name
+        self.unknown.setdefault((kind, name), element)
+        return None
+
+    def settle(self, path: Path) -> None:
+        """Refuse the SRDF of another robot; say which names of a bigger variant of this one are left out."""
+        if not self.unknown:
+            return
+        foreign = [key for key in self.unknown if key[0] != "group"]
+        could = min(len(self.known) + len(foreign), len(self.robot.shapes) + len(self.robot.joints))
+        found = ", ".join(f"{kind} {name!r} (line {e.line})" for (kind, name), e in list(self.unknown.items())[:8])
+        if len(self.unknown) > 8:
+            found += f" and {len(self.unknown) - 8} more"
+        if len(self.known) < LEAST_IN_COMMON * could:
+            raise UnknownNameError(
+                f"{path}: expected an SRDF for {self.robot.name!r} ({self.robot.path}), found one for another robot, "
+                f"with {found}; links: {known(self.robot.shapes)}; joints: {known(self.robot.joints)}"
+            )
+        warn(f"{path}: left out what names things that neither it nor {self.robot.path} has: {found}")
+
+
+def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
+    """Read an SRDF file for a robot.
+
+    Read are groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
+    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` puts the base somewhere), and
+    what programs add of their own (grippers, rotors, ...) is left alone.
+
+    Raises
+    ------
+    FileError, InputError
+        As `read_urdf`.
+    UnknownNameError
+        If next to none of the links and joints that it names are this robot's.
+
+    Warns
+    -----
+    UserWarning
+        If some are not (an SRDF is often shared with a bigger variant of the robot), or a group is named that is
+        nowhere in the file; if it names nothing of this robot at all, if it is said to be for a robot of another name,
+        or if it has elements that no SRDF has.
+    """
+    root = read_xml(path, "an SRDF")
+    urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)
+    if urdf is not None:
+        urdf.fault("an SRDF, with groups, states and rules on pairs", f"a URDF, with a <{urdf.tag}>")
+    names = _Names(robot, {UNDECLARED_BASE, *(e.text("name") for e in root.all("virtual_joint"))})
+    disabled = _disabled_pairs(root, names)
+    groups = _groups(root, names)
+    states = _states(root, names, groups)
+    names.settle(root.path)
+    for fault in _oddities(root, names):
+        warn(f"{root.path}: {fault}")
+    return Semantics(groups, states, disabled)
+
+
+def _oddities(root: Element, names: _Names) -> Iterator[str]:
+    """What is no error in an SRDF, but mostly a slip."""
+    robot, name = names.robot, root.attributes.get("name", "")
+    if name and name != robot.name:
+        yield f"expected an SRDF for {robot.name!r}, as {robot.path} calls it, found one for {name!r}"
+    odd = [e for e in root.children if e.tag not in SRDF_TAGS]
+    if odd:
+        found = some(f"<{e.tag}>" for e in odd)
+        yield f"left out elements that an SRDF does not have: {found}, first in line {odd[0].line}"
+    if not names.known:
+        yield f"expected groups, states or pairs of {robot.name!r}, found none of its links and joints named"
+
+
+def _disabled_pairs(root: Element, names: _Names) -> frozenset[Pair]:
+    disabled: set[Pair] = set()
+    alone = list(dict.fromkeys(names.link(e, "link") for e in root.all("disable_default_collisions")))
+    if len(alone) * len(names.robot.shapes) > MOST_PAIRS:
+        root.fault(
+            f"<disable_default_collisions> of at most {MOST_PAIRS} pairs",
+            f"{len(alone)} links with {len(names.robot.shapes)} others each",
+        )
+    for link in alone:
+        if link is not None:
+            disabled |= {_sorted_pair(link, other) for other in names.robot.shapes if other != link}
+    for tag, change in (("enable_collisions", disabled.discard), ("disable_collisions", disabled.add)):
+        for element in root.all(tag):
+            a, b = names.link(element, "link1"), names.link(element, "link2")
+            if a is not None and b is not None and a != b:
+                change(_sorted_pair(a, b))
+    return frozenset(disabled)
+
+
+def _sorted_pair(a: str, b: str) -> Pair:
+    return (a, b) if a < b else (b, a)
+
+
+def _groups(root: Element, names: _Names) -> dict[str, tuple[str, ...]]:
+    """Driven joints of each group, in the order of the URDF."""
+    elements = by_name(root.all("group"))
+    place = {joint: k for k, joint in enumerate(names.robot.driven)}
+    depth: dict[str, int] = {}
+    for link in names.robot.shapes:
+        above = names.robot.joint_above.get(link)
+        depth[link] = 0 if above is None else depth[above.parent] + 1
+    own: dict[str, frozenset[str]] = {}
+    inner: dict[str, list[str]] = {}
+    total = 0
+
+    def count(more: int, element: Element) -> None:
+        nonlocal total
+        total += more
+        if total > MOST_MEMBERS:
+            element.fault(f"groups of at most {MOST_MEMBERS} joints, all together", "more")
+
+    for name, element in elements.items():
+        listed: list[str] = []
+        for e in element.children:
+            found = _named_joints(e, names, depth)
+            count(len(found), e)
+            listed += found
+        own[name] = frozenset(listed)
+        inside = (names.group(e, "name", elements) for e in element.all("group"))
+        inner[name] = [group for group in dict.fromkeys(inside) if group is not None]
+    members: dict[str, frozenset[str]] = {}
+    for name in _innermost_first(elements, inner):
+        members[name] = own.pop(name).union(*(members[group] for group in inner[name])) & place.keys()
+        count(len(members[name]), elements[name])
+    return {name: tuple(sorted(members[name], key=place.__getitem__)) for name in elements}
+
+
+def _named_joints(element: Element, names: _Names, depth: dict[str, int]) -> list[str]:
+    """Joints that an entry of a group means: one, the one above a link, or those between links."""
+    if element.tag == "joint":
+        joint = names.joint(element)
+        return [] if joint is None else [joint]
+    if element.tag == "link":
+        above = names.robot.joint_above.get(names.link(element, "name") or "")
+        return [] if above is None else [above.name]
+    if element.tag == "chain":
+        return _chain(names.robot, depth, names.link(element, "base_link"), names.link(element, "tip_link"))
+    return []
+
+
+def _innermost_first(elements: dict[str, Element], inner: dict[str, list[str]]) -> list[str]:
+    """Order groups such that each comes after those inside it."""
+    order: list[str] = []
+    done: set[str] = set()
+    for start in elements:
+        within: dict[str, Iterator[str]] = {} if start in done else {start: iter(inner[start])}  # from outside inwards
+        while within:
+            name = next(reversed(within))
+            group = next(within[name], None)
+            if group is None:
+                del within[name]
+                done.add(name)
+                order.append(name)
+            elif group in within:
+                names = list(within)
+                ring = [*names[names.index(group) :], group]
+                more = f" ... and {len(ring) - LISTED} more" if len(ring) > LISTED else ""
+                elements[group].fault("groups that do not contain themselves", " in ".join(ring[:LISTED]) + more)
+            elif group not in done:
+                within[group] = iter(inner[group])
+    return order
+
+
+def _chain(robot: Description, depth: dict[str, int], base: str | None, tip: str | None) -> list[str]:
+    """Joints between two links."""
+    found: list[str] = []
+    if base is None or tip is None:
+        return found
+    while base != tip:
+        if depth[base] < depth[tip]:
+            base, tip = tip, base
+        above = robot.joint_above[base]
+        found.append(above.name)
+        base = above.parent
+    return found
+
+
+def _states(root: Element, names: _Names, groups: Collection[str]) -> dict[str, State]:
+    states: dict[str, State] = {}
+    driven = set(names.robot.driven)
+    for element in root.all("group_state"):
+        # A state outside all groups is a state of the whole robot to some programs.
+        name = element.text("name")
+        group = (names.group(element, "group", groups) or "") if "group" in element.attributes else ""
+        values: dict[str, float | tuple[float, ...]] = {}
+        for e in element.all("joint"):
+            joint = names.joint(e)
+            if joint not in driven:  # unknown, or without a value of its own: fixed, mimicking, virtual
+                continue
+            kind = names.robot.joints[joint].kind
+            numbers = e.finite("value", len(VALUES[kind]))
+            if kind == "floating":  # x, y, z, then the quaternion as x, y, z, w
+                numbers = [*numbers[:3], numbers[6], *numbers[3:6]]
+            values[joint] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        # The name of a state is its own within its group only.
+        states[f"{group}/{name}" if name in states else name] = (group, values)
+    return states

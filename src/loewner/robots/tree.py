@@ -1,0 +1,147 @@
+"""What the joint tree of a robot is to kernels, and which of its links are neighbours."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+
+from loewner._kernels.robots import kinematics
+from loewner._validate import Floats, Ints, Pair
+from loewner.errors import InputError
+from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
+
+_KINDS = {
+    "fixed": kinematics.FIXED,
+    "revolute": kinematics.REVOLUTE,
+    "continuous": kinematics.REVOLUTE,
+    "prismatic": kinematics.PRISMATIC,
+    "planar": kinematics.PLANAR,
+    "floating": kinematics.FLOATING,
+}
+
+# Parent, kind, column, multiplier, offset and constants of each link: see `loewner._kernels.robots.kinematics`.
+Tree = tuple[Ints, Ints, Ints, Floats, Floats, Floats]
+
+
+def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
+    """Columns of each driven joint, and their number."""
+    columns, at = {}, 0
+    for name in robot.driven:
+        columns[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
+        at = columns[name].stop
+    return columns, at
+
+
+def adjacent_pairs(robot: Description) -> frozenset[Pair]:
+    """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
+
+    MoveIt's setup assistant lets such a path have any number of moving joints. But what two joints move against each
+    other may well collide, and a pair that nobody checks is never found.
+    """
+    # Links without shapes that are rigidly joined are one place, named by its topmost link. Around each place are the
+    # links with shapes that fixed joints, and those that moving joints lead to.
+    place = {name: name for name in robot.shapes}
+    fixed: dict[str, set[str]] = {}
+    moving: dict[str, set[str]] = {}
+    between: list[Pair] = []  # places that a moving joint joins
+    pairs = set()
+    for link, shapes in robot.shapes.items():
+        if link not in robot.joint_above:
+            continue
+        joint = robot.joint_above[link]
+        parent, around = joint.parent, fixed if joint.kind == "fixed" else moving
+        if shapes and robot.shapes[parent]:
+            pairs.add((min(link, parent), max(link, parent)))
+        elif shapes:
+            around.setdefault(place[parent], set()).add(link)
+        elif robot.shapes[parent]:
+            around.setdefault(link, set()).add(parent)
+        elif joint.kind == "fixed":
+            place[link] = place[parent]
+        else:
+            between.append((place[parent], link))
+    none: set[str] = set()
+    products = [(fixed[at], moving.get(at, none)) for at in fixed]
+    products += [(fixed.get(one, none), fixed.get(other, none)) for one, other in between]
+    total = sum(math.comb(len(links), 2) for links in fixed.values()) + sum(len(a) * len(b) for a, b in products)
+    if total > MOST_PAIRS:
+        most = max(len(links) for links in (*fixed.values(), *moving.values()))
+        raise InputError(
+            f"{robot.path}: expected at most {MOST_PAIRS} pairs of links that are joined through links without bodies, "
+            f"found more: {most} links around one place"
+        )
+    for links in fixed.values():
+        pairs.update(combinations(sorted(links), 2))
+    pairs.update((min(a, b), max(a, b)) for one, other in products for a in one for b in other if a != b)
+    return frozenset(pairs)
+
+
+def tree_of(robot: Description, columns: dict[str, slice]) -> Tree:
+    """Flatten the robot for kernels."""
+    count = len(robot.shapes)
+    parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    multiplier, offset = np.ones(count), np.zeros(count)
+    constants = np.zeros((count, kinematics.CONSTANTS))
+    # For each link the first link of the rigid thing that it is part of, and its pose in there.
+    frames: dict[str, tuple[int, Floats]] = {}
+    for i, name in enumerate(robot.shapes):
+        joint = robot.joint_above.get(name)
+        if joint is None:
+            above, T = -1, np.eye(4)
+        else:
+            above, T_above_parent = frames[joint.parent]
+            T = T_above_parent @ joint.origin
+        parent[i] = above
+        if joint is None or joint.kind == "fixed":
+            constants[i, : kinematics.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
+            frames[name] = above, T
+            continue
+        mimic = joint.mimic
+        kind[i] = _KINDS[joint.kind]
+        column[i] = columns[mimic.joint if mimic else joint.name].start
+        if mimic:
+            multiplier[i], offset[i] = mimic.multiplier, mimic.offset
+        constants[i] = _joint_constants(joint, T)
+        frames[name] = i, np.eye(4)
+    return parent, kind, column, multiplier, offset, constants
+
+
+def placed_tree(tree: Tree, T: Floats) -> Tree:
+    """The tree with its root link at the pose T instead of the world's origin."""
+    constants = tree[5].copy()
+    on_base = np.flatnonzero(tree[0] < 0)
+    R, t = T[:3, :3], T[:3, 3]
+    for first in (kinematics.ROTATION, kinematics.SINE, kinematics.COSINE):
+        block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
+        constants[on_base, first : first + 9] = (R @ block).reshape(-1, 9)
+    for first in (kinematics.TRANSLATION, kinematics.ACROSS, kinematics.ALONG):
+        constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
+    constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
+    return (*tree[:5], constants)
+
+
+def _joint_constants(joint: Joint, T: Floats) -> Floats:
+    """Constants of a movable joint whose own frame is at T."""
+    R, axis = T[:3, :3], joint.axis
+    rotation, sine, cosine, across, along = R, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    if joint.kind in ("revolute", "continuous", "planar"):  # Rodrigues: n nᵀ + sin q [n]× + cos q (1 - n nᵀ)
+        x, y, z = axis
+        onto = np.outer(axis, axis)
+        rotation, cosine = R @ onto, R @ (np.eye(3) - onto)
+        sine = R @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if joint.kind == "prismatic":
+        across = R @ axis
+    if joint.kind == "planar":
+        across, along = (R @ _from_z(axis))[:, :2].T
+    return np.concatenate([rotation.ravel(), T[:3, 3], sine.ravel(), cosine.ravel(), across, along])
+
+
+def _from_z(axis: Floats) -> Floats:
+    """Shortest rotation that takes the z axis to a unit vector."""
+    x, y, z = axis
+    if z < 0 and x * x + y * y < 1e-24:  # half a turn, about any axis across: x
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + z))

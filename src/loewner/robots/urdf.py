@@ -1,0 +1,385 @@
+"""URDF files, read and checked to be a tree: links, joints and shapes.
+
+Visual geometry is for the viewer only, see `read_visuals`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from loewner._plausible import FARTHEST_LIMIT, doubt_about_rpy, warn
+from loewner._rotations import from_rpy
+from loewner._validate import Floats
+from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
+from loewner.robots.xml_elements import LARGEST, LISTED, Element, by_name, known, read_xml, some
+
+# Names of the values of a joint, by kind; a joint of one value gives it its own name.
+VALUES: dict[str, tuple[str, ...]] = {
+    "fixed": (),
+    "revolute": ("",),
+    "continuous": ("",),
+    "prismatic": ("",),
+    "planar": ("x", "y", "theta"),
+    "floating": ("x", "y", "z", "qw", "qx", "qy", "qz"),
+}
+
+# Number of sizes of the shapes that are not meshes, and the attributes that hold them.
+SIZES: dict[str, tuple[tuple[str, int], ...]] = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+}
+
+# Pairs of links that the rules of an SRDF, or links without shapes, may make at most: far more than any robot has.
+MOST_PAIRS = 2**22
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One collision or visual element of a link.
+
+    Attributes
+    ----------
+    kind : str
+        "mesh", "box", "sphere", "cylinder" or "capsule" (along z; its length is that of the straight part).
+    sizes : tuple of float
+        Edge lengths of a box; radius; radius and length. In metres; empty for meshes.
+    file_name : str
+        As the URDF gives it; empty for the others.
+    scale : ndarray, shape (3,)
+        Of a mesh, along its own axes; negative entries mirror.
+    origin : ndarray, shape (4, 4)
+        Pose in the link.
+    line : int
+        Of the URDF.
+    """
+
+    kind: str
+    sizes: tuple[float, ...]
+    file_name: str
+    scale: Floats
+    origin: Floats
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Mimic:
+    """A joint moves by multiplier * (value of another joint) + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Floats
+    axis: Floats
+    lower: float
+    upper: float
+    mimic: Mimic | None
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """What a URDF says, checked to be a tree.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    shapes : dict
+        Link name to its collision shapes, for all links; parents before children, siblings as in the file.
+    joints : dict
+        Joint name to joint, as in the file. No joint mimics one that mimics another: such chains are resolved.
+    joint_above : dict
+        Link name to the joint it hangs on, for all links but the root.
+    only_visual : tuple of str
+        Links with visual geometry and no collision shapes.
+    """
+
+    name: str
+    path: Path
+    shapes: dict[str, tuple[Shape, ...]]
+    joints: dict[str, Joint]
+    joint_above: dict[str, Joint]
+    only_visual: tuple[str, ...]
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Joints that have values of their own: movable, and not mimicking."""
+        return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
+
+
+def read_urdf(path: str | os.PathLike[str]) -> Description:
+    """Read a URDF file.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or it is no XML or no URDF.
+    InputError
+        If `path` is no path, if the links and joints are no tree, or a joint is not well defined.
+    GeometryError
+        If a shape has no size, or a negative one.
+    UnknownNameError
+        If a joint names a link that does not exist.
+
+    Warns
+    -----
+    UserWarning
+        If a joint mimics one that does not exist, or the angles of an origin seem to be in degrees.
+    """
+    root = read_xml(path, "a URDF")
+    links = by_name(root.all("link"))
+    if not links:
+        root.fault("at least one <link>", "none")
+    joints = {name: _joint(e, links) for name, e in by_name(root.all("joint")).items()}
+    joints = _without_chains(_with_known_mimics(joints, root.path), root.path)
+    joint_above: dict[str, Joint] = {}
+    for joint in joints.values():
+        before = joint_above.setdefault(joint.child, joint)
+        if before is not joint:
+            raise InputError(
+                f"{root.path}, line {joint.line}: expected a tree, found link {joint.child!r} below two joints, "
+                f"{before.name!r} and {joint.name!r}"
+            )
+    order = _parents_first(root, list(links), joint_above)
+    _doubt_angles(root)
+    return Description(
+        name=root.attributes.get("name", root.path.stem),
+        path=root.path,
+        shapes={name: tuple(_shape(e) for e in links[name].all("collision")) for name in order},
+        joints=joints,
+        joint_above=joint_above,
+        only_visual=tuple(name for name in order if links[name].first("visual") and not links[name].first("collision")),
+    )
+
+
+def read_visuals(path: str | os.PathLike[str]) -> tuple[dict[str, list[Shape]], list[str]]:
+    """Read what the links of a URDF look like.
+
+    Returns
+    -------
+    shapes : dict
+        Link name to its visual shapes, for links that have any.
+    faults : list of str
+        What is wrong with those that are left out: a look decides nothing, so that a broken one is no error.
+
+    Raises
+    ------
+    FileError, InputError
+        If there is no such file, or it is no URDF.
+    """
+    shapes: dict[str, list[Shape]] = {}
+    faults = []
+    for name, link in by_name(read_xml(path, "a URDF").all("link")).items():
+        for element in link.all("visual"):
+            try:
+                shapes.setdefault(name, []).append(_shape(element))
+            except LoewnerError as error:
+                faults.append(str(error))
+    return shapes, faults
+
+
+def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint]) -> list[str]:
+    """Order links depth first from the one root."""
+    tops = [name for name in links if name not in joint_above]
+    if len(tops) > 1:
+        root.fault("a tree with one root", f"{len(tops)} links that hang on no joint: {some(tops)}")
+    below: dict[str, list[str]] = {name: [] for name in links}
+    for name in links:
+        if name in joint_above:
+            below[joint_above[name].parent].append(name)
+    order, waiting = [], tops
+    while waiting:
+        name = waiting.pop()
+        order.append(name)
+        waiting.extend(reversed(below[name]))
+    if len(order) < len(links):
+        reached = set(order)
+        lost = [name for name in links if name not in reached]
+        root.fault("a tree", f"a cycle: {some(lost)} do not hang on a root")
+    return order
+
+
+def _joint(element: Element, links: Collection[str]) -> Joint:
+    name, kind = element.text("name"), element.text("type")
+    if kind not in VALUES:
+        element.fault(f"a joint type among {', '.join(VALUES)}", f"{kind!r} of joint {name!r}")
+    ends = []
+    for end in ("parent", "child"):
+        link = element.the(end).text("link")
+        if link not in links:
+            element.fault(
+                f"a link of this robot as {end} of joint {name!r}", f"{link!r}; {known(links)}", UnknownNameError
+            )
+        ends.append(link)
+    lower, upper = _limits(element, kind)
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=ends[0],
+        child=ends[1],
+        origin=_origin(element),
+        axis=_axis(element, kind),
+        lower=lower,
+        upper=upper,
+        mimic=_mimic(element, kind),
+        line=element.line,
+    )
+
+
+def _axis(joint: Element, kind: str) -> Floats:
+    """Axis of a joint, as a unit vector.
+
+    Where a URDF gives none it is x, but z for a planar joint: so do MoveIt and pinocchio.
+    """
+    element = joint.first("axis")
+    if kind in ("fixed", "floating"):
+        return np.array([1.0, 0.0, 0.0])
+    if element is None:
+        return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
+    axis = np.array(element.finite("xyz", 3))
+    largest = np.abs(axis).max()
+    if largest == 0:
+        element.fault(f"an axis of length above 0 for joint {joint.text('name')!r}", "0 0 0")
+    axis /= largest
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _limits(joint: Element, kind: str) -> tuple[float, float]:
+    """Limits of the values [rad or m]."""
+    if kind not in ("revolute", "prismatic"):
+        return -math.inf, math.inf
+    element = joint.first("limit")
+    if element is None:
+        joint.fault(f"a <limit> of the {kind} joint {joint.text('name')!r}", "none (a joint without is continuous)")
+    (lower,), (upper,) = element.numbers("lower", 1, "0"), element.numbers("upper", 1, "0")
+    if lower > upper:
+        element.fault(f"lower <= upper for joint {joint.text('name')!r}", f"{lower:g} > {upper:g}")
+    if lower > FARTHEST_LIMIT or upper < -FARTHEST_LIMIT:
+        expected = f"limits that leave joint {joint.text('name')!r} values within ±{FARTHEST_LIMIT:g}"
+        element.fault(expected, f"{lower:g} .. {upper:g}")
+    return lower, upper
+
+
+def _mimic(joint: Element, kind: str) -> Mimic | None:
+    element = joint.first("mimic")
+    if element is None or kind == "fixed":  # a gripper welded shut in a reduced model may keep its <mimic>
+        return None
+    if VALUES[kind] != ("",):
+        element.fault("a <mimic> in a joint of one value only", f"one in the {kind} joint {joint.text('name')!r}")
+    return Mimic(element.text("joint"), element.finite("multiplier", 1, "1")[0], element.finite("offset", 1, "0")[0])
+
+
+def _with_known_mimics(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+    """Give joints that mimic one which does not exist a value of their own, as MoveIt and pinocchio do, and say so."""
+    lost = {j.name: j for j in joints.values() if j.mimic is not None and j.mimic.joint not in joints}
+    for count, joint in enumerate(lost.values()):
+        if count == LISTED:
+            warn(f"{path}: {len(lost) - LISTED} more joints mimic one that does not exist")
+            break
+        warn(
+            f"{path}, line {joint.line}: expected a joint of this robot for {joint.name!r} to mimic, found "
+            f"{joint.mimic.joint if joint.mimic else None!r}; it gets a value of its own. {known(joints)}"
+        )
+    return {name: replace(joint, mimic=None) if name in lost else joint for name, joint in joints.items()}
+
+
+def _without_chains(joints: dict[str, Joint], path: Path) -> dict[str, Joint]:
+    """Let each joint that mimics another mimic the one at the end of its chain."""
+    found = {name: joint for name, joint in joints.items() if joint.mimic is None}
+    for start in joints.values():
+        chain: dict[str, Joint] = {}  # from the start up to one that is settled, in order
+        at = start
+        while at.name not in found:
+            if at.name in chain:
+                raise InputError(
+                    f"{path}, line {start.line}: expected {start.name!r} to mimic a joint with a value of its own, "
+                    f"found a ring: {some(chain)}"
+                )
+            chain[at.name] = at
+            at = joints[at.mimic.joint if at.mimic else at.name]
+        for joint in reversed(chain.values()):
+            found[joint.name] = _mimicking(joint, found[joint.mimic.joint if joint.mimic else joint.name], path)
+    return {name: found[name] for name in joints}
+
+
+def _mimicking(joint: Joint, followed: Joint, path: Path) -> Joint:
+    """Let a joint mimic the one that the joint which it follows mimics, if that does."""
+    own = joint.mimic
+    assert own is not None
+    if VALUES[followed.kind] != ("",):
+        raise InputError(
+            f"{path}, line {joint.line}: expected a joint of one value for {joint.name!r} to mimic, "
+            f"found {followed.name!r}, which is {followed.kind}"
+        )
+    if followed.mimic is None:
+        return joint
+    end = followed.mimic
+    mimic = Mimic(end.joint, own.multiplier * end.multiplier, own.multiplier * end.offset + own.offset)
+    if not (abs(mimic.multiplier) <= LARGEST and abs(mimic.offset) <= LARGEST):
+        raise InputError(
+            f"{path}, line {joint.line}: expected {joint.name!r}, which mimics {followed.name!r}, which mimics "
+            f"{end.joint!r}, to move by a finite multiple of it, found the multiplier {mimic.multiplier:g} and the "
+            f"offset {mimic.offset:g} (the largest allowed is {LARGEST:g})"
+        )
+    return replace(joint, mimic=mimic)
+
+
+def _doubt_angles(root: Element) -> None:
+    """Say so if the origins of a URDF seem to be in degrees: once, for all of them are then."""
+    for owner in (*root.all("joint"), *(e for link in root.all("link") for e in link.all("collision"))):
+        origin = owner.first("origin")
+        doubt = "" if origin is None else doubt_about_rpy(origin.finite("rpy", 3, "0 0 0"))
+        if origin is not None and doubt:
+            warn(f"{root.path}, line {origin.line}: expected {doubt}")
+            return
+
+
+def _origin(element: Element) -> Floats:
+    """Pose of an <origin>: fixed-axis roll, pitch, yaw [rad], then translation [m]."""
+    T = np.eye(4)
+    origin = element.first("origin")
+    if origin is None:
+        return T
+    T[:3, 3] = origin.finite("xyz", 3, "0 0 0")
+    T[:3, :3] = from_rpy(*origin.finite("rpy", 3, "0 0 0"))
+    return T
+
+
+def _shape(owner: Element) -> Shape:
+    """Shape of a <collision> or <visual>."""
+    geometry = owner.the("geometry")
+    known = [c for c in geometry.children if c.tag == "mesh" or c.tag in SIZES]
+    if len(known) != 1 or len(geometry.children) != 1:
+        found = ", ".join(f"<{c.tag}>" for c in geometry.children) or "none"
+        geometry.fault(f"one shape among mesh, {', '.join(SIZES)} in <geometry>", found)
+    element = known[0]
+    origin = _origin(owner)
+    if element.tag == "mesh":
+        text = element.attributes.get("scale", "1 1 1")
+        count = 1 if len(text.split()) == 1 else 3
+        scale = np.broadcast_to(element.finite("scale", count, text), 3)
+        if not scale.all():
+            element.fault("a scale without a 0", repr(text), GeometryError)
+        return Shape("mesh", (), element.text("filename"), scale, origin, element.line)
+    sizes = [size for attribute, count in SIZES[element.tag] for size in element.finite(attribute, count)]
+    if min(sizes) <= 0:
+        element.fault(f"sizes above 0 for a {element.tag}", " ".join(f"{s:g}" for s in sizes), GeometryError)
+    return Shape(element.tag, tuple(sizes), "", np.ones(3), origin, element.line)

@@ -1,0 +1,163 @@
+"""Elements of robot descriptions in XML, with their lines, which the errors name.
+
+The reader is the standard library's: it knows the line of every element, and reads nothing that is not asked for
+(materials, sensors and transmissions are left alone, broken or not).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from loewner import _validate
+from loewner._files import read_regular
+from loewner.errors import FileError, InputError
+
+# What a description may have at most: the largest robots known have a hundredth of it. Bytes of a file; elements, and
+# how deep they are nested.
+MOST_BYTES = 2**25
+MOST_ELEMENTS = 250_000
+DEEPEST = 100
+
+# A number in a description that is larger is none: lengths, factors and offsets [m, rad, 1]. What is made of some
+# thousands of them is still finite.
+LARGEST = 1e12
+
+# Names that a message lists at most.
+LISTED = 30
+
+
+@dataclass(eq=False)
+class Element:
+    """An element, what is in it, and where it is."""
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: Path
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Children of that tag."""
+        return (c for c in self.children if c.tag == tag)
+
+    def first(self, tag: str) -> Element | None:
+        """The first of them, if there is one."""
+        return next(self.all(tag), None)
+
+    def the(self, tag: str) -> Element:
+        """The first of them, which there has to be."""
+        found = self.first(tag)
+        if found is None:
+            self.fault(f"a <{tag}> in <{self.tag}>", "none")
+        return found
+
+    def text(self, attribute: str) -> str:
+        """An attribute that has to be there, and not empty."""
+        found = self.attributes.get(attribute, "").strip()
+        if not found:
+            self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
+        return found
+
+    def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
+        """As many numbers as there have to be in an attribute; infinite ones are numbers, NaN is none."""
+        text = self.attributes.get(attribute, default)
+        if text is None:
+            self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
+        try:  # Python would take "1_0" for ten, and digits of all the world's scripts
+            values = [float(word) for word in text.split()] if text.isascii() and "_" not in text else []
+        except ValueError:
+            values = []
+        if len(values) != count or any(math.isnan(v) for v in values):
+            self.fault(f"{count} number{'s' * (count > 1)} as {attribute!r} of <{self.tag}>", cut(text))
+        return values
+
+    def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
+        """The same, none of them beyond `LARGEST`."""
+        values = self.numbers(attribute, count, default)
+        if not all(abs(v) <= LARGEST for v in values):
+            found = cut(self.attributes[attribute])
+            self.fault(f"finite numbers as {attribute!r} of <{self.tag}>, none beyond {LARGEST:g}", found)
+        return values
+
+    def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:
+        """Refuse the file, and say where."""
+        raise kind(f"{self.path}, line {self.line}: expected {expected}, found {found}")
+
+
+def read_xml(path: str | os.PathLike[str], what: str) -> Element:
+    """Root element of a robot description."""
+    if isinstance(path, str) and path.lstrip().startswith("<"):
+        raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
+    path = _validate.path(path, "path", wanted=f"a path to {what}")
+    data = read_regular(path, what, MOST_BYTES)
+    parser = expat.ParserCreate()
+    document = Element("", {}, 1, path)
+    open_elements = [document]
+    count = 0
+
+    def refuse(found: str) -> NoReturn:
+        raise FileError(f"{path}, line {parser.CurrentLineNumber}: expected {what}, found {found}")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_ELEMENTS or len(open_elements) > DEEPEST:
+            most = f"{MOST_ELEMENTS} elements" if count > MOST_ELEMENTS else f"{DEEPEST} elements inside each other"
+            refuse(f"more than {most}")
+        element = Element(tag, attributes, parser.CurrentLineNumber, path)
+        open_elements[-1].children.append(element)
+        open_elements.append(element)
+
+    # Entities can stand for more text than memory holds, or for other files; no description needs one of its own.
+    parser.EntityDeclHandler = lambda name, *rest: refuse(f"the declaration of an entity, {cut(name)}")
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: open_elements.pop()
+    try:
+        parser.Parse(data, True)
+    except FileError:
+        raise
+    except (expat.ExpatError, ValueError, LookupError, MemoryError) as error:  # an encoding that nobody knows, or large
+        line = getattr(error, "lineno", 1)
+        raise FileError(f"{path}, line {line}: expected {what}, found broken XML ({error})") from None
+    root = document.children[0]
+    if root.tag != "robot":
+        root.fault(f"{what} with the root element <robot>", f"<{root.tag}>", FileError)
+    macro = next((c for c in root.children if c.tag.startswith("xacro:")), None)
+    if macro is not None:
+        macro.fault(f"{what}", f"the macro <{macro.tag}>; run xacro on the file first", FileError)
+    return root
+
+
+def by_name(elements: Iterable[Element]) -> dict[str, Element]:
+    """Elements by their names, each of which may come once."""
+    named: dict[str, Element] = {}
+    for element in elements:
+        name = element.text("name")
+        if name in named:
+            element.fault(f"each name of a {element.tag} once", f"{name!r} again, first in line {named[name].line}")
+        named[name] = element
+    return named
+
+
+def known(names: Iterable[str]) -> str:
+    """Names for people."""
+    listed = some(sorted(names))
+    return f"known are {listed}" if listed else "there are none"
+
+
+def some(names: Iterable[str]) -> str:
+    """Names for people, each once, as many as one would read."""
+    once = list(dict.fromkeys(names))
+    more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
+    return ", ".join(once[:LISTED]) + more
+
+
+def cut(text: str) -> str:
+    """A text of a file for a message."""
+    return repr(text) if len(text) <= 80 else f"{text[:80]!r} and more"

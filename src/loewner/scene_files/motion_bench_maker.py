@@ -1,0 +1,252 @@
+"""The planning problems of MotionBenchMaker in JSON; `docs/scenes.md` describes the format."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import re
+import reprlib
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._files import read_regular
+from loewner._guard import guarded
+from loewner._rotations import from_quaternion, from_rpy
+from loewner._validate import Floats
+from loewner.bodies import Body
+from loewner.errors import FileError
+from loewner.scene_files.node import DEEPEST, Node, cut
+from loewner.scenes import Scene
+
+# The largest file that is read [bytes].
+MOST_BYTES = 2**28
+
+PROBLEM_KEYS = ("sphere", "box", "cylinder", "index", "problem", "start", "goals", "valid")
+NEEDED_KEYS = ("index", "start", "goals")
+OBSTACLE_KEYS = {
+    "sphere": ("radius",),
+    "box": ("half_extents",),
+    "cylinder": ("radius", "length"),
+}
+PLACE_KEYS = ("position", "orientation_quat_xyzw", "orientation_euler_xyz")
+
+
+@guarded
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A motion planning problem: a scene, and from where to where.
+
+    Attributes
+    ----------
+    group : str
+        The family that it belongs to, such as "bookshelf_thin".
+    index : int
+        Its number in the family, as the file counts.
+    robot : str
+        Name of the robot.
+    joint_names : tuple of str
+        What the columns of `start` and `goals` are.
+    start : ndarray, shape (dof,)
+        Configuration to start from, in radians or metres.
+    goals : ndarray, shape (k, dof)
+        Configurations of which any one is to be reached.
+    scene : Scene
+        Obstacles, in the frame of the robot's base.
+    valid : bool or None
+        The file's own word on whether the problem is sound, not checked here; None if it says nothing.
+
+    Examples
+    --------
+    >>> (problem,) = read_motion_bench_maker("problems.json")
+    >>> problem.group, problem.start, problem.scene.names
+    ('shelf', array([0., 0.]), ('board',))
+    """
+
+    group: str
+    index: int
+    robot: str
+    joint_names: tuple[str, ...]
+    start: Floats
+    goals: Floats
+    scene: Scene
+    valid: bool | None
+
+
+@guarded
+def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
+    """Read planning problems in the JSON form of MotionBenchMaker's data (docs/scenes.md).
+
+    Parameters
+    ----------
+    path : path
+        A file with ``robot``, ``joints``, and ``problems``: lists of problems by group.
+
+    Returns
+    -------
+    tuple of Problem
+        In the order of the file. Obstacles of equal sizes share one `Body`.
+
+    Raises
+    ------
+    FileError
+        If the file is missing or malformed, or has obstacles of a kind unknown here. The message says which problem
+        and which key.
+
+    References
+    ----------
+    Chamzas, Quintero-Peña, Kingston, Orthey, Rakita, Gleicher, Toussaint and Kavraki (2022), "MotionBenchMaker: a
+    tool to generate and benchmark motion planning datasets", IEEE Robot. Autom. Lett. 7(2),
+    doi:10.1109/LRA.2021.3133603.
+
+    Examples
+    --------
+    >>> [(problem.group, problem.index) for problem in read_motion_bench_maker("problems.json")]
+    [('shelf', 1)]
+    """
+    file = _validate.path(path, "path")
+    try:
+        content = json.loads(_json_text(file), object_pairs_hook=functools.partial(_once, file))
+    except json.JSONDecodeError as error:
+        raise FileError(f"{file}, line {error.lineno}: expected JSON, found a fault in it ({error.msg})") from None
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{file}: expected JSON, found something else ({error})") from None
+    top = JsonNode(file, "", content).mapping(None, required=("robot", "joints", "problems"))
+    robot, joints, groups = (top[key] for key in ("robot", "joints", "problems"))
+    name, names = robot.text(), tuple(joint.text() for joint in joints.items())
+    for joint, count in Counter(names).most_common(1):
+        if count > 1:
+            raise joints.error(f"expected each joint once, found {cut(repr(joint))} again")
+    make = functools.cache(_obstacle)
+    return tuple(
+        _problem(node, group, name, names, make)
+        for group, listed in groups.mapping(None).items()
+        for node in listed.items()
+    )
+
+
+def _json_text(file: Path) -> str:
+    """Text of a JSON file that is not nested too deep."""
+    data = read_regular(file, "problems in JSON", MOST_BYTES)
+    text = data.decode(json.detect_encoding(data))
+    if text.startswith("\ufeff"):
+        text = text[1:]
+    # What opens minus what closes; brackets in names can only make it too large, in files that nobody writes.
+    depth = deepest = 0
+    for bracket in re.finditer(r"[\[{\]}]", text):
+        depth += 1 if bracket[0] in "[{" else -1
+        deepest = max(deepest, depth)
+    if deepest > DEEPEST:
+        raise FileError(f"{file}: expected problems in JSON, found more than {DEEPEST} entries inside each other")
+    return text
+
+
+def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Make a mapping of its pairs. JSON lets a key come twice, and the first value would be lost."""
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise FileError(f"{file}: expected each key once in a mapping, found {cut(repr(twice))} again")
+    return mapping
+
+
+class JsonNode(Node):
+    """A place in a JSON file, whose reader knows no lines."""
+
+    @property
+    def line(self) -> None:
+        """Not known."""
+
+    def expect(self, kind: str, wanted: str) -> Any:
+        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, a plain value."""
+        raw = self.raw
+        found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
+        if found != kind:
+            raise self.error(f"expected {wanted}, found {self.described()}")
+        return raw.items() if isinstance(raw, dict) else raw
+
+    def described(self) -> str:
+        """What the place holds, for messages."""
+        if isinstance(self.raw, dict | list):
+            return f"a {'mapping' if isinstance(self.raw, dict) else 'sequence'} of {len(self.raw)}"
+        return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))
+
+    def _plain(self, kind: type, wanted: str) -> Any:
+        # To Python a bool is an int; to a file it is not.
+        if not isinstance(self.raw, kind) or (isinstance(self.raw, bool) and kind is not bool):
+            raise self.error(f"expected {wanted}, found {self.described()}")
+        return self.raw
+
+    def text(self) -> str:
+        """A name."""
+        return str(self._plain(str, "a name"))
+
+    def number(self) -> float:
+        """A finite number; whole ones may be too large for a float."""
+        value = self.raw if isinstance(self.raw, float) else self._plain(int, "a number")
+        return self.finite(float(value) if abs(value) <= sys.float_info.max else math.nan)
+
+    def whole(self) -> int:
+        """A whole number."""
+        return int(self._plain(int, "a whole number"))
+
+    def flag(self) -> bool:
+        """True or false."""
+        return bool(self._plain(bool, "true or false"))
+
+
+def _problem(node: JsonNode, group: str, robot: str, joints: tuple[str, ...], make: Callable[..., Body]) -> Problem:
+    keys = node.mapping(PROBLEM_KEYS, required=NEEDED_KEYS)
+    scene = Scene()
+    for kind in OBSTACLE_KEYS:
+        for obstacle in keys[kind].items() if kind in keys else []:
+            _add(scene, kind, obstacle, make)
+    goals = [goal.numbers(len(joints)) for goal in keys["goals"].items()]
+    return Problem(
+        group=group,
+        index=keys["index"].whole(),
+        robot=robot,
+        joint_names=joints,
+        start=np.array(keys["start"].numbers(len(joints))),
+        goals=np.array(goals).reshape(-1, len(joints)),
+        scene=scene,
+        valid=keys["valid"].flag() if "valid" in keys else None,
+    )
+
+
+def _add(scene: Scene, kind: str, node: JsonNode, make: Callable[..., Body]) -> None:
+    """Add one obstacle of a file to the scene."""
+    sizes = OBSTACLE_KEYS[kind]
+    keys = node.mapping(("name", *sizes, *PLACE_KEYS), required=("name", "position", *sizes))
+    given = keys["half_extents"].numbers(3) if kind == "box" else [keys[size].number() for size in sizes]
+    name, T = keys["name"].text(), _pose(keys)
+    with node.blamed():
+        scene.add(name, make(kind, *given), T)
+
+
+def _obstacle(kind: str, *sizes: float) -> Body:
+    if kind == "box":
+        return Body.box([2 * half for half in sizes])
+    return Body.sphere(*sizes) if kind == "sphere" else Body.cylinder(*sizes)
+
+
+def _pose(keys: dict[str, JsonNode]) -> Floats:
+    """Pose of an obstacle."""
+    T = np.eye(4)
+    T[:3, 3] = keys["position"].numbers(3)
+    if "orientation_quat_xyzw" in keys:
+        node = keys["orientation_quat_xyzw"]
+        *xyz, w = node.numbers(4)
+        with node.blamed():
+            T[:3, :3] = from_quaternion([w, *xyz], "quaternion")
+    elif "orientation_euler_xyz" in keys:
+        T[:3, :3] = from_rpy(*keys["orientation_euler_xyz"].numbers(3))
+    return T

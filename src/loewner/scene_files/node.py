@@ -1,0 +1,136 @@
+"""Places in a file of nested mappings and sequences: what they have to hold, and how to speak of them.
+
+A file is read whole or refused: an obstacle that is skipped is one that a robot drives into. So every key must be
+known, and every fault is named with its place.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from loewner.errors import FileError, InputError
+
+# Keys that a message lists at most.
+LISTED = 30
+
+# How deep entries may be nested in each other.
+DEEPEST = 50
+
+
+@dataclass(frozen=True)
+class Node(ABC):
+    """A place in a file; each format says how its plain values are read.
+
+    Attributes
+    ----------
+    file : Path
+    key : str
+        The keys that lead here, joined by "/"; empty at the top.
+    raw : object
+        What the format's reader made of the place.
+    """
+
+    file: Path
+    key: str
+    raw: Any
+
+    @property
+    @abstractmethod
+    def line(self) -> int | None:
+        """Where it begins, if the reader knows."""
+
+    @abstractmethod
+    def expect(self, kind: str, wanted: str) -> Any:
+        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, value of a scalar."""
+
+    @abstractmethod
+    def described(self) -> str:
+        """What the place holds, for messages."""
+
+    @abstractmethod
+    def text(self) -> str:
+        """A name."""
+
+    @abstractmethod
+    def number(self) -> float:
+        """A finite number."""
+
+    @abstractmethod
+    def flag(self) -> bool:
+        """True or false."""
+
+    def error(self, text: str) -> FileError:
+        """Make the error about this place."""
+        line = "" if self.line is None else f", line {self.line}"
+        return FileError(f"{self.file}{line}:{f' {self.key}:' if self.key else ''} {text}")
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Say where in the file it is that something is wrong with what it says."""
+        try:
+            yield
+        except (InputError, FileError) as error:
+            raise self.error(str(error)) from None
+
+    def mapping(self, known: tuple[str, ...] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
+        """Places by key; keys that are not known (None: all are), missing or there twice are errors."""
+        found: dict[str, Self] = {}
+        for raw_key, raw in self.expect("mapping", "a mapping"):
+            at_key = type(self)(self.file, self.key, raw_key)
+            key = at_key.expect("scalar", "a name as key")
+            if known is not None and key not in known:
+                raise at_key.error(f"expected keys among {', '.join(known)}, found {cut(repr(key))}")
+            if key in found:
+                raise at_key.error(f"expected each key once, found {cut(repr(key))} again")
+            found[key] = type(self)(self.file, f"{self.key}/{cut(key)}" if self.key else cut(key), raw)
+        for key in required:
+            if key not in found:
+                raise self.error(f"expected the key {key}, found {some(found) or 'none'}")
+        return found
+
+    def items(self, *lengths: int) -> list[Self]:
+        """Places of a sequence of one of these lengths (none given: any)."""
+        wanted = f"a sequence of {' or '.join(map(str, lengths))}" if lengths else "a sequence"
+        entries = self.expect("sequence", wanted)
+        if lengths and len(entries) not in lengths:
+            raise self.error(f"expected {wanted}, found {self.described()}")
+        return [type(self)(self.file, f"{self.key}[{i}]", raw) for i, raw in enumerate(entries)]
+
+    def finite(self, number: float) -> float:
+        """A number read here, which has to be finite; NaN if none could be read."""
+        if not math.isfinite(number):
+            raise self.error(f"expected a finite number, found {self.described()}")
+        return number
+
+    def length(self) -> float:
+        """A number of metres, not negative."""
+        number = self.number()
+        if number < 0:
+            raise self.error(f"expected a number of metres >= 0, found {number:g}")
+        return number
+
+    def numbers(self, length: int) -> list[float]:
+        """So many finite numbers."""
+        return [item.number() for item in self.items(length)]
+
+    def rows(self, length: int) -> list[list[float]]:
+        """Any number of rows of so many finite numbers."""
+        return [row.numbers(length) for row in self.items()]
+
+
+def some(names: Iterable[str]) -> str:
+    """Names for people, as many as one would read."""
+    listed = list(names)
+    more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
+    return ", ".join(map(cut, listed[:LISTED])) + more
+
+
+def cut(text: str) -> str:
+    """A text of a file for a message."""
+    return text if len(text) <= 80 else f"{text[:77]}..."

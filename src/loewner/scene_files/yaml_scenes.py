@@ -1,0 +1,420 @@
+"""Scenes in YAML, read and written; `docs/scenes.md` describes the format."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._files import read_regular, replacing
+from loewner._guard import guarded
+from loewner._plausible import doubt_about_rpy, warn
+from loewner._rotations import from_quaternion, from_rpy
+from loewner._validate import Floats
+from loewner.bodies import ARRAYS, Body
+from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.scene_files.node import DEEPEST, Node, cut, some
+from loewner.scenes import Scene
+
+Maker = Callable[..., Body]
+
+# What a file may have at most: bytes; entries, those that an alias stands for counted each time. A scene of a hundred
+# thousand boxes has half of it. YAML is read at some seconds a megabyte.
+MOST_BYTES = 2**24
+MOST_ENTRIES = 2_000_000
+
+TOP_KEYS = ("margin", "bodies", "allow", "margins")
+POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
+BODY_KEYS = (*POSE_KEYS, "attach", "margin")
+MESH_KEYS = ("scale", "decompose")
+
+# Shapes given by lengths along the axes, and shapes given by named lengths.
+AXIS_SHAPES: dict[str, Maker] = {"box": Body.box, "ellipsoid": Body.ellipsoid}
+ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
+    "sphere": (Body.sphere, ("radius",)),
+    "cylinder": (Body.cylinder, ("radius", "length")),
+    "capsule": (Body.capsule, ("radius", "length")),
+    "cone": (Body.cone, ("radius", "length")),
+}
+SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", "mesh", "saved")
+
+# What YAML calls the plain values; another tag asks for something that a scene has no place for.
+YAML_TAGS = tuple(
+    f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp")
+)
+
+
+@guarded
+def load_scene(path: str | PathLike[str]) -> Scene:
+    """Read a scene from YAML (docs/scenes.md).
+
+    Parameters
+    ----------
+    path : path
+        Files that it names are looked for relative to its folder.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    FileError
+        If the file, or one that it names, is missing or malformed. The message gives line and key.
+    MissingExtraError
+        If PyYAML is not installed, or what a mesh needs.
+
+    Warns
+    -----
+    UserWarning
+        If a body seems not to be in metres, or an angle not in radians.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("table.yaml").write_text("bodies: {table: {box: [1, 1, 0.1], position: [0, 0, 0.5]}}")
+    >>> load_scene("table.yaml")
+    Scene(1 bodies, 0 of them attached)
+    """
+    file = _validate.path(path, "path")
+    root = YamlNode(file, "", _composed(file))
+    top = root.mapping(TOP_KEYS, required=("bodies",))
+    scene = Scene()
+    if "margin" in top:
+        scene.set_margin(top["margin"].length())
+    made: dict[Any, Body] = {}
+    for name, entry in top["bodies"].mapping(None).items():
+        _add(scene, name, entry, made)
+    for entry in top["allow"].items() if "allow" in top else []:
+        a, b = (item.text() for item in entry.items(2))
+        with entry.blamed():
+            scene.allow(a, b)
+    for entry in top["margins"].items() if "margins" in top else []:
+        *items, last = entry.items(2, 3)
+        margin, names = last.length(), [item.text() for item in items]
+        with entry.blamed():
+            scene.set_margin(margin, *names)
+    return scene
+
+
+@guarded
+def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
+    """Write a scene to YAML, such that `load_scene` gives the same verdicts.
+
+    Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
+    next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
+
+    Parameters
+    ----------
+    scene : Scene
+    path : path
+        Written under a temporary name first, then renamed, after the files of its bodies.
+
+    Raises
+    ------
+    FileError
+        If a file could not be written.
+    MissingExtraError
+        If PyYAML is not installed.
+
+    Examples
+    --------
+    >>> from loewner import Body
+    >>> scene = Scene(margin=0.01)
+    >>> scene.add("ball", Body.sphere(0.1))
+    >>> save_scene(scene, "ball.yaml")
+    >>> load_scene("ball.yaml").margin
+    0.01
+    """
+    yaml = _yaml()
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
+    file = _validate.path(path, "path")
+    saved: dict[int, str] = {}
+    bodies = {}
+    for name in scene:
+        bodies[name] = {**_shape_of(scene[name], name, file, saved), **_place_of(scene, name)}
+        if (name,) in scene.margins:
+            bodies[name]["margin"] = scene.margins[(name,)]
+    document: dict[str, Any] = {"margin": scene.margin, "bodies": bodies}
+    if scene.allowed:
+        document["allow"] = [list(pair) for pair in sorted(scene.allowed)]
+    margins = [[*names, margin] for names, margin in scene.margins.items() if names[0] not in scene or len(names) == 2]
+    if margins:
+        document["margins"] = margins
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
+    with replacing(file) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+# -- reading YAML -----------------------------------------------------------------------------
+
+
+def _yaml() -> Any:
+    try:
+        import yaml
+    except ImportError:
+        raise MissingExtraError(f"scene files need PyYAML: {installing('robots')}") from None
+    return yaml
+
+
+def _composed(file: Path) -> Any:
+    """Root node of a YAML file; nodes know their lines, and nothing in the file is run or built."""
+    yaml = _yaml()
+    data = read_regular(file, "a scene in YAML", MOST_BYTES)
+    try:
+        root = yaml.compose(data, Loader=_loader())
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
+    except (
+        yaml.YAMLError,
+        ValueError,
+        OverflowError,
+        RecursionError,
+    ) as error:  # the last three from escapes and depth
+        what = " ".join(str(error).split())[:200]
+        raise FileError(f"{file}: expected YAML, found something else ({what})") from None
+    if root is None:
+        raise FileError(f"{file}: expected a scene in YAML, found an empty file")
+    return root
+
+
+@functools.cache
+def _loader() -> Any:
+    """The class that reads YAML, made when PyYAML is needed for the first time."""
+    yaml = _yaml()
+    parent: Any = yaml.SafeLoader
+
+    class Loader(parent):  # type: ignore[misc]
+        """Counts what it composes, so that neither depth nor aliases of aliases make more than a file may hold."""
+
+        def __init__(self, data: bytes) -> None:
+            super().__init__(data)
+            self.depth = self.entries = 0
+            self.entries_of: dict[str, int] = {}
+
+        def compose_node(self, above: Any, index: Any) -> Any:
+            event = self.peek_event()
+            before = self.entries
+            self.depth += 1
+            self.entries += 1
+            if self.depth > DEEPEST:
+                self.refuse(f"more than {DEEPEST} entries inside each other", event)
+            node = super().compose_node(above, index)
+            self.depth -= 1
+            if isinstance(event, yaml.AliasEvent):
+                # Inside what it stands for, an alias is one entry: no part of a scene is read any deeper.
+                self.entries = before + self.entries_of.get(event.anchor, 1)
+            elif event.anchor is not None:
+                self.entries_of[event.anchor] = self.entries - before
+            if self.entries > MOST_ENTRIES:
+                self.refuse(f"more than {MOST_ENTRIES} entries, aliases counted each time", event)
+            return node
+
+        def refuse(self, what: str, event: Any) -> None:
+            raise yaml.composer.ComposerError(None, None, what, event.start_mark)
+
+    return Loader
+
+
+class YamlNode(Node):
+    """A place in a YAML file."""
+
+    @property
+    def line(self) -> int:
+        """Where it begins."""
+        return int(self.raw.start_mark.line) + 1
+
+    def expect(self, kind: str, wanted: str) -> Any:
+        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, text of a scalar."""
+        if self.raw.tag not in YAML_TAGS:
+            raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
+        if self.raw.id != kind:
+            raise self.error(f"expected {wanted}, found {self.described()}")
+        return self.raw.value
+
+    def described(self) -> str:
+        """What the place holds, for messages."""
+        if self.raw.id == "scalar":
+            return cut(repr(self.raw.value)) if self.raw.value else "nothing"
+        return f"a {self.raw.id} of {len(self.raw.value)}"
+
+    def text(self) -> str:
+        """A name; YAML may take it for a number."""
+        value: str = self.expect("scalar", "a name")
+        if not value:
+            raise self.error("expected a name, found nothing")
+        return value
+
+    def number(self) -> float:
+        """A finite number. YAML 1.1 takes 1e-3 for text; here the text decides, unless it is quoted."""
+        value = self.expect("scalar", "a number")
+        try:
+            plain = self.raw.style is None and value.isascii() and "_" not in value
+            return self.finite(float(value) if plain else math.nan)
+        except ValueError:
+            return self.finite(math.nan)
+
+    def flag(self) -> bool:
+        """True or false."""
+        value = str(self.expect("scalar", "true or false")).lower()
+        if value not in ("true", "false"):
+            raise self.error(f"expected true or false, found {self.described()}")
+        return value == "true"
+
+
+def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> None:
+    """Add one body of a file to the scene; `made` keeps those that were made already, by their recipe."""
+    keys = entry.mapping(None)
+    shapes = [key for key in keys if key in SHAPES]
+    if len(shapes) != 1:
+        found = " and ".join(shapes) or some(keys) or "nothing"
+        raise entry.error(f"expected one shape among {', '.join(SHAPES)}; found {found}")
+    known = (*shapes, *BODY_KEYS, *(MESH_KEYS if shapes == ["mesh"] else ()))
+    keys = entry.mapping(known)
+    recipe, make = _recipe(shapes[0], keys)
+    with keys[shapes[0]].blamed():
+        if recipe not in made:
+            made[recipe] = make()
+    T = _pose(entry, keys)
+    margin = keys["margin"].length() if "margin" in keys else None
+    if "attach" not in keys:
+        with entry.blamed():
+            scene.add(name, made[recipe], T, margin=margin)
+        return
+    attach = keys["attach"].mapping(("link", "touch"), required=("link",))
+    link, touch = attach["link"].text(), [item.text() for item in attach["touch"].items()] if "touch" in attach else []
+    with entry.blamed():
+        scene.add(name, made[recipe], margin=margin)
+        scene.attach(name, link, T, touch_links=touch)
+
+
+def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
+    """What tells the body apart from others, and how to make it."""
+    entry = keys[shape]
+    if shape in AXIS_SHAPES:
+        axes = entry.numbers(3)
+        return (shape, *axes), functools.partial(AXIS_SHAPES[shape], axes)
+    if shape in ROUND_SHAPES:
+        make, names = ROUND_SHAPES[shape]
+        given = entry.mapping(names, required=names)
+        lengths = [given[name].number() for name in names]
+        return (shape, *lengths), functools.partial(make, *lengths)
+    if shape == "points":
+        points = entry.rows(3)
+        return (shape, *map(tuple, points)), functools.partial(Body.from_points, np.array(points).reshape(-1, 3))
+    name = entry.text()
+    with entry.blamed():
+        file = entry.file.parent / _validate.path(name, shape)
+    if shape == "saved":
+        return (shape, file), functools.partial(Body.load, file)
+    scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
+    decompose = keys["decompose"].flag() if "decompose" in keys else True
+    make_mesh = functools.partial(Body.from_mesh, file, scale=scale, decompose=decompose)
+    return (shape, file, *scale, decompose), make_mesh
+
+
+def _scale(entry: YamlNode) -> list[float]:
+    scale = [entry.number()] * 3 if entry.raw.id == "scalar" else entry.numbers(3)
+    if 0.0 in scale:
+        raise entry.error(f"expected factors other than 0, found {scale}")
+    return scale
+
+
+def _pose(entry: YamlNode, keys: dict[str, YamlNode]) -> Floats:
+    """Pose of a body, of the identity and what is given of it."""
+    given = [key for key in POSE_KEYS if key in keys]
+    if "pose" in given and len(given) > 1:
+        raise entry.error(f"expected either pose or position and a rotation, found {' and '.join(given)}")
+    if "rpy" in given and "quaternion_wxyz" in given:
+        raise entry.error("expected one rotation, found rpy and quaternion_wxyz")
+    T = np.eye(4)
+    if "pose" in given:
+        rows = [row.numbers(4) for row in keys["pose"].items(4)]
+        with keys["pose"].blamed():
+            T = _validate.poses(rows, "matrix")
+    if "position" in given:
+        T[:3, 3] = keys["position"].numbers(3)
+    if "rpy" in given:
+        rpy = keys["rpy"].numbers(3)
+        doubt = doubt_about_rpy(rpy)
+        if doubt:
+            warn(f"{entry.file}, line {keys['rpy'].line}: expected {doubt}")
+        T[:3, :3] = from_rpy(*rpy)
+    if "quaternion_wxyz" in given:
+        wxyz = keys["quaternion_wxyz"].numbers(4)
+        with keys["quaternion_wxyz"].blamed():
+            T[:3, :3] = from_quaternion(wxyz, "rotation")
+    return T
+
+
+# -- writing YAML -----------------------------------------------------------------------------
+
+
+def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[str, Any]:
+    """How a body is written; one that no shape makes is saved next to the file, unless `saved` has it already."""
+    shape = _primitive_of(body)
+    if shape is not None:
+        return shape
+    if id(body) not in saved:
+        plain = f"{file.stem}-{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}"
+        taken = {other.lower() for other in saved.values()}  # not all file systems tell cases apart
+        tries = (f"{plain}{mark}.npz" for mark in ("", *(f"-{k}" for k in range(2, len(saved) + 3))))
+        saved[id(body)] = next(free for free in tries if free.lower() not in taken)
+        body.save(file.parent / saved[id(body)])
+    return {"saved": saved[id(body)]}
+
+
+def _primitive_of(body: Body) -> dict[str, Any] | None:
+    """The shape and sizes that make exactly this body, if there are any."""
+    if len(body.pieces) != 1 or body.covering is not None:
+        return None
+    kind, vertices = body.pieces[0].kind, body.pieces[0].vertices
+    # Rounding radius and axes of the unit shape's image are the sizes, unrounded.
+    rounding, frame = float(body._packed.frames[0, 0]), body._packed.frames[0, 4::4].tolist()
+    guesses: dict[str, tuple[str, Any]] = {
+        "ellipsoid": ("ellipsoid", frame),
+        "sphere": ("sphere", [rounding]),
+        "cylinder": ("cylinder", [frame[0], 2 * frame[2]]),
+        "cone": ("cone", [frame[0], 2 * frame[2]]),
+        "capsule": ("capsule", [rounding, 2 * frame[2]]),
+    }
+    if vertices is not None:
+        guesses["polytope"] = "box", (2 * vertices.max(axis=0)).tolist()
+    shape, sizes = guesses[kind]
+    if not min(sizes) > 0:
+        return None
+    if shape in AXIS_SHAPES:
+        return {shape: sizes} if _same(AXIS_SHAPES[shape](sizes), body) else None
+    make, names = ROUND_SHAPES[shape]
+    return {shape: dict(zip(names, sizes, strict=True))} if _same(make(*sizes), body) else None
+
+
+def _same(a: Body, b: Body) -> bool:
+    """Whether two bodies are the same to the last bit."""
+    return all(np.array_equal(getattr(a._packed, name), getattr(b._packed, name)) for name in ARRAYS)
+
+
+def _place_of(scene: Scene, name: str) -> dict[str, Any]:
+    """Pose and attachment; a pose is written as position if that is all it is, else as matrix: nothing is rounded."""
+    held = scene.attachments.get(name)
+    T = scene.pose(name) if held is None else held.T_link_body
+    place: dict[str, Any] = {}
+    if not np.array_equal(T[:3, :3], np.eye(3)) or not np.array_equal(T[3], np.eye(4)[3]):
+        place["pose"] = T.tolist()
+    elif T[:3, 3].any():
+        place["position"] = T[:3, 3].tolist()
+    if held is not None:
+        place["attach"] = {"link": held.link}
+        touch = [link for link in held.touch_links if link != held.link]
+        if touch:
+            place["attach"]["touch"] = touch
+    return place
