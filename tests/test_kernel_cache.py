@@ -183,15 +183,34 @@ def test_a_full_disk_is_no_error(package: Path, tmp_path: Path):
     assert [path for path in cache.rglob("*") if path.is_file()] == []
 
 
+def test_what_only_kernels_call_becomes_no_machine_code(package: Path, tmp_path: Path):
+    """The callee is kept as a part, the caller as what Python calls; called from Python later, the callee is both."""
+    cache = tmp_path / "cache"
+    ask(package, cache)
+    parts = {path.name.split("-")[0]: b"bitcode" in _sealed.read(path) for path in entries(cache)}
+    assert parts == {"edited.callee.constant": True, "edited.caller.answer": False}
+    both = "from loewner._kernels.edited.callee import constant; assert constant() == 1.0"
+    again = ask(package, cache, f"import sys; sys.path.insert(0, {str(package)!r}); {both}; ")
+    assert float(again.stdout) == 2.0
+    assert len(entries(cache)) == 3
+
+
 def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead without a place to keep the result is an error that names the folder."""
     blocked = tmp_path / "a file"
     blocked.write_text("")
     monkeypatch.setenv("LOEWNER_CACHE_DIR", str(blocked))
-    monkeypatch.setattr(compilation, "_PARTS", {"little": None})
     monkeypatch.setattr(compilation, "PARTS", ("little",))
-    child = "from loewner._kernels.pieces import rigid; import numpy as np; rigid.fault(np.eye(4))"
-    monkeypatch.setattr(compilation, "_code", lambda name: child)
+    monkeypatch.setattr(compilation, "_TOGETHER", (("little",),))
+    child = """
+import sys
+import numpy as np
+from loewner._kernels import _jit
+from loewner._kernels.pieces import rigid
+rigid.fault(np.eye(4))
+sys.exit(_jit.unwritten())
+"""
+    monkeypatch.setattr(compilation, "_code", lambda names: child)
     with pytest.raises(loewner.FileError, match="a file/kernels-.* cannot be written"):
         compilation.compile_kernels(["little"])
 
@@ -222,13 +241,14 @@ def test_a_second_process_compiles_nothing():
 def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead says which part failed, and what the process said."""
     monkeypatch.setattr(compilation, "PARTS", ("no such part",))
+    monkeypatch.setattr(compilation, "_TOGETHER", (("no such part",),))
     with pytest.raises(loewner.FileError, match="no such part could not be compiled(.|\n)*KeyError"):
         compilation.compile_kernels(["no such part"])
 
 
 def test_an_unknown_part_is_told():
     """The error names the parts that there are."""
-    known = "distances, verdicts, crowds, estimates, fits, robots"
+    known = "verdicts, crowds, robots, estimates, distances, fits"
     with pytest.raises(loewner.UnknownNameError, match=f"{known}, found 'verdict'"):
         compilation.compile_kernels(["verdict"])
 

@@ -7,8 +7,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -89,23 +90,25 @@ def _robots() -> None:
     loewner.CollisionChecker(robot, skip_adjacent=False).collide([[0.0], [5.0]])
 
 
-# The longest first; the last needs much of what the ones before compile.
 _PARTS = {
-    "distances": _distances, "verdicts": _verdicts, "crowds": _crowds, "estimates": _estimates, "fits": _fits,
-    "robots": _robots,
+    "verdicts": _verdicts, "crowds": _crowds, "robots": _robots, "estimates": _estimates, "distances": _distances,
+    "fits": _fits,
 }  # fmt: skip
 PARTS = tuple(_PARTS)
 
+# What one process compiles, since most of it is the same; those that take longest first.
+_TOGETHER = (("verdicts", "crowds", "robots", "estimates"), ("distances",), ("fits",))
+
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Compile kernels for this machine now, in as many processes as it has cores.
+    """Compile kernels for this machine now, in as many processes as are of use.
 
     What has been compiled before is only looked up, which takes some seconds.
 
     Parameters
     ----------
     parts : iterable of str
-        Of "distances", "verdicts", "crowds", "estimates", "fits" and "robots"; all by default.
+        Of "verdicts", "crowds", "robots", "estimates", "distances" and "fits"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
@@ -122,28 +125,55 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
         If a part cannot be compiled, or the folder not be written; with what the process said.
     """
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
-    chosen = [name for name in PARTS if name in wanted]
+    chosen = [[name for name in group if name in wanted] for group in _TOGETHER]
     _validate.callback(progress, "progress")
-    done = 0
+    told: SimpleQueue[str | None] = SimpleQueue()
+    total, done = sum(map(len, chosen)), 0
     with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
-        running = [pool.submit(_compile_apart, name) for name in chosen]
-        for part in as_completed(running):
-            part.result()
+        running = [pool.submit(_compile_apart, names, told) for names in chosen if names]
+        at_work = len(running)
+        while at_work:
+            if told.get() is None:
+                at_work -= 1
+                continue
             done += 1
             if progress is not None:
-                progress(done, len(chosen))
+                progress(done, total)
+        for group in running:
+            group.result()
     return CACHE_FOLDER
 
 
-def _compile_apart(name: str) -> None:
-    """One part in a process of its own: Numba compiles one function at a time in each."""
-    told = "from loewner._kernels import _jit; import sys; sys.exit(_jit.unwritten())"
-    command = [sys.executable, "-c", f"{_code(name)}; {told}"]
-    ran = subprocess.run(command, env={**os.environ, "LOEWNER_QUIET": "1"}, capture_output=True, text=True, check=False)
-    if ran.returncode:
-        raise FileError(f"{CACHE_FOLDER}: the kernels for {name} could not be compiled:\n{ran.stderr.strip()[-2000:]}")
+def _compile_apart(names: list[str], told: SimpleQueue[str | None]) -> None:
+    """Some parts in a process of their own: Numba compiles one function at a time in each.
+
+    Each is told when it is done, and None at the end, however that comes.
+    """
+    command = [sys.executable, "-c", _code(names)]
+    try:
+        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
+            with subprocess.Popen(
+                command, env={**os.environ, "LOEWNER_QUIET": "1"}, stdout=subprocess.PIPE, stderr=said, text=True
+            ) as process:
+                for name in process.stdout or ():
+                    told.put(name.strip())
+            if process.returncode:
+                said.seek(0)
+                what, why = ", ".join(names), said.read().strip()[-2000:]
+                raise FileError(f"{CACHE_FOLDER}: the kernels for {what} could not be compiled:\n{why}")
+    finally:
+        told.put(None)
 
 
-def _code(name: str) -> str:
+def _code(names: list[str]) -> str:
     # Numba makes millions of small objects that stay: looking through them for garbage takes a sixth of the time.
-    return f"import gc; gc.set_threshold(200_000, 50, 100); from loewner.compilation import _PARTS; _PARTS[{name!r}]()"
+    return f"""
+import gc, sys
+gc.set_threshold(200_000, 50, 100)
+from loewner._kernels import _jit
+from loewner.compilation import _PARTS
+for name in {names!r}:
+    _PARTS[name]()
+    print(name, flush=True)
+sys.exit(_jit.unwritten())
+"""

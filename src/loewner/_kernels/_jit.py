@@ -20,17 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from llvmlite.binding import parse_bitcode
 from numba import types
 from numba.core import event
 from numba.core.caching import NullCache
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompileResult, compile_result
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import intrinsic
 
-from loewner._kernels import _sealed
+from loewner._kernels import _parts, _sealed
 
 _config: Any = numba.config  # its settings are made at run time; no type knows them
 
@@ -126,7 +123,7 @@ class _KernelCache(NullCache):
         path = self._path(sig, target_context.codegen())
         try:
             parts = pickle.loads(_sealed.read(path))
-            return _restored(target_context, *parts)
+            return _parts.restored(target_context, *parts)
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -151,91 +148,38 @@ class _KernelCache(NullCache):
             _say(f"{CACHE_FOLDER} cannot be written ({error.strerror or error}); compiled kernels stay in memory")
 
 
-def _restored(target_context: Any, library: Any, fndesc: Any, environment: Any, signature: Any, *rest: Any) -> Any:
-    """What was compiled, from `CompileResult._reduce`."""
-    name, kind, code = library
-    if kind != "bitcode":
-        return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)
-    part = _PartLibrary(target_context.codegen(), name)
-    part.restore(code)
-    return compile_result(
-        target_context=target_context, typing_context=target_context.typing_context, library=part, fndesc=fndesc,
-        environment=environment, entry_point=object(), signature=signature, objectmode=False,
-    )  # fmt: skip
-
-
 def unwritten() -> str | None:
     """Why compiled code could not be kept on disk, if that happened in this process."""
     error = _KernelCache.failure
     return None if error is None else f"{CACHE_FOLDER} cannot be written ({error.strerror or error})"
 
 
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code of a function for the kernels that call it: copied into theirs, and itself never turned into machine code.
-
-    Only cheap passes run over it, since it is optimised again together with what calls it.
-    """
-
-    def _optimize_final_module(self) -> None:
-        codegen = self._codegen
-        passes, builder = codegen._module_pass_manager(
-            loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level, cost="cheap"
-        )
-        passes.run(self._final_module, builder)
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def serialize_using_object_code(self) -> Any:
-        self._ensure_finalized()
-        return self.name, "bitcode", self._final_module.as_bitcode()
-
-    def restore(self, bitcode: bytes) -> None:
-        """Take what `serialize_using_object_code` gave."""
-        self._final_module = parse_bitcode(bitcode)
-        self._finalize_final_module()
-
-
-def _key_of_part(library: Any, fndesc: Any, environment: Any) -> object:
-    """What stands for a part where other functions have something that Python can call."""
-    library._ensure_finalized()
-    return object()
-
-
-class _PartCompiler(Compiler):  # type: ignore[misc]
-    """Numba's compiler, with a library for parts."""
-
-    def compile_extra(self, func: Any) -> Any:
-        context = self.state.targetctx  # a copy, made for this function
-        context.get_executable = _key_of_part
-        self.state.library = _PartLibrary(context.codegen(), func.__qualname__)
-        return super().compile_extra(func)
-
-
-class _Kernel(CPUDispatcher):  # type: ignore[misc]
+class _Kernel(CPUDispatcher):
     """A compiled function, in up to two forms: a part of the kernels that call it, and one that Python calls.
 
-    Numba compiles all functions for both uses, though most are only ever called by others: for these, wrappers, full
-    optimisation and machine code would be a third of the work.
+    Numba compiles every function for both, though most are only ever called by others: for these, wrappers, full
+    optimisation and machine code were two fifths of the work.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        super().__init__(function, targetoptions=options | quiet, pipeline_class=_PartCompiler)
+        super().__init__(function, targetoptions=options | quiet, pipeline_class=_parts.PartCompiler)
         self._cache = _KernelCache(function, "part")
-        self._for_python = CPUDispatcher(function, targetoptions=options | {"no_cfunc_wrapper": True})
-        self._for_python._cache = _KernelCache(function, "entry")
+        for_python: Any = CPUDispatcher(function, targetoptions=options | {"no_cfunc_wrapper": True})
+        for_python._cache = _KernelCache(function, "entry")
+        self._for_python = for_python
 
     def add_overload(self, cres: Any) -> None:
+        """Keep a part for the kernels, which look here; Python could not call it."""
         self.overloads[tuple(cres.signature.args)] = cres
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        """Called for types that Python has not called with before."""
+        """Compile what Python can call; asked for types that are new."""
         function = self._for_python._compile_for_args(*args, **kws)
         for cres in self._for_python.overloads.values():
             if cres.entry_point is function:
-                self._insert([kind._code for kind in cres.signature.args], function, False)
+                codes = [kind._code for kind in cres.signature.args]
+                self._insert(codes, function, False)  # type: ignore[attr-defined]
         return function
 
 

@@ -1,0 +1,73 @@
+"""Parts: functions that only kernels call, compiled no further than those need.
+
+Numba turns every function into machine code that stands alone, and copies its intermediate code into each caller, where
+it is optimised once more. A part is only the latter. These are subclasses of Numba's own classes, for which there is no
+public interface; `tests/test_kernel_cache.py` holds what they rely on.
+"""
+
+from typing import Any
+
+from llvmlite.binding import parse_bitcode
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult, compile_result
+
+
+class _PartLibrary(JITCodeLibrary):
+    """Intermediate code of a part, which ran through cheap passes only."""
+
+    def _optimize_final_module(self) -> None:
+        codegen = self._codegen
+        passes, builder = codegen._module_pass_manager(
+            loop_vectorize=codegen._loopvect, slp_vectorize=False, opt=codegen._opt_level, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> Any:
+        """What is kept on disk: there is no object code."""
+        self._ensure_finalized()
+        return self.name, "bitcode", self._final_module.as_bitcode()
+
+    def take(self, bitcode: bytes) -> None:
+        """Become what was kept on disk."""
+        self._final_module = parse_bitcode(bitcode)
+        self._finalize_final_module()
+
+
+def _key(library: Any, fndesc: Any, environment: Any) -> object:
+    """What a caller's compilation knows a part by, where other functions have something that Python can call."""
+    library._ensure_finalized()
+    return object()
+
+
+class PartCompiler(Compiler):
+    """Numba's compiler, for parts."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function whose library and key are those of a part."""
+        context = self.state.targetctx  # a copy made for this function
+        context.get_executable = _key
+        self.state.library = _PartLibrary(context.codegen(), func.__qualname__)
+        return super().compile_extra(func)
+
+
+def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, signature: Any, *rest: Any) -> Any:
+    """Restore a part, or what Python can call, from what `CompileResult._reduce` gave."""
+    name, kind, code = library
+    if kind != "bitcode":
+        return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)
+    part = _PartLibrary(target_context.codegen(), name)
+    part.take(code)
+    return compile_result(
+        target_context=target_context,
+        typing_context=target_context.typing_context,
+        library=part,
+        fndesc=fndesc,
+        environment=environment,
+        entry_point=object(),
+        signature=signature,
+        objectmode=False,
+    )
