@@ -22,6 +22,7 @@ from loewner import (
     Scene,
     UnknownNameError,
     _check,
+    paper,
 )
 
 CUBE = box_corners(np.ones(3))
@@ -463,10 +464,9 @@ def test_what_is_no_name_of_a_method(bad: object):
     a, E = Body.sphere(1), loewner.Ellipsoids([0, 0, 0], np.eye(3))
     for ask_for in (
         lambda: loewner.collide(a, None, a, None, method=bad),
-        lambda: loewner.collide(a, None, a, None, rule=bad),
-        lambda: loewner.distance(a, None, a, None, rule=bad),
         lambda: loewner.overlapping_pairs(a, method=bad),
         lambda: loewner.near_points(E, E, method=bad),
+        lambda: paper.distance_estimate(E, E, E, E, method=bad),
         lambda: loewner.overlap(E, E, method=bad),
         lambda: loewner.mvce(CUBE, method=bad),
     ):
@@ -608,16 +608,17 @@ def test_a_crowd_with_more_pairs_than_memory_is_refused(monkeypatch: pytest.Monk
 
 
 def test_unknown_names_list_the_known():
-    """An unknown method or rule is refused by a message that lists the known ones."""
-    a = Body.sphere(1)
+    """An unknown method is refused by a message that lists the known ones."""
+    a, E = Body.sphere(1), loewner.Ellipsoids([0, 0, 0], np.eye(3))
     with pytest.raises(UnknownNameError, match="exact"):
         loewner.collide(a, None, a, None, method="exakt")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.collide(a, None, a, None, method="estimate", rule="rimon")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.distance(a, None, a, None, rule="")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.distance(a, None, a, None, rule=["rimon-boyd"])
+    for method in ("rimon", "", ["rimon-boyd"]):
+        with pytest.raises(UnknownNameError, match="rimon-boyd"):
+            paper.distance_estimate(E, E, E, E, method)
+    with pytest.raises(UnknownNameError, match="perram-wertheim"):
+        loewner.overlap(E, E, method="eigenvalue")
+    with pytest.raises(InputError, match="direct"):
+        loewner.mvce(CUBE, method="lifted-mvie")
     with pytest.raises(InputError, match="direct"):
         loewner.mvce(CUBE, method="fast")
 

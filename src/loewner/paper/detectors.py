@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from loewner import _check
 from loewner._check import Floats
-from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
 from loewner._kernels.paper import detectors as _detectors
+from loewner._kernels.paper.estimates import PAPER_ANGLE
 from loewner._kernels.pieces import shapes
 from loewner.bodies import Bodies
 from loewner.ellipsoid_pairs import contact_function

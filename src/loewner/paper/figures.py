@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from loewner._check import Floats
-from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
+from loewner._kernels.paper.estimates import PAPER_ANGLE
 from loewner.ellipsoid_pairs import near_points
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import MissingExtraError, installing
