@@ -14,6 +14,7 @@ import numpy as np
 import loewner
 from clock import race, timed
 from loewner import Bodies, Body, Ellipsoids, Verdict
+from loewner.paper import overlap_by_eigenvalue
 from report import REQUIRED, Row, differences
 from rivals import CoalLoop, CoalPython, FclPython, Missing, Settings, all_settings, build_loop
 from samples import Array, Pairs, clearance, paper_pairs, poses, repeated_pairs, world_vertices
@@ -268,7 +269,7 @@ def judged_by_eigenvalues(E1: Ellipsoids, E2: Ellipsoids, ours: Array, theirs: A
     where = np.flatnonzero(ours != theirs)[:JUDGED]
     if not len(where):
         return ""
-    truth = loewner.overlap(E1[where], E2[where], method="eigenvalue")
+    truth = overlap_by_eigenvalue(E1[where], E2[where])
     factor = np.sqrt(loewner.contact_function(E1[where], E2[where]))
     wrong = int((ours[where] != truth).sum())
     return (

@@ -22,6 +22,7 @@ from loewner import (
     Scene,
     UnknownNameError,
     _validate,
+    paper,
 )
 
 CUBE = box_corners(np.ones(3))
@@ -463,12 +464,9 @@ def test_what_is_no_name_of_a_method(bad: object):
     a, E = Body.sphere(1), loewner.Ellipsoids([0, 0, 0], np.eye(3))
     for ask_for in (
         lambda: loewner.collide(a, None, a, None, method=bad),
-        lambda: loewner.collide(a, None, a, None, rule=bad),
-        lambda: loewner.distance(a, None, a, None, rule=bad),
         lambda: loewner.overlapping_pairs(a, method=bad),
         lambda: loewner.near_points(E, E, method=bad),
-        lambda: loewner.overlap(E, E, method=bad),
-        lambda: loewner.mvce(CUBE, method=bad),
+        lambda: paper.distance_estimate(E, E, E, E, method=bad),
     ):
         with pytest.raises((UnknownNameError, InputError), match="expected "):
             ask_for()
@@ -608,18 +606,16 @@ def test_a_crowd_with_more_pairs_than_memory_is_refused(monkeypatch: pytest.Monk
 
 
 def test_unknown_names_list_the_known():
-    """An unknown method or rule is refused by a message that lists the known ones."""
-    a = Body.sphere(1)
+    """An unknown method is refused by a message that lists the known ones."""
+    a, E = Body.sphere(1), loewner.Ellipsoids([0, 0, 0], np.eye(3))
     with pytest.raises(UnknownNameError, match="exact"):
         loewner.collide(a, None, a, None, method="exakt")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.collide(a, None, a, None, method="estimate", rule="rimon")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.distance(a, None, a, None, rule="")
-    with pytest.raises(UnknownNameError, match="rimon-boyd"):
-        loewner.distance(a, None, a, None, rule=["rimon-boyd"])
-    with pytest.raises(InputError, match="direct"):
-        loewner.mvce(CUBE, method="fast")
+    for method in ("rimon", "", ["rimon-boyd"]):
+        with pytest.raises(UnknownNameError, match="rimon-boyd"):
+            paper.distance_estimate(E, E, E, E, method)
+    for method in ("rimon", "", ["rimon-boyd"]):
+        with pytest.raises(UnknownNameError, match="rimon-boyd"):
+            loewner.near_points(E, E, method)
 
 
 def test_things_that_are_no_bodies():

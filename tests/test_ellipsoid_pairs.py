@@ -13,12 +13,12 @@ from loewner import (
     InputError,
     UnknownNameError,
     contact_function,
-    ellipsoid_pairs,
     near_points,
     overlap,
 )
 from loewner._kernels.ellipsoids import contact_robust
 from loewner._kernels.ellipsoids import near_points as kernel
+from loewner.paper import distance_estimate, overlap_by_eigenvalue
 from oracles import exact_ellipsoid_verdict
 
 METHODS = ["lin-han", "rimon-boyd", "center-line"]
@@ -84,7 +84,7 @@ def test_appendix_a_agrees_with_the_contact_function(rng, thinnest):
     A, B = random_pairs(rng, 2000, thinnest, spread=0.4)
     by_contact = overlap(A, B)
     assert 0.05 < by_contact.mean() < 0.95
-    assert (overlap(A, B, method="eigenvalue") == by_contact).all()
+    assert (overlap_by_eigenvalue(A, B) == by_contact).all()
 
 
 def test_appendix_a_holds_far_apart_and_one_inside_the_other(rng):
@@ -92,10 +92,10 @@ def test_appendix_a_holds_far_apart_and_one_inside_the_other(rng):
     A = random_ellipsoids(rng, 200)
     for k in (10.0, 1e3, 1e5):
         B = Ellipsoids(A.center + k * np.array([0.6, 0.0, 0.8]), A.factor[::-1])
-        assert not overlap(A, B, method="eigenvalue").any()
+        assert not overlap_by_eigenvalue(A, B).any()
     small = Ellipsoids(A.center, 1e-3 * A.factor[::-1])
-    assert overlap(A, small, method="eigenvalue").all()
-    assert overlap(small, A, method="eigenvalue").all()
+    assert overlap_by_eigenvalue(A, small).all()
+    assert overlap_by_eigenvalue(small, A).all()
 
 
 @pytest.mark.parametrize("dim", [1, 2, 4])
@@ -107,20 +107,20 @@ def test_appendix_a_in_other_dimensions(rng, dim):
     A, B = Ellipsoids(a, p[..., None] * np.eye(dim)), Ellipsoids(b, q[..., None] * np.eye(dim))
     M, t = rng.normal(size=(dim, dim)) + 2 * np.eye(dim), rng.normal(size=dim)
     truth = np.linalg.norm(a - b, axis=1) <= (p + q)[:, 0]
-    assert (overlap(A, B, method="eigenvalue") == truth).all()
-    assert (overlap(A.affine(M, t), B.affine(M, t), method="eigenvalue") == truth).all()
+    assert (overlap_by_eigenvalue(A, B) == truth).all()
+    assert (overlap_by_eigenvalue(A.affine(M, t), B.affine(M, t)) == truth).all()
 
 
 def test_appendix_a_refuses_where_its_digits_are_gone(rng):
     """Needles and discs break the eigenproblem: an error, never a wrong answer."""
     A, B = random_pairs(rng, 3000, thinnest=1e-4, spread=0.1)
-    with pytest.raises(ConvergenceError, match="perram-wertheim"):
-        overlap(A, B, method="eigenvalue")
+    with pytest.raises(ConvergenceError, match=r"loewner\.overlap"):
+        overlap_by_eigenvalue(A, B)
     answered = 0
     truth = overlap(A, B)
     for k in range(300):
         try:
-            answer = overlap(A[k], B[k], method="eigenvalue")
+            answer = overlap_by_eigenvalue(A[k], B[k])
         except ConvergenceError:
             continue
         answered += 1
@@ -184,17 +184,17 @@ def test_batches_broadcast(rng):
     """Batches of ellipsoids broadcast as arrays do, empty ones included."""
     A, B = random_pairs(rng, 6)
     table = Ellipsoids(A.center.reshape(6, 1, 3), A.factor.reshape(6, 1, 3, 3))
-    for method in ellipsoid_pairs.OVERLAP_METHODS:
-        found = overlap(table, B, method=method)
+    for overlaps in (overlap, overlap_by_eigenvalue):
+        found = overlaps(table, B)
         assert found.shape == (6, 6)
-        assert (np.diag(found) == overlap(A, B, method=method)).all()
-        assert np.shape(overlap(A[0], B[0], method=method)) == ()
+        assert (np.diag(found) == overlaps(A, B)).all()
+        assert np.shape(overlaps(A[0], B[0])) == ()
     near = near_points(table, B)
     assert near.point_1.shape == (6, 6, 3)
     assert near.distance.shape == near.iterations.shape == (6, 6)
     none = Ellipsoids(np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    for method in ellipsoid_pairs.OVERLAP_METHODS:
-        assert overlap(none, A[0], method=method).shape == (0,)
+    for overlaps in (overlap, overlap_by_eigenvalue):
+        assert overlaps(none, A[0]).shape == (0,)
     assert near_points(none, A[0]).distance.shape == (0,)
 
 
@@ -430,15 +430,10 @@ def test_coincident_ellipsoids(method):
     assert near.distance == 0
     assert A.contains(near.point_1)
     assert overlap(A, A)
-    assert overlap(A, A, method="eigenvalue")
+    assert overlap_by_eigenvalue(A, A)
 
 
 # -- the estimate f --------------------------------------------------------------------------------
-
-
-def f(rule, inner_1, outer_1, inner_2, outer_2):
-    E = (inner_1, outer_1, inner_2, outer_2)
-    return kernel.estimate_f(rule, *(np.ascontiguousarray(x) for e in E for x in (e.center, e.factor)))
 
 
 def printed_f(inner_1, outer_1, inner_2, outer_2, method):
@@ -456,17 +451,18 @@ def printed_f(inner_1, outer_1, inner_2, outer_2, method):
     return (near_part + far_part) / 2 if (v1i - v2i) @ (v1c - v2c) >= 0 else (near_part - far_part) / 2
 
 
-@pytest.mark.parametrize("rule", [0, 1, 2])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("d", [8.0, 3.5, 2.5, 2.0, 0.5, 0.0])
-def test_f_of_concentric_balls(rule, d):
+def test_f_of_concentric_balls(method, d):
     """Inner radius 1, outer 1.5: f = d - 2.5 in all three cases of section 4, through L = 0 and beyond."""
     inner, outer = ball([0, 0, 0], 1), ball([0, 0, 0], 1.5)
     there = (ball([0, 0, d], 1), ball([0, 0, d], 1.5))
-    assert f(rule, inner, outer, *there) == pytest.approx(d - 2.5 if d >= 2 else -0.5 - (2 - d) / 2, abs=1e-12)
+    expected = d - 2.5 if d >= 2 else -0.5 - (2 - d) / 2
+    assert distance_estimate(inner, outer, *there, method) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("rule", "method"), [(0, "rimon-boyd"), (1, "lin-han"), (2, "center-line")])
-def test_f_is_the_printed_formula_in_both_branches(rng, rule, method):
+@pytest.mark.parametrize("method", METHODS)
+def test_f_is_the_printed_formula_in_both_branches(rng, method):
     """The kernel's f is the formula as the paper prints it, in either branch."""
     I1, I2 = random_pairs(rng, 300, thinnest=0.3, spread=1.5)
     branches = set()
@@ -481,28 +477,63 @@ def test_f_is_the_printed_formula_in_both_branches(rng, rule, method):
         outer_1 = Ellipsoids(a.center + a.factor @ u1, k1 * a.factor)
         outer_2 = Ellipsoids(b.center + b.factor @ u2, k2 * b.factor)
         expected = printed_f(a, outer_1, b, outer_2, method)
-        assert f(rule, a, outer_1, b, outer_2) == pytest.approx(expected, abs=1e-9)
+        assert distance_estimate(a, outer_1, b, outer_2, method) == pytest.approx(expected, abs=1e-9)
         branches.add(expected > near.distance / 2)
     assert branches == {True, False}
 
 
-@pytest.mark.parametrize("rule", [0, 1, 2])
-def test_f_is_never_positive_when_the_inner_ellipsoids_overlap(rng, rule):
+@pytest.mark.parametrize("method", METHODS)
+def test_f_is_never_positive_when_the_inner_ellipsoids_overlap(rng, method):
     """The estimate f is at most zero where the inner ellipsoids overlap."""
     I1, I2 = random_pairs(rng, 200, spread=0.1)
     for a, b in zip(I1, I2, strict=True):
-        if near_points(a, b, method=METHODS[[1, 0, 2][rule]]).distance > 0:
+        if near_points(a, b, method=method).distance > 0:
             continue
-        value = f(rule, a, Ellipsoids(a.center, 1.4 * a.factor), b, Ellipsoids(b.center, 1.4 * b.factor))
+        grown = [Ellipsoids(E.center, 1.4 * E.factor) for E in (a, b)]
+        value = distance_estimate(a, grown[0], b, grown[1], method)
         assert value <= 0
 
 
-@pytest.mark.parametrize("rule", [0, 2])
-def test_f_is_positive_when_the_line_misses_the_outer_overlap(rule):
+@pytest.mark.parametrize("method", ["rimon-boyd", "center-line"])
+def test_f_is_positive_when_the_line_misses_the_outer_overlap(method):
     """An empty intersection along the line just makes f positive; alpha >= beta then."""
     inner, outer = ball([0, 0, 0], 1), ball([0, 0, 0], 1.2)
     there = (ball([3, 0, 0], 1), ball([3, 0, 0], 1.2))
-    assert f(rule, inner, outer, *there) == pytest.approx((1 + 0.6) / 2)
+    assert distance_estimate(inner, outer, *there, method) == pytest.approx((1 + 0.6) / 2)
+
+
+def four(rng, count):
+    """Inner and outer ellipsoids of pairs of pieces, the outer ones around the inner ones."""
+    a, b = random_pairs(rng, count, thinnest=0.3, spread=1.5)
+    return a, Ellipsoids(a.center, 1.6 * a.factor), b, Ellipsoids(b.center, 1.6 * b.factor)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_f_knows_no_frame(rng, method):
+    """A rigid motion changes nothing, nor, where the inner ellipsoids are apart, does the order of the pieces.
+
+    Lin-Han's points depend on the order by as much as its angle allows.
+    """
+    E = four(rng, 200)
+    apart = near_points(E[0], E[2], method=method).distance > 0
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+    value = distance_estimate(*E, method)
+    assert value.shape == (200,)
+    np.testing.assert_allclose(distance_estimate(*(x.transformed(T) for x in E), method), value, atol=1e-9)
+    swapped = distance_estimate(E[2], E[3], E[0], E[1], method)
+    np.testing.assert_allclose(swapped[apart], value[apart], atol=1e-2 if method == "lin-han" else 1e-9)
+
+
+def test_batches_of_f_broadcast(rng):
+    """One piece against many, none of them, and a single pair give arrays of the batch's shape."""
+    a, outer_a, b, outer_b = four(rng, 6)
+    value = distance_estimate(a[0], outer_a[0], b, outer_b)
+    assert value.shape == (6,)
+    for k in range(6):
+        assert distance_estimate(a[0], outer_a[0], b[k], outer_b[k]) == value[k]
+    assert distance_estimate(a[:0], outer_a[:0], b[0], outer_b[0]).shape == (0,)
+    assert np.shape(distance_estimate(a[0], outer_a[0], b[0], outer_b[0])) == ()
 
 
 # -- bad input -------------------------------------------------------------------------------------
@@ -521,10 +552,14 @@ def test_bad_input_is_refused(rng):
             call(A, disc)
         with pytest.raises(InputError, match="broadcast"):
             call(A, random_ellipsoids(rng, 2))
-    with pytest.raises(UnknownNameError, match="eigenvalue"):
-        overlap(A, A, method="gjk")
     with pytest.raises(UnknownNameError, match="lin-han"):
         near_points(A, A, method="nearest")
+    with pytest.raises(InputError, match="outer_2: expected Ellipsoids"):
+        distance_estimate(A, A, A, np.eye(3))
+    with pytest.raises(InputError, match="inner_1: expected ellipsoids in 3-D"):
+        distance_estimate(disc, disc, disc, disc)
+    with pytest.raises(InputError, match="broadcast"):
+        distance_estimate(A, A, A, random_ellipsoids(rng, 2))
     for angle in (0.0, -1.0, np.nan, np.inf, "wide"):
         with pytest.raises(InputError, match="angle"):
             near_points(A, A, angle=angle)
@@ -536,7 +571,7 @@ def test_bad_input_is_refused(rng):
 def test_ratios_beyond_float64_are_an_error_not_a_number():
     """Sizes too far apart for float64 give a finite number or a ConvergenceError."""
     speck, giant = ball([0, 0, 0], 1e-200), ball([2e200, 0, 0], 1e200)
-    for call in (contact_function, near_points):
+    for call in (contact_function, near_points, lambda a, b: distance_estimate(a, a, b, b)):
         try:
             value = call(speck, giant)
         except ConvergenceError:

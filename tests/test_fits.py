@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from exact import halfspaces_crossed, hull_planes, points_outside
 from families import polygon
 from loewner import ConvergenceError, GeometryError, InputError, fits, mvce, mvie, polytopes
+from loewner.paper import mvce_by_lifted_mvie
 
 TIGHT = 1e-9
 
@@ -120,8 +121,8 @@ def test_cross_polytope_in_any_dimension(n: int, rng: np.random.Generator) -> No
     """The outer ellipsoid of c ± g_i's cross-polytope is G, by both methods."""
     G, c = affine(rng, n)
     points = np.concatenate([c + G.T, c - G.T, c + 0.4 * ball_points(rng, 30, n) @ G.T / np.sqrt(n)])
-    for method in ("direct", "lifted-mvie"):
-        fit = mvce(points, tol=TIGHT, method=method)
+    for fitted in (mvce, mvce_by_lifted_mvie):
+        fit = fitted(points, tol=TIGHT)
         assert abs(np.linalg.slogdet(fit.ellipsoid.factor)[1] - np.linalg.slogdet(G)[1]) <= 2 * TIGHT
 
 
@@ -130,7 +131,7 @@ def test_lifted_mvie_agrees_with_the_direct_way(rng: np.random.Generator) -> Non
     for n in (2, 3, 5):
         for _ in range(10):
             points = ball_points(rng, 6 * n, n) @ affine(rng, n)[0].T
-            a, b = mvce(points, tol=TIGHT), mvce(points, tol=TIGHT, method="lifted-mvie")
+            a, b = mvce(points, tol=TIGHT), mvce_by_lifted_mvie(points, tol=TIGHT)
             assert abs(a.ellipsoid.log_volume - b.ellipsoid.log_volume) <= TIGHT
             unit = np.linalg.inv(a.ellipsoid.factor)
             assert np.abs(unit @ (a.ellipsoid.center - b.ellipsoid.center)).max() < 1e-4
@@ -167,8 +168,8 @@ def test_mvce_holds_every_point_given_exactly(rng: np.random.Generator) -> None:
     """Not only the hull's vertices: duplicates and interior points too, by both methods, active set included."""
     for count in (5, 40, 400):
         points = ball_points(rng, count) @ affine(rng, 3)[0].T + 10
-        for method in ("direct", "lifted-mvie"):
-            fit = mvce(points, method=method)
+        for fitted in (mvce, mvce_by_lifted_mvie):
+            fit = fitted(points)
             assert points_outside(points, fit.ellipsoid.center, fit.ellipsoid.factor) == 0
 
 
@@ -327,12 +328,6 @@ def test_bad_tolerance(tol: object) -> None:
         mvce(SQUARE, tol=tol)
     with pytest.raises(InputError, match="tol"):
         mvie(SQUARE, tol=tol)
-
-
-def test_bad_method() -> None:
-    """An unknown method of fits is refused."""
-    with pytest.raises(InputError, match="method"):
-        mvce(SQUARE, method="khachiyan")
 
 
 def test_a_gap_out_of_reach_is_an_error(rng: np.random.Generator) -> None:

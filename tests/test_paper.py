@@ -17,7 +17,10 @@ from loewner import (
     InputError,
     MissingExtraError,
     UnknownNameError,
+    Verdict,
+    classify,
     contact_function,
+    distance,
     near_points,
     paper,
 )
@@ -116,10 +119,11 @@ def naive_flow(pairs, k, method, overlaps):
     return printed_f(outer_1, outer_2, near.point_1, near.point_2) <= 0, True
 
 
+METHODS = {2: "lin-han", 3: "rimon-boyd", 4: "center-line"}
 ELLIPSOIDS = ("inner_1", "outer_1", "inner_2", "outer_2")
 
 
-@pytest.mark.parametrize(("detector", "method"), [(2, "lin-han"), (3, "rimon-boyd"), (4, "center-line")])
+@pytest.mark.parametrize(("detector", "method"), METHODS.items())
 def test_detectors_follow_the_paper(experiment, detector, method):
     """Each compiled detector is figure 3 with its near points and its own overlap check."""
     overlaps = {
@@ -130,6 +134,36 @@ def test_detectors_follow_the_paper(experiment, detector, method):
     answers = experiment.detectors[detector - 1].answers
     for k in range(150):
         assert (answers.collides[k], answers.ambiguous[k]) == naive_flow(experiment.pairs, k, method, overlaps)
+
+
+@pytest.mark.parametrize("detector", METHODS)
+def test_ambiguous_answers_are_the_sign_of_f(experiment, detector):
+    """Where a detector's own checks leave a pair open, it says what the distance estimate of its near points says."""
+    answers = experiment.detectors[detector - 1].answers
+    p = experiment.pairs.take(np.flatnonzero(answers.ambiguous))
+    f = paper.distance_estimate(p.inner_1, p.outer_1, p.inner_2, p.outer_2, METHODS[detector])
+    assert ((f <= 0) == answers.collides[answers.ambiguous]).all()
+
+
+@pytest.mark.parametrize("method", METHODS.values())
+def test_f_within_the_bounds_is_better_than_a_coin(experiment, method):
+    """Within the certified bounds f obeys every certified verdict, and is right about most of the other pairs."""
+    p, a, b = experiment.pairs, experiment.bodies_1, experiment.bodies_2
+    bounds, verdict = distance(a, None, b, None), classify(a, None, b, None)
+    f = np.clip(paper.distance_estimate(p.inner_1, p.outer_1, p.inner_2, p.outer_2, method), bounds.lower, bounds.upper)
+    assert (f[verdict == Verdict.FREE] > 0).all()
+    assert (f[verdict == Verdict.COLLIDING] <= 0).all()
+    unsure = verdict == Verdict.AMBIGUOUS
+    assert ((f <= 0) == experiment.truth)[unsure].mean() > 0.8
+
+
+@pytest.mark.parametrize("method", METHODS.values())
+def test_f_is_a_number_at_extreme_sizes(method):
+    """A cube of 7 cm inside a cone of 5 cm by 8 km: f says that they collide, in either order."""
+    cube, spike = Body.box([0.066] * 3), Body.cone(0.046, 8428.4)
+    one, other = (cube.inner, cube.outer), (spike.inner, spike.outer)
+    assert paper.distance_estimate(*one, *other, method) <= 0
+    assert paper.distance_estimate(*other, *one, method) <= 0
 
 
 def test_detector_1_follows_section_2(experiment):

@@ -8,7 +8,6 @@ relative to the ellipsoids' own size.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +20,7 @@ from loewner._validate import Floats, Ints
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, InputError
 
-OVERLAP_METHODS = ("perram-wertheim", "eigenvalue")
 NEAR_POINT_METHODS = {"rimon-boyd": _near.RIMON_BOYD, "lin-han": _near.LIN_HAN, "center-line": _near.CENTER_LINE}
-
-# How far off E2 the touching point of appendix A may lie, relative to E2, before its eigenvalue is refused.
-# The eigenproblem squares the axis ratio: from about 1 : 100 on some pairs come out wrong.
-EIGENVALUE_MISS = 1e-6
 
 
 @dataclass(frozen=True)
@@ -62,16 +56,13 @@ class NearPoints:
 
 
 @guarded
-def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> NDArray[np.bool_]:
+def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     """Tell whether ellipsoids overlap; touching counts.
 
     Parameters
     ----------
     E1, E2 : Ellipsoids
-        Batches broadcast. Dimension 3, or any dimension with ``method="eigenvalue"``.
-    method : {"perram-wertheim", "eigenvalue"}
-        "perram-wertheim" compares the contact function with 1. "eigenvalue" is the paper's appendix A
-        word for word, a 2n x 2n eigenproblem: the reference; slower, and with fewer digits.
+        In 3-D; batches broadcast.
 
     Returns
     -------
@@ -81,15 +72,15 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     Raises
     ------
     InputError
-        If dimensions differ or do not suit the method, or batch shapes do not broadcast.
-    UnknownNameError
-        If the method is none of the two.
-    ConvergenceError
-        If the eigenproblem lost its digits, as it does for thin ellipsoids.
+        If an argument is not 3-D or batch shapes do not broadcast.
+
+    Notes
+    -----
+    Compares the contact function with 1. The paper's eigenproblem is `loewner.paper.overlap_by_eigenvalue`.
 
     References
     ----------
-    Perram and Wertheim (1985), doi:10.1016/0021-9991(85)90171-8; the paper, appendix A.
+    Perram and Wertheim (1985), doi:10.1016/0021-9991(85)90171-8.
 
     Examples
     --------
@@ -98,15 +89,6 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids, method: str = "perram-wertheim") -> 
     >>> bool(overlap(a, b))
     True
     """
-    if _validate.choice(method, "method", OVERLAP_METHODS) == "eigenvalue":
-        pair = _Pair(E1, E2, "overlap", dim=None)
-        try:
-            with np.errstate(all="ignore"):  # what leaves the floats misses the second ellipsoid, and is told so
-                return _overlap_by_eigenvalue(pair)
-        except np.linalg.LinAlgError as error:
-            raise ConvergenceError(
-                f'overlap: the eigenproblem has no solution in floats ({error}); use method="perram-wertheim"'
-            ) from None
     return np.asarray(contact_function(E1, E2) <= 1.0)[()]
 
 
@@ -139,7 +121,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     >>> round(float(contact_function(a, b)), 9)  # both twice as large would touch
     4.0
     """
-    pair = _Pair(E1, E2, "contact_function")
+    pair = PairArrays(E1, E2, "contact_function")
     value = np.empty(len(pair.offset))
     _contact.contact_of_pairs(pair.offset, pair.F1, pair.F2, value)
     _expect_numbers(value, "contact_function")
@@ -191,7 +173,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     """
     code = NEAR_POINT_METHODS[_validate.choice(method, "method", NEAR_POINT_METHODS)]
     tolerance = _validate.positive_scalar(angle, "angle")
-    pair = _Pair(E1, E2, "near_points")
+    pair = PairArrays(E1, E2, "near_points")
     n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -212,7 +194,7 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     )
 
 
-class _Pair:
+class PairArrays:
     """Two checked ellipsoids as a flat batch in kernel form.
 
     Lengths are divided by a power of two near the pair's size, which rounds nothing and keeps
@@ -263,63 +245,3 @@ def _expect_numbers(x: Floats, caller: str) -> None:
             f"{caller}: expected sizes and distances whose ratios float64 can square, found a pair beyond that "
             f"(first at index {int(np.flatnonzero(~np.isfinite(x))[0])})"
         )
-
-
-def _overlap_by_eigenvalue(pair: _Pair) -> NDArray[np.bool_]:
-    """Appendix A of the paper, in its own letters.
-
-    The paper asks first whether either center lies in the other ellipsoid. "Is a in E2" is the case
-    the eigenproblem cannot answer (no scaled E1 touches E2 from outside); b in E1 it gets right by itself.
-    """
-    F1, F2, batch = pair.F1, pair.F2, pair.batch
-    if not len(F1):
-        return np.zeros(batch, np.bool_)
-    n = F1.shape[-1]
-    a, b = np.zeros_like(pair.offset), pair.offset
-
-    # A^(1/2) and A^(-1/2), A = (F1 F1ᵀ)⁻¹, from the singular values of the factor.
-    U, s, _ = np.linalg.svd(F1)
-    root_A = (U / s[:, None, :]) @ _transposed(U)
-    inverse_root_A = (U * s[:, None, :]) @ _transposed(U)
-
-    inside = (_solved(F2, a - b) ** 2).sum(axis=-1) <= 1.0
-
-    # B bar = A^(-1/2) B A^(-1/2), so B tilde = B bar⁻¹ = H Hᵀ with H = A^(1/2) F2.
-    H = root_A @ F2
-    V, h, _ = np.linalg.svd(H)
-    B_tilde = (V * h[:, None, :] ** 2) @ _transposed(V)
-    root_B_tilde = (V * h[:, None, :]) @ _transposed(V)
-    b_bar = np.einsum("kij,kj->ki", root_A, b - a)
-    b_tilde = np.einsum("kij,kj->ki", root_B_tilde, b_bar)
-
-    block = np.empty((len(a), 2 * n, 2 * n))
-    block[:, :n, :n] = block[:, n:, n:] = B_tilde
-    block[:, :n, n:] = -np.eye(n)
-    block[:, n:, :n] = -b_tilde[:, :, None] * b_tilde[:, None, :]
-    eigenvalues = np.linalg.eigvals(block)
-    lam = eigenvalues[np.arange(len(a)), np.argmin(eigenvalues.real, axis=-1)].real
-
-    # a + lam A^(-1/2) (lam I - B tilde)⁻¹ b bar; the inverse by the singular values already at hand. A point off
-    # E2 (or NaN) tells that the eigenvalue lost its digits, and then it decides nothing.
-    coordinates = lam[:, None] / (lam[:, None] - h**2) * np.einsum("kji,kj->ki", V, b_bar)
-    y = np.einsum("kij,kj->ki", V, coordinates)
-    miss = np.abs(np.linalg.norm(_solved(F2, a - b + np.einsum("kij,kj->ki", inverse_root_A, y)), axis=-1) - 1.0)
-    touches = (y**2).sum(axis=-1) <= 1.0
-    lost = np.flatnonzero(~inside & ~(miss <= EIGENVALUE_MISS))
-    if lost.size:
-        raise ConvergenceError(
-            f"overlap: expected touching points on the second ellipsoid within {EIGENVALUE_MISS:g}, found {lost.size} "
-            f'of {len(a)} that miss it (first at index {lost[0]}); thin ellipsoids need method="perram-wertheim"'
-        )
-    found: NDArray[np.bool_] = (inside | touches).reshape(batch)[()]
-    return found
-
-
-def _transposed(M: Floats) -> Floats:
-    return np.swapaxes(M, -1, -2)
-
-
-def _solved(M: Floats, v: Floats) -> Floats:
-    """M⁻¹ v for batches."""
-    x: Any = np.linalg.solve(M, v[..., None])
-    return np.asarray(x[..., 0])

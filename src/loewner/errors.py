@@ -143,7 +143,7 @@ class FileError(LoewnerError, OSError):
 
 
 class UnknownNameError(LoewnerError, KeyError):
-    """A name (link, joint, body, rule) is not known; the message lists the valid ones.
+    """A name (link, joint, body, method) is not known; the message lists the valid ones.
 
     Examples
     --------

@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels.fits import halfspaces as halfspace_kernel
-from loewner._kernels.fits import hulls as hull_kernel
 from loewner._kernels.fits import mvce as mvce_kernel
-from loewner._kernels.fits import mvie as mvie_kernel
 from loewner._kernels.fits import pieces as kernel
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
@@ -70,7 +68,7 @@ class Fit:
 
 
 @guarded
-def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direct") -> Fit:
+def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
     """Smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
 
     Parameters
@@ -79,10 +77,6 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
         m > n >= 1, in metres.
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
-    method : {"direct", "lifted-mvie"}
-        ``direct`` solves the dual by an interior point, with an active set when there are many points.
-        ``lifted-mvie`` is the paper's reduction to an inscribed ellipsoid in dimension n + 1 (its
-        Appendix B), slower, kept as a check.
 
     Returns
     -------
@@ -92,11 +86,16 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     Raises
     ------
     InputError
-        On a wrong shape, entries that are not finite, a tolerance out of range or an unknown method.
+        On a wrong shape, entries that are not finite or a tolerance out of range.
     GeometryError
         On fewer than n + 1 points or points in a flat.
     ConvergenceError
         If the gap asked for was not reached.
+
+    Notes
+    -----
+    Solves the dual by an interior point, with an active set when there are many points. The paper's reduction to an
+    inscribed ellipsoid is `loewner.paper.mvce_by_lifted_mvie`.
 
     References
     ----------
@@ -112,43 +111,11 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, method: str = "direc
     check_enough(x, "points")
     tolerance = checked_tolerance(tol)
     n = x.shape[1]
-    if not isinstance(method, str) or method not in ("direct", "lifted-mvie"):
-        raise InputError(f"method: expected 'direct' or 'lifted-mvie', found {_validate.short(method)}")
-    if method == "lifted-mvie":
-        return _mvce_lifted(x, tolerance)
     center, factor = np.empty(n), np.empty((n, n))
     code, gap, iterations, _, _, _ = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
     if code == mvce_kernel.FLAT:
         raise flat_error("points", x)
-    return _finished("mvce", center, factor, gap, iterations, tolerance)
-
-
-def _mvce_lifted(points: Floats, tol: float) -> Fit:
-    """The paper's Appendix B: the MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
-    m, n = points.shape
-    code, _, _, _, origin, frame, local = hull_kernel.to_unit_size(points, FLATNESS)
-    if code == mvce_kernel.FLAT:
-        raise flat_error("points", points)
-    lifted = np.column_stack([local, np.ones(m)])
-    z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
-    gap, iterations = mvie_kernel.solve_primal_dual(
-        np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tol, z, low, multipliers
-    )
-    if not np.isfinite(gap):
-        return _finished("mvce", origin, frame, gap, iterations, tol)
-    # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} holds every (v, 1). Its cut
-    # with height 1 has center -P⁻¹ p and matrix P / (1 - s + pᵀ P⁻¹ p); with P = R Rᵀ, p = R r and s = rᵀr + t² that is
-    # center -R⁻ᵀ r and matrix P / (1 - t²).
-    R, r, t = low[:n, :n], low[n, :n], low[n, n]
-    inverse = np.linalg.inv(R)
-    factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
-    factor *= np.sign(np.diagonal(factor))
-    center = origin - frame @ (inverse.T @ r)
-    # Each point's dual weight: the multipliers of its two half-spaces, which the MVIE's own duals are.
-    weights = multipliers[:m] + multipliers[m:]
-    error = mvce_kernel.enclose(points, center, factor)
-    gap = mvce_kernel.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
-    return _finished("mvce", center, factor, gap, iterations, tol)
+    return certified_fit("mvce", center, factor, gap, iterations, tolerance)
 
 
 @guarded
@@ -198,7 +165,7 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     piece = Polytope.from_points(points)
     starts = np.array([0, len(piece.vertices)]), np.array([0, len(piece.normals)])
     inner, _, info = _fit_all(starts[0], piece.vertices, starts[1], piece.normals, tolerance, None)
-    return _finished("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance)
+    return certified_fit("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance)
 
 
 def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
@@ -208,7 +175,7 @@ def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
     code, gap, iterations = halfspace_kernel.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
     if code == halfspace_kernel.UNBOUNDED or (code != 0 and iterations == 0):
         raise center_error(code, A, direction)
-    return _finished("mvie", center, factor, gap, iterations, tol)
+    return certified_fit("mvie", center, factor, gap, iterations, tol)
 
 
 @guarded
@@ -304,7 +271,8 @@ def _starts(x: Ints, name: str, total: int) -> Ints:
     return starts
 
 
-def _finished(name: str, center: Floats, factor: Floats, gap: float, iterations: int, tol: float) -> Fit:
+def certified_fit(name: str, center: Floats, factor: Floats, gap: float, iterations: int, tol: float) -> Fit:
+    """Wrap what a kernel found, unless its gap is above the tolerance."""
     if not gap <= tol:
         raise ConvergenceError(
             f"{name}: reached a gap of {gap:.3g} in log-volume, expected {tol:g}; a thin body far from the origin "

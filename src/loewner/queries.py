@@ -32,7 +32,6 @@ COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
 # A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
 LIST_BYTES, POSES_BYTES = 16, 256
 
-RULES = {"contact-product": -1, "rimon-boyd": 0, "lin-han": 1, "center-line": 2}
 METHODS = ("exact", "estimate")
 
 
@@ -73,7 +72,7 @@ class Distance:
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        The O(1) guess of the rule asked for, clipped to the bounds.
+        The O(1) guess from the product of the two contact functions, clipped to the bounds.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two
         pieces: the shortest translation that separates those two.
@@ -124,12 +123,6 @@ class _Pairs(NamedTuple):
         """Plan, pack and poses of a, pack and poses of b, as the kernels of distances take them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, a.handle, Ta, b.handle, Tb
-
-    @property
-    def factors(self) -> tuple[Floats, ...]:
-        """Factors of the inner and outer ellipsoids of a, then of b, for the rules that need more than `operands`."""
-        a, b = self.packs
-        return a.inner_factor, a.outer_factor, b.inner_factor, b.outer_factor
 
     @property
     def handles(self) -> tuple[Any, ...]:
@@ -342,7 +335,6 @@ def collide(
     T_world_b: ArrayLike | None,
     *,
     method: str = "exact",
-    rule: str = "contact-product",
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
 ) -> Any:
@@ -356,12 +348,8 @@ def collide(
         Poses, broadcast together; translation in metres. None is the identity.
     method : {"exact", "estimate"}
         "exact": the certificate, then a search on the pieces themselves. "estimate": the
-        certificate, then an O(1) rule that sees the four ellipsoids only and errs on some
-        ambiguous pairs.
-    rule : {"contact-product", "rimon-boyd", "lin-han", "center-line"}
-        For the estimate. The product of the two contact functions; or the sign of the paper's f
-        between the near points of its detectors 3, 2 and 4. "center-line" misses many collisions
-        of thin pieces.
+        certificate, then an O(1) guess from the product of the contact functions of the inner and
+        of the outer ellipsoids, which errs on some ambiguous pairs (docs/theory/estimate.md).
     margin : float
         Metres; pairs this close count as colliding.
     pairs : array_like of int, shape (..., 2), optional
@@ -378,7 +366,7 @@ def collide(
     PoseError, InputError
         As for `classify`.
     UnknownNameError
-        If `method` or `rule` is not one of the names above.
+        If `method` is not one of the names above.
     ConvergenceError
         If the exact search could not settle a pair. It never answers "free" instead.
 
@@ -392,43 +380,40 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    _validate.choice(method, "method", METHODS)
-    code = _rule_code(rule)
+    exact = _validate.choice(method, "method", METHODS) == "exact"
     keep = _validate.positive_scalar(margin, "margin", zero=True)
-    if method == "exact" and pairs is None:
+    if exact and pairs is None:
         one = _settle_one(codes.EXACT, keep, a, T_world_a, b, T_world_b)
         if one in (codes.FREE, codes.COLLIDING):
             return one == codes.COLLIDING
-    return _collided(None if method == "exact" else code, keep, a, T_world_a, b, T_world_b, pairs)
+    return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
 
 
 @guarded
-def _collided(rule: int | None, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
-    """Whether bodies collide: exactly, or by a rule."""
+def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+    """Whether bodies collide: exactly, or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
-    if rule is None:
-        out, _ = _settle(codes.EXACT, margin, asked)
-    else:
-        out, _ = _settle(codes.CERTIFY, margin, asked)
-        _estimate(rule, margin, asked, out)
+    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked)
+    if not exact:
+        _estimate(margin, asked, out)
     unsettled = out == Verdict.AMBIGUOUS
     colliding = (out == Verdict.COLLIDING) | unsettled
     found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
     return _refused(unsettled, "collide", found) if unsettled.any() else found
 
 
-def _estimate(rule: int, margin: float, pairs: _Pairs, out: Any) -> None:
-    """Let a rule decide the pairs that `out` has as AMBIGUOUS."""
+def _estimate(margin: float, pairs: _Pairs, out: Any) -> None:
+    """Decide the pairs that `out` has as AMBIGUOUS by the product of their contact functions."""
     if pairs.rows.shape[1]:
-        # The rules do not take lists: hand them copies of the few that are open.
+        # The kernel does not take lists: hand it copies of the few that are open.
         open_pairs = np.flatnonzero(out == Verdict.AMBIGUOUS)
         found = out[open_pairs]
-        _estimate(rule, margin, _copied(pairs, open_pairs), found)
+        _estimate(margin, _copied(pairs, open_pairs), found)
         out[open_pairs] = found
         return
 
     def run(first: int, last: int) -> None:
-        distances.rule_range(rule, margin, first, last, *pairs.operands, pairs.factors, out)
+        distances.estimate_range(margin, first, last, *pairs.operands, out)
 
     in_shares(run, pairs.total, CHUNK)
 
@@ -456,7 +441,6 @@ def distance(
     T_world_b: ArrayLike | None,
     *,
     exact: bool = False,
-    rule: str = "contact-product",
     pairs: ArrayLike | None = None,
 ) -> Distance:
     """Certified bounds on the signed distance of two bodies, and on request its exact value.
@@ -468,8 +452,6 @@ def distance(
         Poses, broadcast together; translation in metres. None is the identity.
     exact : bool
         Also compute the distance or penetration depth, witnesses and normal.
-    rule : {"contact-product", "rimon-boyd", "lin-han", "center-line"}
-        What `estimate` is; see `collide`.
     pairs : array_like of int, shape (..., 2), optional
         As for `classify`; here the bodies and poses are copied.
 
@@ -481,8 +463,8 @@ def distance(
 
     Raises
     ------
-    PoseError, InputError, UnknownNameError
-        As for `collide`.
+    PoseError, InputError
+        As for `classify`, and if `exact` is neither True nor False.
     ConvergenceError
         If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of
         cylinders, cones and capsules is never less than the true one, and proven to 1e-3 where many directions tie.)
@@ -495,7 +477,7 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
-    code, exact = _rule_code(rule), _validate.flag(exact, "exact")
+    exact = _validate.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
     shape = asked.shape
     if asked.rows.shape[1]:
@@ -507,7 +489,7 @@ def distance(
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        left = distances.distance_range(exact, code, first, last, *asked.operands, asked.factors, *results)
+        left = distances.distance_range(exact, first, last, *asked.operands, *results)
         if len(left[0]):
             distances.measure_left(*left, *asked.operands[1:], *results[3:])
 
@@ -529,10 +511,6 @@ def distance(
 
     found = Distance(*(shaped(x) for x in (*numbers, *vectors))) if exact else Distance(*map(shaped, numbers[:3]))
     return _refused(unsettled, "distance", found) if unsettled.any() else found
-
-
-def _rule_code(rule: str) -> int:
-    return RULES[_validate.choice(rule, "rule", RULES)]
 
 
 def _refused(unsettled: NDArray[np.bool_], query: str, partial: Any) -> NoReturn:

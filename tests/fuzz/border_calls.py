@@ -522,7 +522,7 @@ CALLS: dict[str, Call] = {
         item(_ellipsoids),
         {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple", "Scene")},
     ),
-    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL, "method": choice("direct")}),
+    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL}),
     "mvie": Call(
         loewner.mvie,
         {
@@ -539,7 +539,7 @@ CALLS: dict[str, Call] = {
             "b": array(np.ones(6), FINITE),
         },
     ),
-    "overlap": Call(loewner.overlap, {**E3, "method": choice("perram-wertheim")}),
+    "overlap": Call(loewner.overlap, {**E3}),
     "contact_function": Call(loewner.contact_function, E3),
     "near_points": Call(loewner.near_points, {**E3, "method": choice("lin-han"), "angle": positive(0.125)}),
     # -- bodies
@@ -624,14 +624,13 @@ CALLS: dict[str, Call] = {
         {
             **OPERANDS,
             "method": choice("exact"),
-            "rule": choice("contact-product"),
             "margin": margin(),
             "pairs": arg(None, ROWS.takes),
         },
     ),
     "distance": Call(
         loewner.distance,
-        {**OPERANDS, "exact": flag(), "rule": choice("contact-product"), "pairs": arg(None, ROWS.takes)},
+        {**OPERANDS, "exact": flag(), "pairs": arg(None, ROWS.takes)},
     ),
     "overlapping_pairs": Call(
         loewner.overlapping_pairs,
@@ -883,6 +882,18 @@ CALLS: dict[str, Call] = {
         paper.detect, {"detector": arg(3), "pairs": arg(lambda: experiment().pairs), "angle": positive()}
     ),
     "paper.estimate": Call(paper.estimate, {"pairs": arg(lambda: experiment().pairs)}),
+    "paper.distance_estimate": Call(
+        paper.distance_estimate,
+        {
+            "inner_1": arg(lambda: ball().inner, "Ellipsoids"),
+            "outer_1": arg(lambda: ball().outer, "Ellipsoids"),
+            "inner_2": arg(lambda: cube().inner, "Ellipsoids"),
+            "outer_2": arg(lambda: cube().outer, "Ellipsoids"),
+            "method": choice("rimon-boyd"),
+        },
+    ),
+    "paper.overlap_by_eigenvalue": Call(paper.overlap_by_eigenvalue, E3),
+    "paper.mvce_by_lifted_mvie": Call(paper.mvce_by_lifted_mvie, {"points": FLAT_POINTS, "tol": TOL}),
     "paper.Pairs.from_bodies": Call(
         paper.Pairs.from_bodies,
         {"a": arg(pair_of_cubes), "b": arg(pair_of_cubes), "heuristic": choice("centroid")},

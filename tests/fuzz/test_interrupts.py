@@ -24,7 +24,7 @@ import driver
 import loewner
 from families import random_poses
 from gantry import gantry
-from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, _threads
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, Robot, Scene, _threads, paper
 
 # From the signal to the exception, at most [s]: shares take a tenth, and machines that run tests are slow.
 SOON = 2.0
@@ -57,7 +57,7 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "classify": lambda: loewner.classify(rocks[:40], Ta.reshape(-1, 40, 4, 4), heap, Tb.reshape(-1, 40, 4, 4)),
         "collide": lambda: loewner.collide(rock, Ta, drum, Tb),
         "collide, many pieces": lambda: loewner.collide(heap, Ta[:3000], heap, Tb[:3000]),
-        "collide by a rule": lambda: loewner.collide(rock, Ta, drum, Tb, method="estimate", rule="lin-han"),
+        "collide by the estimate": lambda: loewner.collide(rock, Ta, drum, Tb, method="estimate"),
         "collide pairs": lambda: loewner.collide(rocks, Ta[:50], rocks, Tb[:50], pairs=np.indices((50, 50)).T),
         "distance": lambda: loewner.distance(rock, Ta, drum, Tb),
         "distance, exact": lambda: loewner.distance(rock, Ta[:8000], rock, Tb[:8000], exact=True),
@@ -78,6 +78,7 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "Bodies.save": lambda: rocks.save(folder / "saved.npz"),
         "contact_function": lambda: loewner.contact_function(A, B),
         "near_points": lambda: loewner.near_points(A, B),
+        "paper.distance_estimate": lambda: paper.distance_estimate(A, A, B, B, "lin-han"),
         "forward_kinematics": lambda: robot.forward_kinematics(Q),
         "checker.collide": lambda: checker.collide(Q),
         "checker.classify": lambda: checker.classify(Q),

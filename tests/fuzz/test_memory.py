@@ -22,7 +22,7 @@ import driver
 import loewner
 from families import random_poses
 from gantry import gantry
-from loewner import Bodies, Body, CollisionChecker, Ellipsoids, MemoryLimitError, Robot, Scene
+from loewner import Bodies, Body, CollisionChecker, Ellipsoids, MemoryLimitError, Robot, Scene, paper
 
 resource = pytest.importorskip("resource")
 
@@ -59,7 +59,7 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "classify lists": lambda: loewner.classify(rock, list_of_poses, rock, None),
         "classify single precision": lambda: loewner.classify(rock, many, rock, None),
         "collide": lambda: loewner.collide(rock, T[:500, None], drum, T),
-        "collide by a rule": lambda: loewner.collide(rock, T[:500, None], drum, T, method="estimate"),
+        "collide by the estimate": lambda: loewner.collide(rock, T[:500, None], drum, T, method="estimate"),
         "collide pairs": lambda: loewner.collide(rock, T, rock, T, pairs=thousand),
         "distance": lambda: loewner.distance(rock, T[:500, None], rock, T),
         "distance, exact": lambda: loewner.distance(rock, T[:50, None], rock, T, exact=True),
@@ -67,7 +67,7 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "overlapping_pairs": lambda: loewner.overlapping_pairs(rock, T[:1000]),
         "mvce": lambda: loewner.mvce(cloud),
         "mvce of many": lambda: loewner.mvce(flat),
-        "mvce, lifted": lambda: loewner.mvce(cloud[:2000, :10], method="lifted-mvie"),
+        "mvce, lifted": lambda: paper.mvce_by_lifted_mvie(cloud[:2000, :10]),
         "mvie": lambda: loewner.mvie(normals, offsets),
         "Bodies.from_points": lambda: Bodies.from_points(sets),
         "Body.from_points": lambda: Body.from_points(sphere),
@@ -80,6 +80,7 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
         "Bodies.save": lambda: rocks.save(folder / "saved.npz"),
         "contact_function": lambda: loewner.contact_function(E, backwards),
         "near_points": lambda: loewner.near_points(E, backwards),
+        "paper.distance_estimate": lambda: paper.distance_estimate(E, E, backwards, backwards),
         "shape_matrix": lambda: E.shape_matrix,
         "random_configurations": lambda: robot.random_configurations(3_000_000),
         "forward_kinematics": lambda: robot.forward_kinematics(Q),

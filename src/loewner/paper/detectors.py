@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
-from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
 from loewner._kernels.paper import detectors as _detectors
+from loewner._kernels.paper.estimates import PAPER_ANGLE
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._kernels.ellipsoids.near_points import PAPER_ANGLE
+from loewner._kernels.paper.estimates import PAPER_ANGLE
 from loewner._validate import Floats
 from loewner.ellipsoid_pairs import near_points
 from loewner.ellipsoids import Ellipsoids

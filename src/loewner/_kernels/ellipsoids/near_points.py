@@ -1,13 +1,13 @@
-"""Near points of two 3-D ellipsoids and the paper's distance estimate f, as pure pair functions.
+"""Near points of two 3-D ellipsoids, as pure pair functions.
 
 An ellipsoid is {c + F u : |u| <= 1}. Everything is worked in a frame with its origin at the first
 center, so only r = c2 - c1 enters and an offset of the world costs no digits. Vectors are tuples
 of three floats, matrices tuples of nine in row order: nothing is allocated.
 
-Three rules for near points, by number: 0 Rimon-Boyd, 1 Lin-Han, 2 center line. Statuses:
+Three methods, by number: 0 Rimon-Boyd, 1 Lin-Han, 2 center line. Statuses:
 `SEPARATE`, `OVERLAP` (both points are then one common point, distance 0), `UNCONVERGED`.
 
-Sources: the paper (sections 2, 4, appendix A); Lin and Han (2002), doi:10.1137/S1052623401396510;
+Sources: the paper (section 4, appendix A); Lin and Han (2002), doi:10.1137/S1052623401396510;
 Rimon and Boyd (1997), doi:10.1023/A:1007960531949; Moré and Sorensen (1983), doi:10.1137/0904038,
 for the secular equation.
 """
@@ -24,8 +24,6 @@ UNCONVERGED = 2
 RIMON_BOYD = 0
 LIN_HAN = 1
 CENTER_LINE = 2
-
-PAPER_ANGLE = 0.01  # rad; the paper's tolerance for Lin-Han
 
 # Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder
 # pairs are done in 5 to 30 steps; past this count a Newton iteration finishes the job.
@@ -451,12 +449,12 @@ def _curvature(F, u, h, e1, e2):
     return dot(v1, v1) / h, dot(v1, v2) / h, dot(v2, v2) / h
 
 
-# -- one door to all rules, and the estimate -------------------------------------------------------
+# -- one door to all methods ------------------------------------------------------------------------
 
 
 @njit()
-def near_points(rule, F1, G1, F2, G2, r, angle):
-    """Near points by rule number.
+def near_points(method, F1, G1, F2, G2, r, angle):
+    """Near points by the method's number.
 
     Returns
     -------
@@ -466,9 +464,9 @@ def near_points(rule, F1, G1, F2, G2, r, angle):
     iterations : int
     status : int
     """
-    if rule == LIN_HAN:
+    if method == LIN_HAN:
         return lin_han(F1, G1, F2, G2, r, angle)
-    if rule == CENTER_LINE:
+    if method == CENTER_LINE:
         x1, x2, distance, status = center_line(G1, G2, r)
     else:
         x1, x2, distance, status = rimon_boyd(F1, G1, F2, G2, r)
@@ -476,71 +474,7 @@ def near_points(rule, F1, G1, F2, G2, r, angle):
 
 
 @njit()
-def f_from_near_points(v1, v2, distance, r, p1, G1, p2, G2):
-    """The paper's f from the near points of the inner ellipsoids and the two outer ellipsoids.
-
-    On the line from v1 (at 0) to v2 (at L), body 1's outer ellipsoid ends at beta and body 2's begins at
-    alpha; both branches of the printed f are (L + alpha - beta)/2. If the near points are one
-    point (L = 0), the line through it runs along the centers, and f <= 0.
-
-    Parameters
-    ----------
-    v1, v2 : tuple of 3 float
-        Relative to a common origin.
-    distance : float
-        L = |v2 - v1|, in metres.
-    r : tuple of 3 float
-        Direction to use when L = 0.
-    p1, p2 : tuple of 3 float
-        Outer centers, relative to the same origin.
-    G1, G2 : tuple of 9 float
-        Inverses of the outer factors.
-    """
-    e = minus(v2, v1)
-    if distance == 0.0 or dot(e, e) == 0.0:
-        e = r
-    square = dot(e, e)
-    if square == 0.0:
-        e, square = (1.0, 0.0, 0.0), 1.0
-    k = 1.0 / math.sqrt(square)
-    e = (k * e[0], k * e[1], k * e[2])
-    beta = exit_of_ray(G1, minus(v1, p1), e)
-    alpha = distance - exit_of_ray(G2, minus(v2, p2), (-e[0], -e[1], -e[2]))
-    return 0.5 * (distance + alpha - beta)
-
-
-@njit()
-def estimate_f(rule, ca_i, Fa_i, ca_o, Fa_o, cb_i, Fb_i, cb_o, Fb_o):
-    """The paper's estimate of the distance of two pieces, from their four ellipsoids.
-
-    Parameters
-    ----------
-    rule : int
-        0 Rimon-Boyd, 1 Lin-Han (0.01 rad), 2 center line.
-    ca_i, ca_o, cb_i, cb_o : ndarray, shape (3,)
-        Centers of inner and outer ellipsoids of pieces a and b, all in one frame, in metres.
-    Fa_i, Fa_o, Fb_i, Fb_o : ndarray, shape (3, 3)
-        Their factors, in metres.
-
-    Returns
-    -------
-    float
-        f in metres; f <= 0 means collision. Never NaN for finite input: a Lin-Han pair that does not
-        converge takes the Rimon-Boyd points.
-    """
-    r = (cb_i[0] - ca_i[0], cb_i[1] - ca_i[1], cb_i[2] - ca_i[2])
-    p1 = (ca_o[0] - ca_i[0], ca_o[1] - ca_i[1], ca_o[2] - ca_i[2])
-    p2 = (cb_o[0] - ca_i[0], cb_o[1] - ca_i[1], cb_o[2] - ca_i[2])
-    F1, F2 = matrix(Fa_i), matrix(Fb_i)
-    G1, G2 = inverse(F1), inverse(F2)
-    v1, v2, distance, _, status = near_points(rule, F1, G1, F2, G2, r, PAPER_ANGLE)
-    if status == UNCONVERGED:
-        v1, v2, distance, _, status = near_points(RIMON_BOYD, F1, G1, F2, G2, r, PAPER_ANGLE)
-    return f_from_near_points(v1, v2, distance, r, p1, inverse(matrix(Fa_o)), p2, inverse(matrix(Fb_o)))
-
-
-@njit()
-def near_points_of_pairs(rule, offset, F1, F2, angle, x1, x2, distance, iterations, status):
+def near_points_of_pairs(method, offset, F1, F2, angle, x1, x2, distance, iterations, status):
     """Fill x1, x2 (n, 3), distance, iterations and status (n,) for n pairs.
 
     `offset` (n, 3) is c2 - c1, factors are (n, 3, 3), the points relative to c1.
@@ -548,7 +482,7 @@ def near_points_of_pairs(rule, offset, F1, F2, angle, x1, x2, distance, iteratio
     for k in range(len(offset)):
         r = (offset[k, 0], offset[k, 1], offset[k, 2])
         A, B = matrix(F1[k]), matrix(F2[k])
-        p, q, distance[k], iterations[k], status[k] = near_points(rule, A, inverse(A), B, inverse(B), r, angle)
+        p, q, distance[k], iterations[k], status[k] = near_points(method, A, inverse(A), B, inverse(B), r, angle)
         for i in range(3):
             x1[k, i] = p[i]
             x2[k, i] = q[i]

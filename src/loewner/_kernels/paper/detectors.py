@@ -10,12 +10,7 @@ import math
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.linalg3 import dot, matrix, minus
-
-
-@inline
-def _offset(x, k, y):
-    """Row k of x less row k of y."""
-    return (x[k, 0] - y[k, 0], x[k, 1] - y[k, 1], x[k, 2] - y[k, 2])
+from loewner._kernels.paper.estimates import f_from_near_points, offset
 
 
 @inline
@@ -38,7 +33,7 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
     of each body (n + 1,).
     """
     for k in range(len(c1i)):
-        r = _offset(c2i, k, c1i)
+        r = offset(c2i, k, c1i)
         F1, F2 = matrix(F1i[k]), matrix(F2i[k])
         v1, v2, L, status = near.rimon_boyd(F1, near.inverse(F1), F2, near.inverse(F2), r)
         if status == near.OVERLAP:
@@ -48,8 +43,8 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
         e = (w[0] / L, w[1] / L, w[2] / L)
         back = (-e[0], -e[1], -e[2])
         # Along the line from v1 (at 0) to v2 (at L): outer ellipsoids and polyhedra end or begin at
-        outer_1 = near.exit_of_ray(near.inverse(matrix(F1o[k])), minus(v1, _offset(c1o, k, c1i)), e)
-        outer_2 = L - near.exit_of_ray(near.inverse(matrix(F2o[k])), minus(v2, _offset(c2o, k, c1i)), back)
+        outer_1 = near.exit_of_ray(near.inverse(matrix(F1o[k])), minus(v1, offset(c1o, k, c1i)), e)
+        outer_2 = L - near.exit_of_ray(near.inverse(matrix(F2o[k])), minus(v2, offset(c2o, k, c1i)), back)
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(n1, b1, s1[k], s1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(n2, b2, s2[k], s2[k + 1], origin, v2, back)
@@ -66,22 +61,22 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
 def detector_2(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, angle, collides, ambiguous):
     """The paper's detector: Lin-Han for both overlap checks and for the near points of f."""
     for k in range(len(c1i)):
-        r = _offset(c2o, k, c1o)
+        r = offset(c2o, k, c1o)
         F1, F2 = matrix(F1o[k]), matrix(F2o[k])
         G1, G2 = near.inverse(F1), near.inverse(F2)
         _, _, _, _, status = near.lin_han(F1, G1, F2, G2, r, angle)
         if status == near.SEPARATE:
             collides[k], ambiguous[k] = 0, 0
             continue
-        r = _offset(c2i, k, c1i)
+        r = offset(c2i, k, c1i)
         F1, F2 = matrix(F1i[k]), matrix(F2i[k])
         v1, v2, L, _, status = near.lin_han(F1, near.inverse(F1), F2, near.inverse(F2), r, angle)
         if status == near.OVERLAP:
             collides[k], ambiguous[k] = 1, 0
             continue
-        p1, p2 = _offset(c1o, k, c1i), _offset(c2o, k, c1i)
+        p1, p2 = offset(c1o, k, c1i), offset(c2o, k, c1i)
         ambiguous[k] = 1
-        collides[k] = near.f_from_near_points(v1, v2, L, r, p1, G1, p2, G2) <= 0.0
+        collides[k] = f_from_near_points(v1, v2, L, r, p1, G1, p2, G2) <= 0.0
 
 
 @njit()
@@ -90,19 +85,19 @@ def detector_3(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, collides, ambiguous):
     for k in range(len(c1i)):
         F1 = matrix(F1o[k])
         G2 = near.inverse(matrix(F2o[k]))
-        _, level = near.touch(F1, G2, _offset(c2o, k, c1o))
+        _, level = near.touch(F1, G2, offset(c2o, k, c1o))
         if level > 1.0:
             collides[k], ambiguous[k] = 0, 0
             continue
-        r = _offset(c2i, k, c1i)
+        r = offset(c2i, k, c1i)
         A, B = matrix(F1i[k]), matrix(F2i[k])
         v1, v2, L, status = near.rimon_boyd(A, near.inverse(A), B, near.inverse(B), r)
         if status == near.OVERLAP:
             collides[k], ambiguous[k] = 1, 0
             continue
-        p1, p2 = _offset(c1o, k, c1i), _offset(c2o, k, c1i)
+        p1, p2 = offset(c1o, k, c1i), offset(c2o, k, c1i)
         ambiguous[k] = 1
-        collides[k] = near.f_from_near_points(v1, v2, L, r, p1, near.inverse(F1), p2, G2) <= 0.0
+        collides[k] = f_from_near_points(v1, v2, L, r, p1, near.inverse(F1), p2, G2) <= 0.0
 
 
 @njit()
@@ -110,15 +105,15 @@ def detector_4(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, collides, ambiguous):
     """Center lines, each ellipsoid pair's own, for both checks and for the near points of f."""
     for k in range(len(c1i)):
         G1, G2 = near.inverse(matrix(F1o[k])), near.inverse(matrix(F2o[k]))
-        _, _, _, status = near.center_line(G1, G2, _offset(c2o, k, c1o))
+        _, _, _, status = near.center_line(G1, G2, offset(c2o, k, c1o))
         if status == near.SEPARATE:
             collides[k], ambiguous[k] = 0, 0
             continue
-        r = _offset(c2i, k, c1i)
+        r = offset(c2i, k, c1i)
         v1, v2, L, status = near.center_line(near.inverse(matrix(F1i[k])), near.inverse(matrix(F2i[k])), r)
         if status == near.OVERLAP:
             collides[k], ambiguous[k] = 1, 0
             continue
-        p1, p2 = _offset(c1o, k, c1i), _offset(c2o, k, c1i)
+        p1, p2 = offset(c1o, k, c1i), offset(c2o, k, c1i)
         ambiguous[k] = 1
-        collides[k] = near.f_from_near_points(v1, v2, L, r, p1, G1, p2, G2) <= 0.0
+        collides[k] = f_from_near_points(v1, v2, L, r, p1, G1, p2, G2) <= 0.0

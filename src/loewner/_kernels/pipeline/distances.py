@@ -18,7 +18,6 @@ from loewner._kernels.ellipsoids.contact import (
     outward_width,
     polynomials,
 )
-from loewner._kernels.ellipsoids.near_points import estimate_f
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, dot, rotated_shape
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
@@ -43,8 +42,6 @@ from loewner._kernels.pieces.shapes import (
 )
 from loewner._kernels.pipeline.verdicts import row_of
 from loewner._kernels.trees import piece_tree
-
-CONTACT_PRODUCT = -1  # the other rules are those of `near_points`
 
 WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
 SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
@@ -84,17 +81,6 @@ SETTLED_CURVED = 1e-3
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
-
-
-@njit()
-def world_center(table, piece, column, T):
-    """Ellipsoid center in the world's axes, relative to the body's translation."""
-    x, y, z = table[piece, column], table[piece, column + 1], table[piece, column + 2]
-    return (
-        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z,
-        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z,
-        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z,
-    )
 
 
 @inline
@@ -421,25 +407,6 @@ def _write(G, k, weights, d, result):
 
 
 @njit()
-def _rule_estimate(rule, ta, fa, i, A, tb, fb, j, B, ellipsoids):
-    """Estimate of the distance of two pieces by one of the paper's rules; `ellipsoids` is work space."""
-    ai, ao, bi, bo, Fai, Fao, Fbi, Fbo = ellipsoids
-    _world_ellipsoid(ta, fa[0], i, A, B, INNER_CENTER, ai, Fai, False)
-    _world_ellipsoid(ta, fa[1], i, A, B, OUTER_CENTER, ao, Fao, False)
-    _world_ellipsoid(tb, fb[0], j, B, A, INNER_CENTER, bi, Fbi, True)
-    _world_ellipsoid(tb, fb[1], j, B, A, OUTER_CENTER, bo, Fbo, True)
-    return estimate_f(rule, ai, Fai, ao, Fao, bi, Fbi, bo, Fbo)
-
-
-@njit()
-def _ellipsoids():
-    return (
-        np.empty(3), np.empty(3), np.empty(3), np.empty(3),
-        np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)),
-    )  # fmt: skip
-
-
-@njit()
 def _next_pieces(k, ka, kb, a, b, ib, reach, steps, numbers, queue):
     """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
     found = piece_tree.more(a, b, ib, reach, steps, numbers, queue[1, :WALKED], queue[2, :WALKED])
@@ -567,7 +534,7 @@ def _room(left, numbers, values):
 
 
 @njit()
-def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out):
+def _measure(exact, count, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out):
     """Measure the queued piece pairs and merge them into the results of their pairs; how many are left by now."""
     _bounds(count, queue, a.table, Ta, b.table, Tb, S)
     lower, upper, estimate = out[0], out[1], out[2]
@@ -577,24 +544,16 @@ def _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, 
         above = S[ABOVE * LANES + lane]
         lower[k] = min(lower[k], below)
         upper[k] = min(upper[k], above)
-        if rule == CONTACT_PRODUCT:
-            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
-        else:
-            guess = _rule_estimate(
-                rule, a.table, factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
-                b.table, factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], spaces[2],
-            )  # fmt: skip
+        guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
         estimate[k] = min(estimate[k], max(below, min(above, guess)))
     if exact:
-        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[3], spaces[4], spaces[1], out)
+        late = _measure_near(count, queue, a, Ta, b, Tb, S, spaces[0], spaces[2], spaces[3], spaces[1], out)
         left = _leave(late, queue, S, left, numbers, values)
     return left
 
 
 @njit()
-def _measure_many(
-    exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
-):  # fmt: skip
+def _measure_many(exact, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out):
     """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
     upper, distance = out[1], out[3]
     steps = np.empty(piece_tree.STEPS, np.int64)
@@ -606,7 +565,7 @@ def _measure_many(
     found = np.int64(1)
     while found > 0:
         numbers, values = _room(left, numbers, values)
-        left = _measure(exact, rule, found, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+        left = _measure(exact, found, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out)
         cut = upper[k]
         if exact:
             cut = min(cut, distance[k] + SETTLED * places[piece_tree.SIZE])
@@ -615,7 +574,7 @@ def _measure_many(
 
 
 @njit()
-def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, factors, lower, upper, estimate, distance,
+def distance_range(exact, start, stop, plan, pack_a, Ta, pack_b, Tb, lower, upper, estimate, distance,
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
@@ -630,7 +589,7 @@ def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, facto
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
-    spaces = (points_workspace(), np.empty(9), _ellipsoids(), *depth_workspace(exact))
+    spaces = (points_workspace(), np.empty(9), *depth_workspace(exact))
     out = (lower, upper, estimate, distance, witness_a, witness_b, normal, status)
     numbers, values = np.empty((0, QUEUE), np.int64), np.empty((0, 2 * KEPT))
     count, left = np.int64(0), np.int64(0)
@@ -647,10 +606,10 @@ def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, facto
             status[k] = SETTLED_DISTANCE
         numbers, values = _room(left, numbers, values)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
-            left = _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+            left = _measure(exact, count, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out)
             count = np.int64(0)
             left, numbers, values = _measure_many(
-                exact, rule, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
+                exact, k, ia, ka, ib, kb, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out
             )
             continue
         for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
@@ -659,12 +618,10 @@ def distance_range(exact, rule, start, stop, plan, pack_a, Ta, pack_b, Tb, facto
                 queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
                 if count == LANES:
-                    left = _measure(
-                        exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out
-                    )
+                    left = _measure(exact, count, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out)
                     count = np.int64(0)
                     numbers, values = _room(left, numbers, values)
-    left = _measure(exact, rule, count, queue, a, Ta, b, Tb, factors, S, spaces, left, numbers, values, out)
+    left = _measure(exact, count, queue, a, Ta, b, Tb, S, spaces, left, numbers, values, out)
     return numbers[:left], values[:left]
 
 
@@ -688,28 +645,12 @@ def measure_left(numbers, values, pack_a, Ta, pack_b, Tb, distance, witness_a, w
 
 
 @njit()
-def _world_ellipsoid(table, factors, piece, T, other, column, center, factor, second):
-    """Center (relative to the first body's translation) and factor in the world's axes."""
-    x, y, z = world_center(table, piece, column, T)
-    center[0], center[1], center[2] = x, y, z
-    if second:
-        for c in range(3):
-            center[c] += T[c, 3] - other[c, 3]
-    for r in range(3):
-        for c in range(3):
-            factor[r, c] = 0.0
-            for m in range(3):
-                factor[r, c] += T[r, m] * factors[piece, m, c]
-
-
-@njit()
-def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors, out):
-    """Decide the pairs left AMBIGUOUS in `out` by a rule: the product of the contact functions, or the paper's f."""
+def estimate_range(margin, start, stop, plan, pack_a, Ta, pack_b, Tb, out):
+    """Decide the pairs left AMBIGUOUS in `out` by the estimate, the product of their two contact functions."""
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
-    ellipsoids = _ellipsoids()
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     count = np.int64(0)
@@ -723,14 +664,14 @@ def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors,
         kb = row_of(k, shape, pose_b)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             if count > 0:
-                _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+                _decide(margin, count, queue, a, Ta, b, Tb, S, out)
                 count = np.int64(0)
             piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
             while out[k] != COLLIDING:
                 found = _next_pieces(k, ka, kb, a, b, ib, margin, steps, numbers, queue)
                 if found == 0:
                     break
-                _decide(rule, margin, found, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+                _decide(margin, found, queue, a, Ta, b, Tb, S, out)
             continue
         for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
             for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
@@ -738,28 +679,21 @@ def rule_range(rule, margin, start, stop, plan, pack_a, Ta, pack_b, Tb, factors,
                 queue[POSE_A, count], queue[POSE_B, count] = ka, kb
                 count += 1
                 if count == LANES:
-                    _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+                    _decide(margin, count, queue, a, Ta, b, Tb, S, out)
                     count = np.int64(0)
     if count > 0:
-        _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out)
+        _decide(margin, count, queue, a, Ta, b, Tb, S, out)
 
 
 @njit()
-def _decide(rule, margin, count, queue, a, Ta, b, Tb, factors, S, ellipsoids, out):
-    """Decide the queued piece pairs by a rule."""
-    ta, tb = a.table, b.table
-    _bounds(count, queue, ta, Ta, tb, Tb, S)
+def _decide(margin, count, queue, a, Ta, b, Tb, S, out):
+    """Decide the queued piece pairs by the estimate."""
+    _bounds(count, queue, a.table, Ta, b.table, Tb, S)
     for lane in range(count):
         k = queue[PAIR, lane]
         if S[BELOW * LANES + lane] > margin or out[k] == COLLIDING:
             continue
-        if rule == CONTACT_PRODUCT:
-            guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
-        else:
-            guess = _rule_estimate(
-                rule, ta, factors[:2], queue[PIECE_A, lane], Ta[queue[POSE_A, lane]],
-                tb, factors[2:], queue[PIECE_B, lane], Tb[queue[POSE_B, lane]], ellipsoids,
-            )  # fmt: skip
+        guess = estimated_distance(S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane])
         # NaN counts as colliding, as it should never arise and must not free anybody.
         if not guess > margin:
             out[k] = COLLIDING

@@ -1,0 +1,85 @@
+"""Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope of one dimension more.
+
+A check on `loewner.mvce`, which is quicker: this solves in dimension n + 1, with two half-spaces for each point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._kernels.fits import hulls, mvce, mvie
+from loewner._validate import Floats
+from loewner.fits import DEFAULT_TOLERANCE, Fit, certified_fit, checked_tolerance
+from loewner.polytopes import FLATNESS, check_enough, flat_error, writeable
+
+
+@guarded
+def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
+    """Smallest ellipsoid around points, by the paper's reduction to an inscribed one.
+
+    Parameters
+    ----------
+    points : array_like, shape (m, n)
+        m > n >= 1, in metres.
+    tol : float
+        Largest certified gap in log-volume, in [1e-12, 1].
+
+    Returns
+    -------
+    Fit
+        Every point is inside the ellipsoid exactly as stored, whatever the rounding.
+
+    Raises
+    ------
+    InputError
+        On a wrong shape, entries that are not finite or a tolerance out of range.
+    GeometryError
+        On fewer than n + 1 points or points in a flat.
+    ConvergenceError
+        If the gap asked for was not reached.
+
+    References
+    ----------
+    The paper, appendix B.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> fit = paper.mvce_by_lifted_mvie([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    >>> fit.ellipsoid.semi_axes.round(4)
+    array([1.4142, 1.4142])
+    """
+    x = writeable(_validate.finite_array(points, "points", (None, None)))
+    check_enough(x, "points")
+    return _lifted(x, checked_tolerance(tol))
+
+
+def _lifted(points: Floats, tol: float) -> Fit:
+    """The MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
+    m, n = points.shape
+    code, _, _, _, origin, frame, local = hulls.to_unit_size(points, FLATNESS)
+    if code == mvce.FLAT:
+        raise flat_error("points", points)
+    lifted = np.column_stack([local, np.ones(m)])
+    z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
+    gap, iterations = mvie.solve_primal_dual(
+        np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tol, z, low, multipliers
+    )
+    if not np.isfinite(gap):
+        return certified_fit("mvce_by_lifted_mvie", origin, frame, gap, iterations, tol)
+    # The MVIE {xᵀ B x <= 1} has B⁻¹ = low lowᵀ = [[P, p], [pᵀ, s]], and {xᵀ B⁻¹ x <= 1} holds every (v, 1). Its cut
+    # with height 1 has center -P⁻¹ p and matrix P / (1 - s + pᵀ P⁻¹ p); with P = R Rᵀ, p = R r and s = rᵀr + t² that is
+    # center -R⁻ᵀ r and matrix P / (1 - t²).
+    R, r, t = low[:n, :n], low[n, :n], low[n, n]
+    inverse = np.linalg.inv(R)
+    factor = frame @ (np.sqrt(1.0 - t * t) * np.linalg.qr(inverse).R.T)
+    factor *= np.sign(np.diagonal(factor))
+    center = origin - frame @ (inverse.T @ r)
+    # Each point's dual weight: the multipliers of its two half-spaces, which the MVIE's own duals are.
+    weights = multipliers[:m] + multipliers[m:]
+    error = mvce.enclose(points, center, factor)
+    gap = mvce.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
+    return certified_fit("mvce_by_lifted_mvie", center, factor, gap, iterations, tol)
