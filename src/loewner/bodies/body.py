@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate, fits, meshes, polytopes
+from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints, Progress
@@ -20,6 +20,7 @@ from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, pri
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
+from loewner.polytopes import Hulls, hulls
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,12 @@ class Body(_Bodies):
         if len(packed.piece_start) != 2:
             raise InputError(f"Body: expected the pieces of one body, found {len(packed.piece_start) - 1} bodies")
         self._packed = packed
-        self.covering = covering
+        self._covering = covering
+
+    @property
+    def covering(self) -> Covering | None:
+        """What the pieces hold of the mesh that they were made of; None if they were made of none."""
+        return self._covering
 
     def __repr__(self) -> str:
         kinds = [KIND_NAMES[k] for k in self._packed.layout[:, shapes.KIND]]
@@ -222,17 +228,16 @@ class Body(_Bodies):
         >>> body, body.covering.kind
         (Body(polytope, 8 vertices), 'convex')
         """
-        sets, covering = meshes.convex_pieces(
+        polytopes, covering = meshes.convex_polytopes(
             source,
-            scale=cast(Floats, scale),  # checked there
+            scale=scale,
             decompose=decompose,
             cover=cover,
             threshold=threshold,
             max_pieces=max_pieces,
             seed=seed,
         )
-        names = [f"piece {i} of the mesh" for i in range(len(sets))]
-        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol, names=names), covering)
+        return cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
@@ -255,7 +260,7 @@ class Body(_Bodies):
         """
         half = _validate.positive_vector(size, "size", 3) / 2
         signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-        hull = polytopes.hulls([signs * half])
+        hull = hulls([signs * half])
         # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
         F = np.diag(half)
         return cls(
@@ -666,9 +671,13 @@ def _from_point_sets(
     progress: Progress | None = None,
 ) -> Packed:
     """Hulls, fits, packing; `names` as for `polytopes.hulls`."""
-    if not sets:
+    return _fitted(hulls(sets, names=names), piece_start, tol, progress)
+
+
+def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | None = None) -> Packed:
+    """Fits and packing of hulls."""
+    if len(hull) == 0:
         return empty()
-    hull = polytopes.hulls(sets, names=names)
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
         hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
     )
@@ -677,7 +686,7 @@ def _from_point_sets(
 
 
 def _assemble_polytopes(
-    hull: polytopes.Hulls,
+    hull: Hulls,
     piece_start: Ints,
     inner_c: Floats,
     inner_F: Floats,
