@@ -15,7 +15,8 @@ from loewner._guard import guarded
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import files
-from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
+from loewner.bodies.layout import PieceArrays, arrays_of
+from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
@@ -419,7 +420,7 @@ class Body(_Bodies):
             raise GeometryError("bodies: expected at least one body, found none")
         packed = join([_expect_body(b, "bodies")._packed for b in listed])
         start = np.array([0, len(packed.layout)])
-        return cls(Packed(**{**arrays_of(packed), "piece_start": start}, maps=packed.maps))
+        return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps))
 
     def transformed(self, T: ArrayLike) -> Body:
         """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
@@ -699,7 +700,7 @@ def _assemble_polytopes(
     layout[:, shapes.KIND] = shapes.POLYTOPE
     layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
     layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
-    return Packed(
+    pieces = PieceArrays(
         layout=layout,
         points=np.ascontiguousarray(hull.vertices),
         planes=np.ascontiguousarray(np.column_stack([hull.normals, hull.offsets])),
@@ -713,6 +714,7 @@ def _assemble_polytopes(
         outer_factor=outer_F,
         gaps=gaps,
     )
+    return Packed.of(pieces)
 
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
