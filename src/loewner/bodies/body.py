@@ -63,10 +63,12 @@ class Piece:
     outer_gap: float
 
 
+@guarded
 class _Bodies:
     """What one body and a sequence of bodies have in common."""
 
     _packed: Packed
+    _covering: Covering | None = None
 
     @property
     def inner(self) -> Ellipsoids:
@@ -92,6 +94,29 @@ class _Bodies:
     def pieces(self) -> tuple[Piece, ...]:
         """All pieces, in order."""
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> Body.sphere(1.0).save("ball.npz")
+        >>> Body.load("ball.npz")
+        Body(sphere, 0 vertices)
+        """
+        files.save(self._packed, path, self._covering)
 
 
 @guarded
@@ -453,29 +478,6 @@ class Body(_Bodies):
         """
         return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
-
-        Parameters
-        ----------
-        path : path
-            Ends in ``.npz``; a file of that name is replaced.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise.
-        FileError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> Body.sphere(1.0).save("ball.npz")
-        >>> Body.load("ball.npz")
-        Body(sphere, 0 vertices)
-        """
-        files.save(self._packed, path, self.covering)
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
         """Read what `save` wrote.
@@ -622,22 +624,6 @@ class Bodies(_Bodies):
         """Body i owns the pieces piece_start[i] .. piece_start[i+1]; shape (n + 1,)."""
         return self._packed.piece_start
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
-
-        Parameters
-        ----------
-        path : path
-            Ends in ``.npz``; a file of that name is replaced.
-
-        Examples
-        --------
-        >>> Bodies.spheres([0.5, 1.0]).save("balls.npz")
-        >>> Bodies.load("balls.npz")
-        Bodies(2 bodies, 2 pieces)
-        """
-        files.save(self._packed, path, None)
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
         """Read what `save` of a body or of bodies wrote.
@@ -680,7 +666,7 @@ def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | Non
     if len(hull) == 0:
         return empty()
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
-        hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
+        hull.vert_start, hull.vertices, hull.face_start, hull.normals, tol=tol, progress=progress
     )
     gaps = np.stack([inner_gap, outer_gap], axis=1)
     return _assemble_polytopes(hull, piece_start, inner_c, inner_F, outer_c, outer_F, gaps)
