@@ -56,7 +56,7 @@ def conic_outer(piece: polytopes.Polytope) -> float:
 
 def batch_time(packed: polytopes.Hulls, tol: float = TOL) -> float:
     start = time.perf_counter()
-    fits.fit_pieces(packed.vert_start, packed.vertices, packed.face_start, packed.normals, packed.offsets, tol)
+    fits.fit_pieces(packed.vert_start, packed.vertices, packed.face_start, packed.normals, tol)
     return (time.perf_counter() - start) / len(packed)
 
 

@@ -57,6 +57,6 @@ def without_trees(body: Body) -> Body:
     """The same body, packed as if any number of pieces were few."""
     few, piece_tree.FEW = piece_tree.FEW, len(body._packed.layout) + 1
     try:
-        return Body(bodies.Packed(**bodies._arrays(body._packed)))
+        return Body(bodies.Packed.of(bodies.PieceArrays(**bodies.arrays_of(body._packed))))
     finally:
         piece_tree.FEW = few

@@ -76,7 +76,7 @@ def test_arrows_point_down():
     assert upward == []
 
 
-@pytest.mark.parametrize("package", ["robots", "scene_files", "cli"])
+@pytest.mark.parametrize("package", ["robots", "scene_files", "bodies", "cli"])
 def test_packages_are_listed(package):
     """The list of a package names each file once, from the top layer of its import rules to the lowest."""
     (block,) = re.findall(rf"^    {package}/\n(.*?)^$", TEXT, flags=re.M | re.S)

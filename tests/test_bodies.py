@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import loewner
 from families import FAMILIES, box_corners, pieces, random_poses
-from loewner import Bodies, Body, meshes
+from loewner import Bodies, Body, meshes, polytopes
 from oracles import hull
 
 ALL_KINDS = {
@@ -266,6 +267,28 @@ def test_errors_name_the_argument():
     for several in (Body.from_pieces, Bodies.from_points):
         with pytest.raises(loewner.GeometryError, match=r"^point_sets\[1\]: expected .* in a plane"):
             several([box_corners(np.ones(3)), flat])
+
+
+def test_hulls_of_a_mesh_are_computed_once(monkeypatch):
+    """A convex mesh takes one hull on its way to a body; the two parts of another, theirs and one about both."""
+    asked = []
+    hull = polytopes._hull
+    monkeypatch.setattr(polytopes, "_hull", lambda points, name: asked.append(len(points)) or hull(points, name))
+    box = trimesh.creation.box((1, 1, 1))
+    assert len(Body.from_mesh(box).pieces) == 1
+    assert asked == [8]
+    asked.clear()
+    both = trimesh.util.concatenate([box, box.copy().apply_translation([3, 0, 0])])
+    assert len(Body.from_mesh(both).pieces) == 2
+    assert asked == [16, 8, 8]
+
+
+def test_covering_is_read_only():
+    """What is known of a mesh's covering stays with its body."""
+    body = Body.from_mesh(trimesh.creation.box((1, 1, 1)))
+    with pytest.raises(AttributeError):
+        body.covering = None
+    assert body.covering.kind == "convex"
 
 
 def test_options_of_meshes_are_parameters():

@@ -35,7 +35,7 @@ def signs(n: int) -> np.ndarray:
 def fit_one(points: np.ndarray, tol: float) -> tuple[np.ndarray, ...]:
     """Hull and both fits of one 3-D piece by the batched way: vertices, normals and the six results."""
     h = polytopes.hulls([points])
-    result = fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, h.offsets, tol)
+    result = fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, tol)
     return h.vertices, h.normals, *(r[0] for r in result)
 
 
@@ -255,7 +255,7 @@ def test_batch_equals_one_by_one_on_any_number_of_threads(rng: np.random.Generat
     sets = [ball_points(rng, int(rng.integers(4, 30))) for _ in range(3 * polytopes.BLOCK // 2)]
     h = polytopes.hulls(sets)
     seen: list[tuple[int, int]] = []
-    packed = (h.vert_start, h.vertices, h.face_start, h.normals, h.offsets)
+    packed = (h.vert_start, h.vertices, h.face_start, h.normals)
     batch = fits.fit_pieces(*packed, progress=lambda done, total: seen.append((done, total)))
     assert seen[-1] == (len(sets), len(sets))
     assert len(seen) > 1
@@ -342,7 +342,7 @@ def test_batch_names_the_piece(rng: np.random.Generator) -> None:
     """A flat piece, a gap out of reach and broken indices are errors that name their place."""
     sets = [ball_points(rng, 12) for _ in range(3)]
     h = polytopes.hulls(sets)
-    packed = [h.vert_start, h.vertices.copy(), h.face_start, h.normals, h.offsets]
+    packed = [h.vert_start, h.vertices.copy(), h.face_start, h.normals]
     with pytest.raises(InputError, match="vert_start"):
         fits.fit_pieces(h.vert_start[::-1], *packed[1:])
     with pytest.raises(InputError, match="face_start"):
@@ -353,12 +353,12 @@ def test_batch_names_the_piece(rng: np.random.Generator) -> None:
     sets[2] = SHAPES["paper thin"](rng, ball_points(rng, 20))
     h = polytopes.hulls(sets)
     with pytest.raises(ConvergenceError, match="piece 2.*gap"):
-        fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, h.offsets, tol=1e-11)
+        fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, tol=1e-11)
 
 
 def test_no_pieces() -> None:
     """An empty batch is a batch."""
-    empty = np.zeros(1, int), np.empty((0, 3)), np.zeros(1, int), np.empty((0, 3)), np.empty(0)
+    empty = np.zeros(1, int), np.empty((0, 3)), np.zeros(1, int), np.empty((0, 3))
     assert [len(r) for r in fits.fit_pieces(*empty)] == [0] * 6
 
 

@@ -29,7 +29,7 @@ def without_trees(body: Body) -> Body:
     """The same body, all of whose pieces are tried."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(piece_tree, "FEW", 10**9)
-        plain = Body(bodies.Packed(**bodies._arrays(body._packed)))
+        plain = Body(bodies.Packed.of(bodies.PieceArrays(**bodies.arrays_of(body._packed))))
     assert (plain._packed.kernel[8] == -1).all()
     return plain
 

@@ -184,7 +184,6 @@ def fit_pieces(
     vertices: Floats,
     face_start: Ints,
     normals: Floats,
-    offsets: Floats,
     tol: float = DEFAULT_TOLERANCE,
     progress: Progress | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
@@ -197,9 +196,8 @@ def fit_pieces(
     vertices : ndarray, shape (total vertices, 3)
         In metres.
     normals : ndarray, shape (total faces, 3)
-        Outward, from `polytopes.hulls`: each face passes through its own vertices to rounding.
-    offsets : ndarray, shape (total faces,)
-        Taken for the record only: slacks are measured from the vertices, which carry no rounding.
+        Outward, from `polytopes.hulls`: each face passes through its own vertices to rounding. Slacks are measured from
+        the vertices, which carry no rounding, so that no offsets are asked for.
     tol : float
         Largest certified gap of every fit, in log-volume.
     progress : callable, optional
@@ -219,7 +217,6 @@ def fit_pieces(
     tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
     V = _validate.finite_array(vertices, "vertices", (None, 3))
     A = _validate.finite_array(normals, "normals", (None, 3))
-    _validate.finite_array(offsets, "offsets", (len(A),))
     vs, fs = _starts(vert_start, "vert_start", len(V)), _starts(face_start, "face_start", len(A))
     if len(vs) != len(fs):
         raise InputError(f"face_start: expected {len(vs)} entries like vert_start, found {len(fs)}")

@@ -6,16 +6,18 @@ A file is read whole or refused: half a mesh would be free where the whole one c
 from __future__ import annotations
 
 import threading
-import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from loewner import _validate, mesh_files
 from loewner._files import shown
+from loewner._plausible import warn
 from loewner._validate import Floats
 from loewner.coverage import Covering, covered
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
@@ -24,6 +26,8 @@ from loewner.polytopes import Polytope
 
 if TYPE_CHECKING:
     import trimesh
+
+__all__ = ["convex_pieces", "load"]
 
 T = TypeVar("T")
 
@@ -118,11 +122,7 @@ def _ask_about_units(vertices: Floats, name: str) -> None:
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
         guess = "in millimetres (then give scale=0.001)" if size > 1 else "scaled to metres twice, or in kilometres"
-        warnings.warn(
-            f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess}? scale= is the factor to metres",
-            UserWarning,
-            stacklevel=3,
-        )
+        warn(f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess}? scale= is the factor to metres")
 
 
 def _expect_finite(vertices: Floats, name: str) -> None:
@@ -134,7 +134,7 @@ def _expect_finite(vertices: Floats, name: str) -> None:
 def convex_pieces(
     source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
     *,
-    scale: float | Floats = 1.0,
+    scale: ArrayLike = 1.0,
     decompose: bool = True,
     cover: bool = True,
     threshold: float = 0.05,
@@ -200,6 +200,29 @@ def convex_pieces(
     >>> len(pieces), pieces[0].shape, covering.exact
     (1, (8, 3), True)
     """
+    polytopes, covering = convex_polytopes(
+        source,
+        scale=scale,
+        decompose=decompose,
+        cover=cover,
+        threshold=threshold,
+        max_pieces=max_pieces,
+        seed=seed,
+    )
+    return [np.array(piece.vertices) for piece in polytopes], covering
+
+
+def convex_polytopes(
+    source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
+    *,
+    scale: ArrayLike,
+    decompose: bool,
+    cover: bool,
+    threshold: float,
+    max_pieces: int | None,
+    seed: int,
+) -> tuple[list[Polytope], Covering]:
+    """Split a mesh as `convex_pieces` does, and keep the faces of the hulls."""
     threshold = _validate.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
@@ -225,24 +248,22 @@ def convex_pieces(
     parts = [hull] if not decompose else _convex_parts(vertices, triangles, hull, volume)
     if parts is not None:
         kind = "convex" if len(parts) > 1 or _close(volume, _hull_volume(hull)) else "hull"
-        return _result(parts, Covering(kind, True, 0.0, 0.0, len(vertices)), volume)
+        return parts, Covering(kind, True, 0.0, _excess_volume(parts, volume), len(vertices))
 
     if _has_holes(triangles):
-        warnings.warn(
+        warn(
             "mesh: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
-            "them, or take its convex hull (decompose=False). Decomposing may take minutes",
-            stacklevel=2,
+            "them, or take its convex hull (decompose=False). Decomposing may take minutes"
         )
     hulls = _coacd(vertices, triangles, threshold, most, seed)
     size = _size(vertices)
     hulls, covering = covered(vertices[triangles], hulls, size, grow=cover)
-    return _result(hulls, covering, volume)
+    return hulls, replace(covering, excess_volume=_excess_volume(hulls, volume))
 
 
-def _result(hulls: list[Polytope], covering: Covering, volume: float) -> tuple[list[Floats], Covering]:
-    excess = float(sum(_hull_volume(h) for h in hulls) / volume - 1) if volume > 0 else float("nan")
-    kind, exact, gap, samples = covering.kind, covering.exact, covering.max_uncovered, covering.samples
-    return [np.array(h.vertices) for h in hulls], Covering(kind, bool(exact), float(gap), excess, samples)
+def _excess_volume(hulls: list[Polytope], volume: float) -> float:
+    """By what share of the mesh's volume the pieces exceed it; NaN if it has none."""
+    return float(sum(_hull_volume(h) for h in hulls) / volume - 1) if volume > 0 else float("nan")
 
 
 # -- files --------------------------------------------------------------------------------------

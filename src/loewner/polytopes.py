@@ -332,6 +332,33 @@ class Hulls:
     def __len__(self) -> int:
         return len(self.vert_start) - 1
 
+    @classmethod
+    def of(cls, polytopes: Sequence[Polytope]) -> Hulls:
+        """Pack polytopes in 3-D."""
+        return cls._packed([(p.vertices, p.normals, p.offsets, p.simplices) for p in polytopes])
+
+    @classmethod
+    def _packed(cls, parts: Sequence[tuple[Floats, Floats, Floats, Ints]]) -> Hulls:
+        """Pack vertices, normals, offsets and triangles of each hull."""
+
+        def start(column: int) -> Ints:
+            return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(
+                np.int64
+            )
+
+        def packed(column: int, empty: tuple[int, ...]) -> Any:
+            return np.concatenate([part[column] for part in parts]) if parts else np.empty(empty)
+
+        return cls(
+            vert_start=start(0),
+            vertices=packed(0, (0, 3)),
+            face_start=start(1),
+            normals=packed(1, (0, 3)),
+            offsets=packed(2, (0,)),
+            triangle_start=start(3),
+            triangles=packed(3, (0, 3)).astype(np.int64),
+        )
+
 
 @guarded
 def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names: Sequence[str] | None = None) -> Hulls:
@@ -352,27 +379,12 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
         As `Polytope.from_points`; the message begins with the name of the set.
     """
 
-    def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints, Ints]]:
+    def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints]]:
         made = []
         for i in range(first, last):
             name = f"point_sets[{i}]" if names is None else names[i]
-            made.append(_hull(_validate.finite_array(point_sets[i], name, (None, 3)), name))
+            made.append(_hull(_validate.finite_array(point_sets[i], name, (None, 3)), name)[:4])
         return made
 
-    parts = list(chain.from_iterable(in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)))
-
-    def start(column: int) -> Ints:
-        return np.concatenate([[0], np.cumsum([len(part[column]) for part in parts], dtype=np.int64)]).astype(np.int64)
-
-    def packed(column: int, empty: tuple[int, ...]) -> Any:
-        return np.concatenate([part[column] for part in parts]) if parts else np.empty(empty)
-
-    return Hulls(
-        vert_start=start(0),
-        vertices=packed(0, (0, 3)),
-        face_start=start(1),
-        normals=packed(1, (0, 3)),
-        offsets=packed(2, (0,)),
-        triangle_start=start(3),
-        triangles=packed(3, (0, 3)).astype(np.int64),
-    )
+    shares = in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)
+    return Hulls._packed(list(chain.from_iterable(shares)))

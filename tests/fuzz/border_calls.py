@@ -1053,11 +1053,9 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
 
 
 def _own(module: Any) -> dict[str, Any]:
-    return {
-        name: member
-        for name, member in vars(module).items()
-        if not name.startswith("_") and inspect.isfunction(member) and member.__module__ == module.__name__
-    }
+    public = getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")])
+    members = {name: getattr(module, name) for name in public}
+    return {n: m for n, m in members.items() if inspect.isfunction(m) and m.__module__ == module.__name__}
 
 
 def _of_class(name: str, cls: type) -> Iterator[tuple[str, list[str]]]:

@@ -36,7 +36,7 @@ def test_exact_containment_of_500_hulls(rng: np.random.Generator) -> None:
             sets = [make(rng, ball_points(rng, 20)) for _ in range(63)]
             h = polytopes.hulls(sets)
             inner_c, inner_F, outer_c, outer_F, *_ = fits.fit_pieces(
-                h.vert_start, h.vertices, h.face_start, h.normals, h.offsets, tol
+                h.vert_start, h.vertices, h.face_start, h.normals, tol
             )
             for i in range(len(sets)):
                 V = h.vertices[h.vert_start[i] : h.vert_start[i + 1]]
@@ -60,7 +60,7 @@ def test_named_solids(where: str, rng: np.random.Generator) -> None:
     for name, vertices in solids.items():
         points = MAPS[where](rng, vertices)
         h = polytopes.hulls([points])
-        result = fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, h.offsets, TIGHT)
+        result = fits.fit_pieces(h.vert_start, h.vertices, h.face_start, h.normals, TIGHT)
         inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = (r[0] for r in result)
         assert max(inner_gap, outer_gap) <= TIGHT, name
         assert points_outside(h.vertices, outer_c, outer_F) == 0, name

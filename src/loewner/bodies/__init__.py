@@ -3,14 +3,13 @@
 A `Body` is one; `Bodies` is a packed sequence of them for batches. Both are read-only. A body is
 moved by handing a pose to a query; the fits are never computed again.
 
-`body` holds these two, `pack` the arrays behind them, `layout` what kernels see of the arrays, `files` the ``.npz``.
+`body` holds these two, `pack` and `layout` the arrays behind them, `files` the ``.npz``.
 """
 
 from loewner.bodies.body import Bodies, Body, Piece
 from loewner.bodies.files import FORMAT, VERSION
-from loewner.bodies.layout import LARGEST, SMALLEST, KernelArrays
-from loewner.bodies.pack import ARRAYS, KIND_NAMES, Packed, take
-from loewner.bodies.pack import arrays_of as _arrays
+from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
+from loewner.bodies.pack import KIND_NAMES, Packed, take
 
 __all__ = [
     "ARRAYS",
@@ -21,11 +20,10 @@ __all__ = [
     "VERSION",
     "Bodies",
     "Body",
-    "Ints",
     "KernelArrays",
     "Packed",
     "Piece",
-    "Progress",
-    "_arrays",
+    "PieceArrays",
+    "arrays_of",
     "take",
 ]

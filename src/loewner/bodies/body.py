@@ -5,21 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate, fits, meshes, polytopes
+from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import files
-from loewner.bodies.pack import KIND_NAMES, Packed, arrays_of, empty, join, moved, take
+from loewner.bodies.layout import PieceArrays, arrays_of
+from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
+from loewner.polytopes import Hulls, hulls
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +63,12 @@ class Piece:
     outer_gap: float
 
 
+@guarded
 class _Bodies:
     """What one body and a sequence of bodies have in common."""
 
     _packed: Packed
+    _covering: Covering | None = None
 
     @property
     def inner(self) -> Ellipsoids:
@@ -91,6 +95,29 @@ class _Bodies:
         """All pieces, in order."""
         return tuple(_piece(self._packed, i) for i in range(len(self._packed.layout)))
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``; a file of that name is replaced.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> Body.sphere(1.0).save("ball.npz")
+        >>> Body.load("ball.npz")
+        Body(sphere, 0 vertices)
+        """
+        files.save(self._packed, path, self._covering)
+
 
 @guarded
 class Body(_Bodies):
@@ -112,7 +139,12 @@ class Body(_Bodies):
         if len(packed.piece_start) != 2:
             raise InputError(f"Body: expected the pieces of one body, found {len(packed.piece_start) - 1} bodies")
         self._packed = packed
-        self.covering = covering
+        self._covering = covering
+
+    @property
+    def covering(self) -> Covering | None:
+        """What the pieces hold of the mesh that they were made of; None if they were made of none."""
+        return self._covering
 
     def __repr__(self) -> str:
         kinds = [KIND_NAMES[k] for k in self._packed.layout[:, shapes.KIND]]
@@ -222,17 +254,16 @@ class Body(_Bodies):
         >>> body, body.covering.kind
         (Body(polytope, 8 vertices), 'convex')
         """
-        sets, covering = meshes.convex_pieces(
+        polytopes, covering = meshes.convex_polytopes(
             source,
-            scale=cast(Floats, scale),  # checked there
+            scale=scale,
             decompose=decompose,
             cover=cover,
             threshold=threshold,
             max_pieces=max_pieces,
             seed=seed,
         )
-        names = [f"piece {i} of the mesh" for i in range(len(sets))]
-        return cls(_from_point_sets(sets, np.array([0, len(sets)]), tol, names=names), covering)
+        return cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
@@ -255,7 +286,7 @@ class Body(_Bodies):
         """
         half = _validate.positive_vector(size, "size", 3) / 2
         signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-        hull = polytopes.hulls([signs * half])
+        hull = hulls([signs * half])
         # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
         F = np.diag(half)
         return cls(
@@ -414,7 +445,7 @@ class Body(_Bodies):
             raise GeometryError("bodies: expected at least one body, found none")
         packed = join([_expect_body(b, "bodies")._packed for b in listed])
         start = np.array([0, len(packed.layout)])
-        return cls(Packed(**{**arrays_of(packed), "piece_start": start}, maps=packed.maps))
+        return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps))
 
     def transformed(self, T: ArrayLike) -> Body:
         """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
@@ -446,29 +477,6 @@ class Body(_Bodies):
         array([[5., 0., 0.]])
         """
         return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
-
-        Parameters
-        ----------
-        path : path
-            Ends in ``.npz``; a file of that name is replaced.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise.
-        FileError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> Body.sphere(1.0).save("ball.npz")
-        >>> Body.load("ball.npz")
-        Body(sphere, 0 vertices)
-        """
-        files.save(self._packed, path, self.covering)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
@@ -616,22 +624,6 @@ class Bodies(_Bodies):
         """Body i owns the pieces piece_start[i] .. piece_start[i+1]; shape (n + 1,)."""
         return self._packed.piece_start
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a versioned ``.npz`` without pickle, to a temporary name first, then renamed.
-
-        Parameters
-        ----------
-        path : path
-            Ends in ``.npz``; a file of that name is replaced.
-
-        Examples
-        --------
-        >>> Bodies.spheres([0.5, 1.0]).save("balls.npz")
-        >>> Bodies.load("balls.npz")
-        Bodies(2 bodies, 2 pieces)
-        """
-        files.save(self._packed, path, None)
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
         """Read what `save` of a body or of bodies wrote.
@@ -666,18 +658,22 @@ def _from_point_sets(
     progress: Progress | None = None,
 ) -> Packed:
     """Hulls, fits, packing; `names` as for `polytopes.hulls`."""
-    if not sets:
+    return _fitted(hulls(sets, names=names), piece_start, tol, progress)
+
+
+def _fitted(hull: Hulls, piece_start: Ints, tol: float, progress: Progress | None = None) -> Packed:
+    """Fits and packing of hulls."""
+    if len(hull) == 0:
         return empty()
-    hull = polytopes.hulls(sets, names=names)
     inner_c, inner_F, outer_c, outer_F, inner_gap, outer_gap = fits.fit_pieces(
-        hull.vert_start, hull.vertices, hull.face_start, hull.normals, hull.offsets, tol=tol, progress=progress
+        hull.vert_start, hull.vertices, hull.face_start, hull.normals, tol=tol, progress=progress
     )
     gaps = np.stack([inner_gap, outer_gap], axis=1)
     return _assemble_polytopes(hull, piece_start, inner_c, inner_F, outer_c, outer_F, gaps)
 
 
 def _assemble_polytopes(
-    hull: polytopes.Hulls,
+    hull: Hulls,
     piece_start: Ints,
     inner_c: Floats,
     inner_F: Floats,
@@ -690,7 +686,7 @@ def _assemble_polytopes(
     layout[:, shapes.KIND] = shapes.POLYTOPE
     layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
     layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
-    return Packed(
+    pieces = PieceArrays(
         layout=layout,
         points=np.ascontiguousarray(hull.vertices),
         planes=np.ascontiguousarray(np.column_stack([hull.normals, hull.offsets])),
@@ -704,6 +700,7 @@ def _assemble_polytopes(
         outer_factor=outer_F,
         gaps=gaps,
     )
+    return Packed.of(pieces)
 
 
 def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:

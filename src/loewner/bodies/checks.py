@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from loewner._kernels.pieces import directions, rigid, shapes
 from loewner._validate import Floats, Ints
-from loewner.bodies.layout import LARGEST, Maps, direction_maps
-from loewner.bodies.pack import ARRAYS, KIND_NAMES, Packed
+from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps
+from loewner.bodies.pack import KIND_NAMES, Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
@@ -94,7 +94,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
         _check_ranges(arrays)
         _check_curved(arrays)
         maps = _check_polytopes(arrays)
-        return Packed(**arrays, maps=maps)
+        return Packed.of(PieceArrays(**arrays), maps)
 
 
 def _refuse(bad: NDArray[np.bool_], what: str, found: NDArray[Any] | None = None, rows: Ints | None = None) -> None:

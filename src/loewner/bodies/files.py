@@ -22,7 +22,8 @@ import numpy as np
 from loewner._files import replacing
 from loewner._validate import physical_memory
 from loewner.bodies.checks import INTEGERS, check_shapes, checked
-from loewner.bodies.pack import ARRAYS, Packed, arrays_of
+from loewner.bodies.layout import ARRAYS, arrays_of
+from loewner.bodies.pack import Packed
 from loewner.coverage import Covering
 from loewner.errors import FileError, InputError
 

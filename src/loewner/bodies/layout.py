@@ -1,9 +1,9 @@
-"""What kernels see of packed pieces: tables, vertices in blocks, trees, and the address of it all."""
+"""Pieces in flat arrays, and what kernels see of them: tables, vertices in blocks, trees, and the address of it all."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from loewner._kernels.simd import support
 from loewner._kernels.trees import piece_tree
 from loewner._validate import Floats, Ints
 from loewner.errors import GeometryError
-
-if TYPE_CHECKING:
-    from loewner.bodies.pack import Packed
 
 Maps = dict[int, tuple[Ints, Floats]]
 
@@ -34,6 +31,54 @@ SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
 # Sizes at which the certificate may work in single precision first (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class PieceArrays:
+    """Pieces of n bodies as arrays, which are read-only from here on.
+
+    Attributes
+    ----------
+    layout : ndarray of int64, shape (P, 5)
+        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
+    points, planes : ndarray, shapes (V, 3) and (F, 4)
+        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
+    piece_start : ndarray of int64, shape (n + 1,)
+        Body i owns the pieces piece_start[i] .. piece_start[i+1].
+    frames : ndarray, shape (P, 13)
+        Rounding radius, center and factor of the unit shape's image (zero for polytopes).
+    triangles, triangle_start
+        Hull triangles of the polytopes, as indices into the piece's own points.
+    inner_center, inner_factor, outer_center, outer_factor
+        The ellipsoids, shapes (P, 3) and (P, 3, 3).
+    gaps : ndarray, shape (P, 2)
+        Certified log-volume gaps of the inner and the outer fit.
+    """
+
+    layout: Ints
+    points: Floats
+    planes: Floats
+    piece_start: Ints
+    frames: Floats
+    triangles: Ints
+    triangle_start: Ints
+    inner_center: Floats
+    inner_factor: Floats
+    outer_center: Floats
+    outer_factor: Floats
+    gaps: Floats
+
+    def __post_init__(self) -> None:
+        for name in ARRAYS:
+            getattr(self, name).setflags(write=False)
+
+
+ARRAYS = tuple(f.name for f in fields(PieceArrays))
+
+
+def arrays_of(pieces: PieceArrays) -> dict[str, Any]:
+    """The arrays by name, in the order of `ARRAYS`."""
+    return {name: getattr(pieces, name) for name in ARRAYS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +101,8 @@ class KernelArrays:
     handle: int
 
     @classmethod
-    def of(cls, p: Packed) -> KernelArrays:
-        """Make the arrays of a pack whose direction maps are known.
+    def of(cls, p: PieceArrays, maps: Maps) -> KernelArrays:
+        """Make the arrays of pieces, with the direction maps of those that are large.
 
         Raises
         ------
@@ -65,7 +110,7 @@ class KernelArrays:
             If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
         """
         table = _table(p)
-        layout, points = _kernel_points(p)
+        layout, points = _kernel_points(p, maps)
         hot = np.ascontiguousarray(table[:, : shapes.HOT])
         start = p.piece_start.copy()
         single = _single(hot)
@@ -90,9 +135,8 @@ def starts(lengths: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 
-def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
+def _kernel_points(p: PieceArrays, maps: Maps) -> tuple[Ints, Floats]:
     """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
-    maps = p.maps or {}
     first = p.layout[:, shapes.POINTS_FROM]
     lengths = p.layout[:, shapes.POINTS_TO] - first
     columns = -(-lengths // support.BLOCK) * support.BLOCK
@@ -116,7 +160,7 @@ def _kernel_points(p: Packed) -> tuple[Ints, Floats]:
     return np.column_stack([kind, begin[:-1], begin[:-1] + columns]), points
 
 
-def _table(p: Packed) -> Floats:
+def _table(p: PieceArrays) -> Floats:
     """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
     table = np.zeros((len(p.layout), shapes.COLUMNS))
     # Before anything overflows. A factor's entries are no larger than the longest semi-axis.

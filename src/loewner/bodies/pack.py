@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,89 +10,62 @@ import numpy as np
 from loewner import _memory, _validate
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints
-from loewner.bodies.layout import KernelArrays, Maps, direction_maps, starts
+from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, starts
 from loewner.errors import GeometryError
 
 KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
 
 
 @dataclass(frozen=True, eq=False)
-class Packed:
-    """Pieces of n bodies as arrays; what kernels see is `kernel`.
+class Packed(PieceArrays):
+    """Pieces of n bodies, and what kernels see of them; made by `of`.
 
     Attributes
     ----------
-    layout : ndarray of int64, shape (P, 5)
-        Kind, first and last+1 row of the piece's points, first and last+1 row of its planes.
-    points, planes : ndarray, shapes (V, 3) and (F, 4)
-        Vertices, and faces as (unit outward normal, offset): n·x <= offset.
-    piece_start : ndarray of int64, shape (n + 1,)
-        Body i owns the pieces piece_start[i] .. piece_start[i+1].
-    frames : ndarray, shape (P, 13)
-        Rounding radius, center and factor of the unit shape's image (zero for polytopes).
-    triangles, triangle_start
-        Hull triangles of the polytopes, as indices into the piece's own points.
-    inner_center, inner_factor, outer_center, outer_factor
-        The ellipsoids, shapes (P, 3) and (P, 3, 3).
-    gaps : ndarray, shape (P, 2)
-        Certified log-volume gaps of the inner and the outer fit.
-    maps
-        What `loewner._kernels.directions.direction_map` makes of the large polytopes, by number of the piece; None:
-        still to be made.
+    maps : dict
+        What `loewner._kernels.pieces.directions.direction_map` makes of the large polytopes, by number of the piece.
+    kernel_arrays : KernelArrays
+        It lives as long as `handle` is used.
+    kernel : Pieces
+        Its arrays, at hand for single calls.
+    handle : int
+        Its handle, likewise.
     """
 
-    layout: Ints
-    points: Floats
-    planes: Floats
-    piece_start: Ints
-    frames: Floats
-    triangles: Ints
-    triangle_start: Ints
-    inner_center: Floats
-    inner_factor: Floats
-    outer_center: Floats
-    outer_factor: Floats
-    gaps: Floats
-    maps: Maps | None = None
+    maps: Maps
+    kernel_arrays: KernelArrays
+    kernel: Any
+    handle: int
 
-    def __post_init__(self) -> None:
+    @classmethod
+    def of(cls, pieces: PieceArrays, maps: Maps | None = None) -> Packed:
+        """Make what kernels need; the direction maps, too, unless they are given.
+
+        Raises
+        ------
+        GeometryError
+            If a piece is too small or too large for kernels.
+        """
         _memory.expect_start()
-        for name in ARRAYS:
-            getattr(self, name).setflags(write=False)
-        if self.maps is None:
-            object.__setattr__(self, "maps", direction_maps(self.layout, self.points))
-        made = KernelArrays.of(self)
-        object.__setattr__(self, "kernel_arrays", made)
-        object.__setattr__(self, "kernel", made.arrays)
-        object.__setattr__(self, "handle", made.handle)
+        if maps is None:
+            maps = direction_maps(pieces.layout, pieces.points)
+        made = KernelArrays.of(pieces, maps)
+        return cls(**arrays_of(pieces), maps=maps, kernel_arrays=made, kernel=made.arrays, handle=made.handle)
 
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
-        return type(self), (*(getattr(self, name) for name in ARRAYS), self.maps)
+        return type(self).of, (PieceArrays(**arrays_of(self)), self.maps)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays, with those that are made for the kernels."""
-        maps = [array for made in (self.maps or {}).values() for array in made]
+        maps = [array for made in self.maps.values() for array in made]
         return sum(int(array.nbytes) for array in (*arrays_of(self).values(), *maps, *self.kernel))
-
-    # Set in __post_init__; the last two are parts of the first, at hand for single calls.
-    kernel_arrays: KernelArrays = field(init=False)
-    kernel: Any = field(init=False)
-    handle: int = field(init=False)
-
-
-ARRAYS = tuple(f.name for f in fields(Packed) if f.init and f.name != "maps")
-
-
-def arrays_of(packed: Packed) -> dict[str, Any]:
-    """The arrays of a pack by name, in the order of `ARRAYS`."""
-    return {name: getattr(packed, name) for name in ARRAYS}
 
 
 def empty() -> Packed:
     """Pack of no bodies."""
-    return Packed(
+    pieces = PieceArrays(
         layout=np.zeros((0, 5), dtype=np.int64),
         points=np.zeros((0, 3)),
         planes=np.zeros((0, 4)),
@@ -106,6 +79,7 @@ def empty() -> Packed:
         outer_factor=np.zeros((0, 3, 3)),
         gaps=np.zeros((0, 2)),
     )
+    return Packed.of(pieces)
 
 
 def join(parts: list[Packed]) -> Packed:
@@ -121,8 +95,8 @@ def join(parts: list[Packed]) -> Packed:
     for name, column in (("piece_start", 2), ("triangle_start", 3)):
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
         joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
-    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in (p.maps or {}).items()}
-    return Packed(**joined, maps=maps)
+    maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.maps.items()}
+    return Packed.of(PieceArrays(**joined), maps)
 
 
 def _ranges(starts: Ints, stops: Ints) -> Ints:
@@ -148,7 +122,7 @@ def take(p: Packed, bodies: Ints) -> Packed:
     moved = np.column_stack(
         [layout[:, shapes.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
     ).astype(np.int64)
-    return Packed(
+    taken = PieceArrays(
         layout=np.ascontiguousarray(moved),
         points=p.points[points],
         planes=p.planes[planes],
@@ -161,8 +135,9 @@ def take(p: Packed, bodies: Ints) -> Packed:
         outer_center=p.outer_center[pieces],
         outer_factor=p.outer_factor[pieces],
         gaps=p.gaps[pieces],
-        maps={new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {},
     )
+    maps = {new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {}
+    return Packed.of(taken, maps)
 
 
 def moved(p: Packed, T: Floats) -> Packed:
@@ -209,4 +184,4 @@ def moved(p: Packed, T: Floats) -> Packed:
         outer_factor=(R @ p.outer_factor) * grow[:, None, None],
         gaps=p.gaps + 3 * np.column_stack([-np.log(shrink), np.log(grow)]),
     )
-    return Packed(**arrays)
+    return Packed.of(PieceArrays(**arrays))

@@ -6,6 +6,7 @@ import numpy as np
 
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints
+from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed
 
 # Relative allowance for the rounding of a closed form and of a stored factor.
@@ -27,7 +28,7 @@ def primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer:
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, shapes.KIND] = kind
     center = np.tile([0.0, 0.0, lift], (n, 1))
-    return Packed(
+    pieces = PieceArrays(
         layout=layout,
         points=np.zeros((0, 3)),
         planes=np.zeros((0, 4)),
@@ -41,6 +42,7 @@ def primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer:
         outer_factor=_diagonal(outer) * (1 + slack),
         gaps=np.full((n, 2), 6 * slack),
     )
+    return Packed.of(pieces)
 
 
 def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:

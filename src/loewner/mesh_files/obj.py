@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from loewner._validate import Floats, Ints
-from loewner.mesh_files.parts import Refusal, Triangles, expect, fans, floats, integers, is_integer, quoted
+from loewner.mesh_files.parts import Refusal, Triangles, expect, fans, floats, in_line, integers, is_integer, quoted
 
 # Bytes whose words are taken apart at a time; they take some twenty times as much memory.
 BLOCK = 1 << 23
@@ -116,10 +116,7 @@ def _coordinates(vertex_lines: list[bytes], numbers: list[int], width: int) -> F
     for number, line in zip(numbers, vertex_lines, strict=True):
         words = line.split()[1:]
         expect(len(words) == width in _WIDTHS, f"expected a vertex of {asked}, found {len(words)}", number)
-        try:
-            floats(words)
-        except Refusal as refusal:
-            raise Refusal(str(refusal), number) from None
+        in_line(number, floats, words)
     raise Refusal("expected vertices, found something else")
 
 

@@ -1,15 +1,20 @@
 """Object File Format: a header, three counts, vertices, faces; with colours and normals, in text."""
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
-from numpy.typing import NDArray
 
 from loewner._validate import Floats, Ints
-from loewner.mesh_files.parts import Refusal, Triangles, check_range, data_lines, expect, fans, floats, integers, quoted
-
-T = TypeVar("T", np.float64, np.int64)
+from loewner.mesh_files.parts import (
+    Refusal,
+    Triangles,
+    check_range,
+    data_lines,
+    expect,
+    fans,
+    floats,
+    in_line,
+    integers,
+    quoted,
+)
 
 # Numbers in a line of a vertex: x y z, a normal, a colour of three or four.
 _WIDTHS = {b"OFF": (3,), b"NOFF": (6,), b"COFF": (6, 7), b"CNOFF": (9, 10)}
@@ -28,7 +33,7 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
     else:
         lines[0] = lines[0][1:]
     expect(lines and len(lines[0]) == 3, "expected counts of vertices, faces and edges behind OFF, found none")
-    v, f, _ = (int(count) for count in _at(numbers[0], integers, lines[0]))
+    v, f, _ = (int(count) for count in in_line(numbers[0], integers, lines[0]))
     expect(v >= 0 and f >= 0, f"expected counts of vertices and faces, found {v} and {f}", numbers[0])
     expect(
         len(lines) == 1 + v + f,
@@ -52,13 +57,13 @@ def read(data: bytes) -> tuple[Floats, Triangles]:
 
 def _face(line: list[bytes], number: int, count: int) -> Ints:
     """Corners of one face, which may have a colour."""
-    size = int(_at(number, integers, line[:1])[0])
+    size = int(in_line(number, integers, line[:1])[0])
     expect(size >= 3, f"expected a face of at least 3 corners, found {size}", number)
     found = f"expected a face of {size} corners and perhaps a colour, found {len(line) - 1} numbers"
     expect(len(line) - 1 - size in _COLOURS, found, number)
-    corners = _at(number, integers, line[1 : 1 + size])
+    corners = in_line(number, integers, line[1 : 1 + size])
     check_range(corners, count, "a face", number)
-    _at(number, floats, line[1 + size :])
+    in_line(number, floats, line[1 + size :])
     return corners
 
 
@@ -72,13 +77,5 @@ def _vertices(lines: list[list[bytes]], numbers: list[int], widths: tuple[int, .
         return floats([token for line in lines for token in line]).reshape(-1, width)[:, :3].copy()
     except Refusal:
         for line, number in zip(lines, numbers, strict=True):
-            _at(number, floats, line)
+            in_line(number, floats, line)
         raise
-
-
-def _at(number: int, convert: Callable[[list[bytes]], NDArray[T]], tokens: list[bytes]) -> NDArray[T]:
-    """Convert the words of a line; a refusal gets its number."""
-    try:
-        return convert(tokens)
-    except Refusal as refusal:
-        raise Refusal(str(refusal), number) from None

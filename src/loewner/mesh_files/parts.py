@@ -1,12 +1,15 @@
 """What the readers of all formats share: how they refuse, numbers from text, polygons to triangles."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner._validate import Floats, Ints
 
 Triangles = Ints
+T = TypeVar("T", np.float64, np.int64)
 
 # Most vertices, and most triangles, of a mesh: a file of 2 GiB holds about as many. A short file can name the same
 # ones a million times over.
@@ -69,6 +72,14 @@ def integers(tokens: Sequence[bytes]) -> Ints:
         pass
     bad = next((token for token in tokens if not is_integer(token)), max(tokens, key=len, default=b""))
     raise Refusal(f"expected a whole number, found {quoted(bad)}")
+
+
+def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], tokens: Sequence[bytes]) -> NDArray[T]:
+    """Convert the words of a line; a refusal gets its number."""
+    try:
+        return convert(tokens)
+    except Refusal as refusal:
+        raise Refusal(str(refusal), number) from None
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:

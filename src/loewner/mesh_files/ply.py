@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 
 from loewner._validate import Floats, Ints
-from loewner.mesh_files.parts import Refusal, Triangles, check_range, data_lines, expect, fans, floats, integers, quoted
+from loewner.mesh_files.parts import (
+    Refusal,
+    Triangles,
+    check_range,
+    data_lines,
+    expect,
+    fans,
+    floats,
+    in_line,
+    integers,
+    quoted,
+)
 
 _TYPES = {
     "char": "i1",
@@ -182,7 +193,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
                 scalars[p.name] = floats([line[k] for line in lines])
         except Refusal:
             for line, number in zip(lines, numbers, strict=True):
-                _numbers(line, number)
+                in_line(number, floats, line)
             raise
         return _Content(scalars, _no_integers(), _no_integers())
     if len(properties) == 1 and lines and len(set(map(len, lines))) == 1 and properties[0].name in _CORNERS:
@@ -202,10 +213,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
                 columns[p.name].append(line[k])
                 k += 1
                 continue
-            try:
-                size = int(integers(line[k : k + 1])[0])
-            except Refusal as refusal:
-                raise Refusal(str(refusal), number) from None
+            size = int(in_line(number, integers, line[k : k + 1])[0])
             expect(
                 0 <= size <= len(line) - k - 1, f"expected a list of {size} numbers, found {len(line) - k - 1}", number
             )
@@ -214,7 +222,7 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
                 corners.extend(values)
                 sizes.append(size)
             else:
-                _numbers(values, number)
+                in_line(number, floats, values)
             k += 1 + size
         expect(k == len(line), f"expected {k} numbers for this {element.name}, found {len(line)}", number)
     try:
@@ -223,15 +231,8 @@ def _text_element(element: _Element, lines: list[list[bytes]], numbers: list[int
         return _Content(scalars, integers(corners), np.array(sizes, dtype=np.int64))
     except Refusal as refusal:
         for line, number in zip(lines, numbers, strict=True):
-            _numbers(line, number)
+            in_line(number, floats, line)
         raise Refusal(f"{element.name}: {refusal}") from None
-
-
-def _numbers(tokens: list[bytes], number: int) -> None:
-    try:
-        floats(tokens)
-    except Refusal as refusal:
-        raise Refusal(str(refusal), number) from None
 
 
 def _no_integers() -> Ints:
