@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, pieces, random_poses
-from loewner import Bodies, Body, Verdict, crowds, overlapping_pairs
+from loewner import Bodies, Body, Verdict, _settle, crowds, overlapping_pairs
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -287,6 +287,6 @@ def test_unsettled_pairs_are_an_error(monkeypatch):
         out[:] = Verdict.AMBIGUOUS
         return True
 
-    monkeypatch.setattr(crowds.verdicts, "settle_range", gives_up)
+    monkeypatch.setattr(_settle.verdicts, "settle_range", gives_up)
     with pytest.raises(loewner.ConvergenceError, match=r"first of them \(0, 1\)"):
         overlapping_pairs(Bodies.spheres([1.0, 1.0]))

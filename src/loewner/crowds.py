@@ -8,12 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
-from loewner._kernels.pipeline import fallback, verdicts
-from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
 from loewner._kernels.trees import boxes
+from loewner._settle import settle
 from loewner._threads import in_shares, usable
 from loewner._validate import Floats, Ints
-from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
 
@@ -146,7 +144,6 @@ def _settled(
     plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     rows = np.empty((2, boxes.WIDE * n + CANDIDATES), dtype=np.int64)
     found: list[Ints] = []
-    memory = workspace(WORKSPACE)
     leaf = first
     while leaf < last:
         leaf, count = boxes.candidates(leaf, last, margin, *tree, rows[0], rows[1])
@@ -154,13 +151,9 @@ def _settled(
             continue
         listed = rows[:, :count].copy()
         a, b = listed
-        out = np.empty(count, dtype=np.int8)
-        tally = np.zeros(codes.TIERS, dtype=np.int64)
-        both = packed.handle, T, packed.handle, T
-        verdicts.settle_range(mode, margin, 0, count, plan, listed, *both, out, tally, memory)
+        out = np.full(count, codes.AMBIGUOUS, dtype=np.int8)
+        settle(mode, margin, 0, count, (plan, listed, packed.handle, T, packed.handle, T), out)
         if mode == codes.EXACT:
-            if tally[codes.OPEN]:
-                fallback.settle_open(margin, plan, listed, *both, out)
             _refuse_unsettled(out, a, b)
         kept = out != codes.FREE
         found.append(a[kept] * n + b[kept])

@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
-from loewner._kernels.pipeline import distances, fallback, verdicts
-from loewner._kernels.pipeline.workspace import SIZE as WORKSPACE
+from loewner._kernels.pipeline import distances
+from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints
-from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError
 
@@ -103,11 +102,6 @@ class Distance:
         return _validate.brief(self)
 
 
-# The plan of one pair, and the rows of pairs that are not listed by number: see `verdicts.settle_range`.
-_ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
-NO_ROWS = np.empty((2, 0), dtype=np.int64)
-
-
 class _Pairs(NamedTuple):
     """Operands of a query, broadcast: what the kernels take."""
 
@@ -125,8 +119,8 @@ class _Pairs(NamedTuple):
         return self.plan, a.handle, Ta, b.handle, Tb
 
     @property
-    def handles(self) -> tuple[Any, ...]:
-        """The same by handles, as `verdicts.settle_range` takes them."""
+    def listed(self) -> Operands:
+        """The same with rows, as `settle` takes them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
@@ -156,7 +150,7 @@ def _prepare(
     if chosen is not None:
         return _listed(chosen, a, Ta, b, Tb, each)
     if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        return _Pairs((), 1, _ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
+        return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
     of_a = (len(a),) if isinstance(a, Bodies) else ()
     of_b = (len(b),) if isinstance(b, Bodies) else ()
@@ -236,11 +230,9 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
         Ta, Tb = _validate.one_pose(T_world_a), _validate.one_pose(T_world_b)
         if Ta is not None and Tb is not None:
             out = np.empty(1, dtype=np.int8)
-            tally = np.zeros(codes.TIERS, dtype=np.int64)
-            handles = a._packed.handle, Ta[None], b._packed.handle, Tb[None]
-            memory = workspace(WORKSPACE)
+            operands = ONE_PAIR, NO_ROWS, a._packed.handle, Ta[None], b._packed.handle, Tb[None]
             try:  # a guard of its own: one around the whole query takes a tenth as long as this
-                if verdicts.settle_range(mode, margin, 0, 1, _ONE_PAIR, NO_ROWS, *handles, out, tally, memory):
+                if settle(mode, margin, 0, 1, operands, out) is not None:
                     return int(out[0])
             except GUARDED as error:
                 raise meant(error) from None
@@ -252,16 +244,14 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
     out = np.empty(pairs.total, dtype=np.int8)
 
     def run(first: int, last: int) -> Ints:
-        tally = np.zeros(codes.TIERS, dtype=np.int64)
-        if not verdicts.settle_range(mode, margin, first, last, *pairs.handles, out, tally, workspace(WORKSPACE)):
-            for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
-                _validate.rigid_motions(T, name)
-        return tally
+        tally = settle(mode, margin, first, last, pairs.listed, out)
+        if tally is not None:
+            return tally
+        for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
+            _validate.rigid_motions(T, name)
+        raise PoseError("expected rigid motions, found poses that are none")
 
-    tally = reduce(np.add, in_shares(run, pairs.total, CHUNK))
-    if mode == codes.EXACT and tally[codes.OPEN]:
-        fallback.settle_open(margin, *pairs.handles, out)
-    return out, tally
+    return out, reduce(np.add, in_shares(run, pairs.total, CHUNK))
 
 
 def classify(
@@ -384,8 +374,8 @@ def collide(
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     if exact and pairs is None:
         one = _settle_one(codes.EXACT, keep, a, T_world_a, b, T_world_b)
-        if one in (codes.FREE, codes.COLLIDING):
-            return one == codes.COLLIDING
+        if one >= 0:
+            return one == codes.COLLIDING or (one == codes.AMBIGUOUS and _refused(np.array([True]), "collide", True))
     return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
 
 

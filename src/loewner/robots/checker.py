@@ -18,6 +18,7 @@ from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._kernels.robots import configurations
+from loewner._settle import settle
 from loewner._threads import in_shares
 from loewner._validate import Floats, Pair
 from loewner._workspaces import workspace
@@ -483,16 +484,18 @@ class CollisionChecker:
         pack = ready.bodies._packed.handle
 
         def run(first: int, last: int) -> None:
+            # Counts of its own for each of several shares: threads that write side by side slow each other down.
+            hits = ready.hits if total <= LEAST_SHARE else np.zeros_like(ready.hits)
             memory = workspace(ready.memory)
-            configurations.check_configurations(
-                mode, first, last, flat, pack, ready.handle, out, tiers, ready.hits, memory
-            )
+            configurations.check_configurations(mode, first, last, flat, pack, ready.handle, out, tiers, hits, memory)
+            if hits is not ready.hits:
+                np.add(ready.hits, hits, out=ready.hits)
 
         in_shares(run, total, LEAST_SHARE)
         self._learn(ready, total)
         if mode == codes.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
-                out[k], tiers[k] = self._settle_with_care(ready, flat[k]), codes.BY_SEARCH
+                out[k], tiers[k] = self._settle_pairs(ready, flat[k]), codes.BY_SEARCH
         return out, tiers
 
     def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
@@ -508,24 +511,27 @@ class CollisionChecker:
         if verdict != codes.AMBIGUOUS:
             return bool(verdict == codes.FREE)
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
-        return all(self._settle_with_care(ready, q) == Verdict.FREE for q in still_open)
+        return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
 
-    def _settle_with_care(self, ready: CheckedPairs, q: Floats) -> int:
-        """One configuration that the fast searches left open, pair by pair."""
-        T = ready.poses(q[None])[0]
-        open_pairs = []
-        for p, (a, b) in enumerate(ready.pairs):
-            try:
-                if queries.collide(
-                    ready.bodies[int(a)], T[a], ready.bodies[int(b)], T[b], margin=float(ready.margins[p])
-                ):
-                    return int(Verdict.COLLIDING)
-            except ConvergenceError:
-                open_pairs.append((ready.names[a], ready.names[b]))
-        if open_pairs:
+    def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
+        """One configuration that the fast searches left open, by each of its pairs."""
+        T, pack = ready.poses(q[None])[0], ready.bodies._packed.handle
+        verdicts = np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
+        for margin in np.unique(ready.margins):
+            at = np.flatnonzero(ready.margins == margin)
+            plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
+            found = np.empty(len(at), dtype=np.int8)
+            operands = plan, np.ascontiguousarray(ready.pairs[at].T), pack, T, pack, T
+            if settle(codes.EXACT, float(margin), 0, len(at), operands, found) is not None:
+                verdicts[at] = found
+        if (verdicts == Verdict.COLLIDING).any():
+            return int(Verdict.COLLIDING)
+        unsettled = np.flatnonzero(verdicts == Verdict.AMBIGUOUS)
+        if len(unsettled):
+            a, b = (ready.names[k] for k in ready.pairs[unsettled[0]])
             raise ConvergenceError(
-                f"collide: {open_pairs[0][0]} and {open_pairs[0][1]} could not be settled at configuration "
-                f"{np.array2string(q, precision=17)}; treat it as colliding or change it by a hair"
+                f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat "
+                "it as colliding or change it by a hair"
             )
         return int(Verdict.FREE)
 

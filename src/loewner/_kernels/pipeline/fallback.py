@@ -17,8 +17,8 @@ CHUNK = 64  # piece pairs taken from the trees at a time
 
 
 @njit()
-def settle_open(margin, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses known to be rigid."""
+def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
+    """Settle the pairs start .. stop left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid."""
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     steps = np.empty(piece_tree.STEPS, np.int64)
@@ -26,7 +26,7 @@ def settle_open(margin, plan, rows, pack_a, Ta, pack_b, Tb, out):
     found_a = np.empty(CHUNK, np.int64)
     found_b = np.empty(CHUNK, np.int64)
     work = workspace(True)
-    for k in range(out.shape[0]):
+    for k in range(start, stop):
         if out[k] != AMBIGUOUS:
             continue
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)

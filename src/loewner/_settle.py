@@ -1,0 +1,50 @@
+"""Verdicts for listed pairs: the fast pass, then the fallback for what that leaves open.
+
+Queries of pairs, crowds and robots all come through here.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._kernels import codes
+from loewner._kernels.pipeline import fallback, verdicts
+from loewner._kernels.pipeline.workspace import SIZE
+from loewner._validate import Floats, Ints
+from loewner._workspaces import workspace
+
+# Plan, rows, handle and poses of a, handle and poses of b: see `verdicts.settle_range`.
+Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
+
+# The plan of one pair, and the rows of pairs that are not listed by number.
+ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
+NO_ROWS = np.empty((2, 0), dtype=np.int64)
+
+
+def settle(mode: int, margin: float, first: int, last: int, operands: Operands, out: NDArray[np.int8]) -> Ints | None:
+    """Settle pairs first .. last.
+
+    Parameters
+    ----------
+    mode : int
+        `codes.CERTIFY` or `codes.EXACT`.
+    margin : float
+        Metres, >= 0.
+    out : ndarray of int8
+        Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair: the caller must not take
+        it for anything else.
+
+    Returns
+    -------
+    ndarray of int64, shape (TIERS,), or None
+        How many piece pairs the fast pass settled by each tier. None if a pose is no rigid motion; nothing then holds.
+    """
+    tally = np.zeros(codes.TIERS, dtype=np.int64)
+    if not verdicts.settle_range(mode, margin, first, last, *operands, out, tally, workspace(SIZE)):
+        return None
+    if mode == codes.EXACT and tally[codes.OPEN]:
+        fallback.settle_open(margin, first, last, *operands, out)
+    return tally
