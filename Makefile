@@ -19,8 +19,10 @@ THREADS ?= 2
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
 
-demo: $(VENV)/.demo
-	$(BIN)/python -m loewner compile --only verdicts estimates fits robots
+# What compiling does not need is installed beside it.
+demo: $(VENV)/.core
+	@$(BIN)/python -m loewner compile --only verdicts estimates fits robots & compiling=$$!; \
+	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$compiling && exit $$installed
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
@@ -64,10 +66,14 @@ $(BIN)/python:
 	  { echo "loewner needs Python >= 3.11; try make PYTHON=python3.13 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.demo: requirements/core.txt requirements/demo.txt requirements/data.txt pyproject.toml | $(BIN)/python
+$(VENV)/.core: requirements/core.txt pyproject.toml | $(BIN)/python
+	$(PIP) -r requirements/core.txt
+	$(PIP) --no-deps --editable .
+	@touch $@
+
+$(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
 	$(PIP) -r requirements/demo.txt
 	$(PIP) --no-deps -r requirements/data.txt
-	$(PIP) --no-deps --editable .
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
