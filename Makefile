@@ -21,7 +21,7 @@ help:
 
 # What compiling does not need is installed beside it.
 demo: $(VENV)/.core
-	@$(BIN)/python -m loewner compile --only verdicts estimates fits robots & compiling=$$!; \
+	@$(BIN)/python -m loewner compile --only verdicts robots fits paper & compiling=$$!; \
 	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$compiling && exit $$installed
 	$(BIN)/python examples/demo.py
 

@@ -248,7 +248,7 @@ def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
 
 def test_an_unknown_part_is_told():
     """The error names the parts that there are."""
-    known = "verdicts, crowds, robots, estimates, distances, fits"
+    known = "verdicts, crowds, robots, fits, distances, estimates, paper"
     with pytest.raises(loewner.UnknownNameError, match=f"{known}, found 'verdict'"):
         compilation.compile_kernels(["verdict"])
 

@@ -53,6 +53,12 @@ def _crowds() -> None:
     loewner.overlapping_pairs(balls, _poses())
 
 
+def _paper() -> None:
+    from loewner import paper
+
+    paper.run(20)
+
+
 def _distances() -> None:
     import loewner
 
@@ -91,13 +97,13 @@ def _robots() -> None:
 
 
 _PARTS = {
-    "verdicts": _verdicts, "crowds": _crowds, "robots": _robots, "estimates": _estimates, "distances": _distances,
-    "fits": _fits,
+    "verdicts": _verdicts, "crowds": _crowds, "robots": _robots, "fits": _fits, "distances": _distances,
+    "estimates": _estimates, "paper": _paper,
 }  # fmt: skip
 PARTS = tuple(_PARTS)
 
 # What one process compiles, since most of it is the same; those that take longest first.
-_TOGETHER = (("verdicts", "crowds", "robots", "estimates"), ("distances",), ("fits",))
+_TOGETHER = (("verdicts", "crowds", "robots"), ("fits",), ("distances", "estimates", "paper"))
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -108,7 +114,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Parameters
     ----------
     parts : iterable of str
-        Of "verdicts", "crowds", "robots", "estimates", "distances" and "fits"; all by default.
+        Of "verdicts", "crowds", "robots", "fits", "distances", "estimates" and "paper"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 

@@ -314,7 +314,7 @@ def _farthest(vertices: Floats, normals: Floats, most: int) -> tuple[Floats, int
 
     By a direction map, in coordinates where the piece is round: there it leaves few candidates, whatever the piece.
     """
-    chosen, nodes = directions.direction_map(vertices)
+    chosen, nodes = directions.direction_map(np.array(vertices))
     node, s, t = _cells(normals)
     for bit in reversed(range(directions.DEEPEST)):
         inner = nodes[node, 1] < 0

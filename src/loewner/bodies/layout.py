@@ -125,7 +125,7 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
     """Direction maps of the large polytopes, by number of the piece."""
     first, last = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
     return {
-        int(i): directions.direction_map(np.ascontiguousarray(points[first[i] : last[i]]))
+        int(i): directions.direction_map(points[first[i] : last[i]].copy())
         for i in np.flatnonzero(last - first > shapes.LARGE)
     }
 
