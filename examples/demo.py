@@ -74,8 +74,10 @@ def fitted(name: str, out: Path, decompose: bool, threshold: float) -> loewner.B
     seconds = time.perf_counter() - started
     body.save(out / f"{name}.npz")
     body = loewner.Body.load(out / f"{name}.npz")
-    vertices = sum(len(p.vertices) for p in body.pieces)
-    holds = "hold the whole mesh" if body.covering.exact else f"miss up to {body.covering.max_uncovered:.2g} m of it"
+    vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
+    covering = body.covering
+    assert covering is not None  # the body was made of a mesh
+    holds = "hold the whole mesh" if covering.exact else f"miss up to {covering.max_uncovered:.2g} m of it"
     console.print(
         f"{name}: {len(body.pieces)} convex pieces, {vertices:,} vertices, {holds}; "
         f"{seconds:.1f} s; saved as {out / name}.npz"
@@ -105,7 +107,7 @@ def check(a: loewner.Body, b: loewner.Body, poses: np.ndarray) -> np.ndarray:
     loewner.classify(a, None, b, poses[:1])  # compiles, if this machine has not before
     loewner.collide(a, None, b, poses[:1])
     started = time.perf_counter()
-    verdicts = loewner.classify(a, None, b, poses)
+    verdicts: np.ndarray = loewner.classify(a, None, b, poses)
     middle = time.perf_counter()
     exact = loewner.collide(a, None, b, poses)
     ended = time.perf_counter()

@@ -245,6 +245,17 @@ def test_robot_check_counts_what_the_checker_finds(folder, capsys):
     assert answer["outside_limits"] == []
 
 
+def test_robot_check_settles_each_configuration_once(folder, capsys, monkeypatch):
+    """Answers and tiers come of one search; one configuration more is for compiling, before the clock starts."""
+    asked = []
+    settle = loewner.CollisionChecker._settle
+    monkeypatch.setattr(
+        loewner.CollisionChecker, "_settle", lambda self, mode, Q: asked.append(len(Q)) or settle(self, mode, Q)
+    )
+    run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500, "--json")
+    assert asked == [1, 500]
+
+
 def test_robot_check_prints_tables(folder, capsys):
     """`robot check` prints how many configurations collide, what settled each of them, and which pairs met."""
     status, out, err = run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500)

@@ -27,7 +27,7 @@ from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import load, store
 from loewner.robots import link_bodies
-from loewner.robots.tree import _KINDS
+from loewner.robots.tree import KINDS
 from loewner.robots.urdf import VALUES, Shape
 from robot_oracle import disagreement, robots_folder
 
@@ -854,4 +854,4 @@ def test_reading_urdf_needs_no_optional_package(tmp_path):
 def test_kernels_and_descriptions_agree_on_widths():
     """Columns of a joint, by kind, are told twice: to kernels and to people."""
     for kind, values in VALUES.items():
-        assert kinematics.WIDTH[_KINDS[kind]] == len(values)
+        assert kinematics.WIDTH[KINDS[kind]] == len(values)

@@ -24,6 +24,12 @@ from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameE
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+Bools = NDArray[np.bool_]
+
+# One value, or an array of them: the number of axes of an argument decides, which its type does not tell. A union would
+# make users convert every result, so that checkers of types let this one pass for either.
+OneOrMany = Any
+
 # Names of two bodies or links.
 Pair = tuple[str, str]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,12 +24,39 @@ from loewner.errors import GeometryError, InputError, MissingExtraError, install
 from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.polytopes import Polytope
 
-if TYPE_CHECKING:
-    import trimesh
-
 __all__ = ["convex_pieces", "load"]
 
 T = TypeVar("T")
+
+
+class Surface(Protocol):
+    """What a `trimesh.Trimesh` is here: vertices, and triangles as indices of them."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Shape (v, 3), in metres, or in `units` if there are any."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Shape (t, 3)."""
+
+
+class Surfaces(Protocol):
+    """What a `trimesh.Scene` is here: something that can be joined."""
+
+    def to_mesh(self) -> Surface:
+        """All of it as one."""
+
+
+class Loaded(Protocol):
+    """What `trimesh.load` is said to return; whether it is a surface shows when it is read."""
+
+    @property
+    def bounds(self) -> ArrayLike | None:
+        """Corners of the box around it."""
+
+
+Source = str | PathLike[str] | Surface | Surfaces | Loaded
 
 SUFFIXES = mesh_files.SUFFIXES
 
@@ -45,7 +72,7 @@ USUAL_SIZES = (1e-4, 1e3)
 LARGEST_NUMBER = 2**31 - 1
 
 
-def load(source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene) -> tuple[Floats, Triangles]:
+def load(source: Source) -> tuple[Floats, Triangles]:
     """Read a mesh, as triangles in metres.
 
     Parameters
@@ -132,7 +159,7 @@ def _expect_finite(vertices: Floats, name: str) -> None:
 
 
 def convex_pieces(
-    source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
+    source: Source,
     *,
     scale: ArrayLike = 1.0,
     decompose: bool = True,
@@ -213,7 +240,7 @@ def convex_pieces(
 
 
 def convex_polytopes(
-    source: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene,
+    source: Source,
     *,
     scale: ArrayLike,
     decompose: bool,

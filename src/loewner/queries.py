@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
-from typing import Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, NoReturn, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,23 @@ from loewner._kernels import codes
 from loewner._kernels.pipeline import distances
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints, OneOrMany
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError
+
+if TYPE_CHECKING:  # at runtime, defaults of type variables are of Python 3.13
+    from typing_extensions import TypeVar
+
+    Number = TypeVar("Number", default=OneOrMany)
+    Exact = TypeVar("Exact", default=OneOrMany)
+    Vector = TypeVar("Vector", default=OneOrMany)
+else:
+    from typing import TypeVar
+
+    Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
+
+# What a result holds where nothing more was asked for: None, for type variables that may stand for it.
+NOTHING: Any = None
 
 # The smallest share of a batch that is worth handing to a thread.
 CHUNK = 4096
@@ -30,6 +44,11 @@ COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
 
 # A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
 LIST_BYTES, POSES_BYTES = 16, 256
+
+# Where a body or several are, as users give it.
+Poses = ArrayLike | None
+
+Verdicts = NDArray[np.int8]
 
 METHODS = ("exact", "estimate")
 
@@ -59,7 +78,7 @@ _VERDICTS = tuple(Verdict)
 
 
 @dataclass(frozen=True, eq=False)
-class Distance:
+class Distance(Generic[Number, Exact, Vector]):
     """Distances in metres, each of the batch's shape; negative is a penetration depth.
 
     Everything here is about the nearest, or else the deepest, two pieces. For bodies of several pieces a
@@ -90,16 +109,21 @@ class Distance:
     (array([1., 0., 0.]), array([1., 0., 0.]))
     """
 
-    lower: Any
-    upper: Any
-    estimate: Any
-    distance: Any = None
-    witness_a: Any = None
-    witness_b: Any = None
-    normal: Any = None
+    lower: Number
+    upper: Number
+    estimate: Number
+    distance: Exact = NOTHING
+    witness_a: Vector = NOTHING
+    witness_b: Vector = NOTHING
+    normal: Vector = NOTHING
 
     def __repr__(self) -> str:
         return _validate.brief(self)
+
+
+# Without and with ``exact=True``.
+Bounds = Distance[Number, None, None]
+Measured = Distance[Number, Number, Floats]
 
 
 class _Pairs(NamedTuple):
@@ -254,15 +278,30 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
     return out, reduce(np.add, in_shares(run, pairs.total, CHUNK))
 
 
+# fmt: off
+@overload
+def classify(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Verdicts: ...
+@overload
+def classify(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Verdicts: ...
+@overload
+def classify(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
+) -> OneOrMany: ...
+# fmt: on
 def classify(
     a: Body | Bodies,
-    T_world_a: ArrayLike | None,
+    T_world_a: Poses,
     b: Body | Bodies,
-    T_world_b: ArrayLike | None,
+    T_world_b: Poses,
     *,
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
-) -> Any:
+) -> OneOrMany:
     """Certified verdict from the ellipsoids alone.
 
     Parameters
@@ -318,16 +357,33 @@ def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, c
     return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
 
 
+# fmt: off
+@overload
+def collide(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Bools: ...
+@overload
+def collide(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> Bools: ...
+@overload
+def collide(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
+) -> OneOrMany: ...
+# fmt: on
 def collide(
     a: Body | Bodies,
-    T_world_a: ArrayLike | None,
+    T_world_a: Poses,
     b: Body | Bodies,
-    T_world_b: ArrayLike | None,
+    T_world_b: Poses,
     *,
     method: str = "exact",
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
-) -> Any:
+) -> OneOrMany:
     """Decide whether two bodies touch, overlap, or come within `margin` of each other.
 
     Parameters
@@ -423,12 +479,49 @@ def _copied(pairs: _Pairs, which: Ints) -> _Pairs:
     return _Pairs((len(which),), len(which), plan, (packs[0], packs[1]), (poses[0], poses[1]))
 
 
+# fmt: off
+@overload
+def distance(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[Floats]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
+) -> Bounds[OneOrMany]: ...
+@overload
+def distance(
+    a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike | None = ...,
+) -> Measured[OneOrMany]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: bool, pairs: ArrayLike | None = ...,
+) -> Distance: ...
+# fmt: on
 @guarded
 def distance(
     a: Body | Bodies,
-    T_world_a: ArrayLike | None,
+    T_world_a: Poses,
     b: Body | Bodies,
-    T_world_b: ArrayLike | None,
+    T_world_b: Poses,
     *,
     exact: bool = False,
     pairs: ArrayLike | None = None,

@@ -11,7 +11,7 @@ import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body
 from loewner.errors import InputError
-from loewner.queries import Distance
+from loewner.queries import Bounds, Distance, Measured
 
 # Held while a scene changes or is copied, for microseconds each. One for all scenes: none has to be kept out of copies
 # and pickles, and a process that forks meanwhile has one to see to.
@@ -621,6 +621,12 @@ class Scene:
         """
         return len(self._standing_now()._meeting()) > 0
 
+    @overload
+    def distance(self, a: str, b: str, *, exact: Literal[False] = ...) -> Bounds[float]: ...
+    @overload
+    def distance(self, a: str, b: str, *, exact: Literal[True]) -> Measured[float]: ...
+    @overload
+    def distance(self, a: str, b: str, *, exact: bool) -> Distance: ...
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
         """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
 

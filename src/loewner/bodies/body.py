@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -204,7 +204,7 @@ class Body(_Bodies):
     @classmethod
     def from_mesh(
         cls,
-        source: Any,
+        source: meshes.Source,
         *,
         decompose: bool = True,
         tol: float = 1e-4,
@@ -598,7 +598,11 @@ class Bodies(_Bodies):
     def __iter__(self) -> Iterator[Body]:
         return (self[i] for i in range(len(self)))
 
-    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> Any:
+    @overload
+    def __getitem__(self, index: int | np.integer[Any]) -> Body: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Bodies: ...
+    def __getitem__(self, index: int | np.integer[Any] | slice | Sequence[int] | NDArray[Any]) -> Body | Bodies:
         if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
             if not -len(self) <= index < len(self):
                 raise BodyIndexError(

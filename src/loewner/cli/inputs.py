@@ -13,6 +13,7 @@ from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli.output import progress_bar
 from loewner.errors import FileError, PoseError
+from loewner.fits import DEFAULT_TOLERANCE
 
 
 def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
@@ -51,7 +52,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     return loewner.Body.load(path) if path.suffix.lower() == ".npz" else from_mesh(path, options)
 
 
-def from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.Body:
+def from_mesh(path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE) -> loewner.Body:
     """Body of a mesh."""
     return loewner.Body.from_mesh(
         path,
@@ -60,7 +61,7 @@ def from_mesh(path: Path, options: argparse.Namespace, **more: Any) -> loewner.B
         threshold=options.threshold,
         max_pieces=options.max_pieces,
         seed=options.seed,
-        **more,
+        tol=tol,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from loewner._kernels.paper.estimates import PAPER_ANGLE
 from loewner._validate import Floats
+from loewner.bodies import Piece
 from loewner.ellipsoid_pairs import near_points
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import MissingExtraError, installing
@@ -100,6 +101,13 @@ def _exit(E: Ellipsoids, p: Floats, e: Floats) -> float:
     return float((-b + np.sqrt(b * b - a * c)) / a)
 
 
+def _faces(piece: Piece) -> tuple[Floats, Floats]:
+    """Normals and offsets; all pieces of the experiment are polytopes."""
+    assert piece.normals is not None
+    assert piece.offsets is not None
+    return piece.normals, piece.offsets
+
+
 def _polytope_exit(normals: Floats, offsets: Floats, p: Floats, e: Floats) -> float:
     """Where the ray p + t e leaves a polytope that holds p."""
     speed, slack = normals @ e, offsets - normals @ p
@@ -154,7 +162,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
             ax.plot(*curve, style, color=color, lw=1.4)
     pieces = [bodies[k].pieces[0] for bodies in (experiment.bodies_1, experiment.bodies_2)]
     for piece, color in zip(pieces, (BLUE, RED), strict=True):
-        polygon = _polygon(piece.normals, piece.offsets, line.v1, line.e, across)
+        polygon = _polygon(*_faces(piece), line.v1, line.e, across)
         if len(polygon):
             ax.fill(*polygon.T, color=color, alpha=0.15 if earlier else 0.05, lw=0)
     marks = {
@@ -165,8 +173,8 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     }
     if earlier:
         v2 = line.v1 + line.L * line.e
-        marks["$v_1$"] = (_polytope_exit(pieces[0].normals, pieces[0].offsets, line.v1, line.e), BLUE)
-        marks["$v_2$"] = (line.L - _polytope_exit(pieces[1].normals, pieces[1].offsets, v2, -line.e), RED)
+        marks["$v_1$"] = (_polytope_exit(*_faces(pieces[0]), line.v1, line.e), BLUE)
+        marks["$v_2$"] = (line.L - _polytope_exit(*_faces(pieces[1]), v2, -line.e), RED)
     ax.axhline(0.0, color=GREY, lw=0.7, zorder=0)
     # Labels alternate above and below in the order along the line, so that near neighbours stay legible.
     for place, (name, (t, color)) in enumerate(sorted(marks.items(), key=lambda item: item[1][0])):
@@ -282,6 +290,7 @@ def _samples(experiment: Experiment) -> Any:
         corners: list[Floats] = []
         for bodies, color in ((experiment.bodies_1, BLUE), (experiment.bodies_2, RED)):
             piece = bodies[k].pieces[0]
+            assert piece.vertices is not None  # all pieces of the experiment are polytopes
             ax.add_collection3d(
                 Poly3DCollection(
                     piece.vertices[piece.triangles], facecolors=color, edgecolors=color, alpha=0.22, linewidths=0.5

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,11 +20,11 @@ from loewner._kernels import codes
 from loewner._kernels.robots import configurations
 from loewner._settle import settle
 from loewner._threads import in_shares
-from loewner._validate import Floats, Pair
+from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies
 from loewner.errors import ConvergenceError, InputError
-from loewner.queries import Verdict
+from loewner.queries import NOTHING, Exact, Vector, Verdict
 from loewner.robots import edges
 from loewner.robots.checked_pairs import CheckedPairs, prepared
 from loewner.robots.robot import Robot
@@ -49,7 +49,7 @@ _OPEN = int(Verdict.AMBIGUOUS)
 
 
 @dataclass(frozen=True, eq=False)
-class StateDistance:
+class StateDistance(Generic[Exact, Vector]):
     """How far a robot is from touching, at one configuration or many; metres, negative is a depth.
 
     Attributes
@@ -73,13 +73,13 @@ class StateDistance:
     (('rail', 'post'), 0.35, True)
     """
 
-    lower: Any
-    upper: Any
-    distance: Any = None
-    names: Any = None
-    witness_a: Any = None
-    witness_b: Any = None
-    normal: Any = None
+    lower: OneOrMany
+    upper: OneOrMany
+    distance: Exact = NOTHING
+    names: Exact = NOTHING
+    witness_a: Vector = NOTHING
+    witness_b: Vector = NOTHING
+    normal: Vector = NOTHING
 
     def __repr__(self) -> str:
         return _validate.brief(self)
@@ -235,7 +235,7 @@ class CollisionChecker:
         ready = self._ready()
         return tuple((ready.names[a], ready.names[b]) for a, b in ready.pairs)
 
-    def collide(self, Q: ArrayLike) -> Any:
+    def collide(self, Q: ArrayLike) -> OneOrMany:
         """Decide exactly which configurations are in collision.
 
         Parameters
@@ -266,7 +266,7 @@ class CollisionChecker:
         out, _ = self._settle(codes.EXACT, checked)
         return _collisions(out, checked)
 
-    def classify(self, Q: ArrayLike) -> Any:
+    def classify(self, Q: ArrayLike) -> OneOrMany:
         """Certified verdicts from the ellipsoids alone.
 
         Parameters
@@ -300,7 +300,7 @@ class CollisionChecker:
         """
         return self.settle(Q)[1]
 
-    def settle(self, Q: ArrayLike) -> tuple[Any, Settled]:
+    def settle(self, Q: ArrayLike) -> tuple[OneOrMany, Settled]:
         """Decide as `collide` does, and count as `tiers` does, in one go.
 
         Parameters
@@ -330,7 +330,7 @@ class CollisionChecker:
         )
         return _collisions(out, checked), settled
 
-    def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> Any:
+    def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
         """Decide which straight motions are free of collisions, at steps no longer than `resolution`.
 
         Parameters
@@ -371,7 +371,8 @@ class CollisionChecker:
         shape = a.shape[:-1]
         _validate.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_validate.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
-        parts = edges.steps(self.robot._distances(a, b), step)
+        lengths: Floats = self.robot._distances(a, b)
+        parts = edges.steps(lengths, step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in edges.rounds(parts, valid):
             out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
@@ -400,7 +401,7 @@ class CollisionChecker:
         found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
         return Contact.from_distances(((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True)), found)
 
-    def collide_by_pair(self, Q: ArrayLike) -> NDArray[np.bool_]:
+    def collide_by_pair(self, Q: ArrayLike) -> Bools:
         """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
 
         Parameters
@@ -432,6 +433,12 @@ class CollisionChecker:
                 out[k : k + each, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
+    @overload
+    def distance(self, Q: ArrayLike, *, exact: Literal[False] = ...) -> StateDistance[None, None]: ...
+    @overload
+    def distance(self, Q: ArrayLike, *, exact: Literal[True]) -> StateDistance[OneOrMany, Floats]: ...
+    @overload
+    def distance(self, Q: ArrayLike, *, exact: bool) -> StateDistance: ...
     def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
         """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
 
@@ -588,7 +595,7 @@ class CollisionChecker:
         return lower, upper, best, names, *vectors
 
 
-def _collisions(out: NDArray[np.int8], Q: Floats) -> Any:
+def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
     """Whether configurations collide, from their verdicts."""
     return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
 

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +17,7 @@ from loewner._guard import guarded
 from loewner._kernels.robots import kinematics
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
-from loewner._validate import Floats, Pair, Progress
+from loewner._validate import Floats, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -430,7 +429,7 @@ class Robot:
             raise InputError(f"{name}: expected one configuration, shape ({self.dof},), found {found}")
         return checked
 
-    def configuration(self, values: Mapping[str, Any] | str | None = None) -> Floats:
+    def configuration(self, values: Mapping[str, ArrayLike] | str | None = None) -> Floats:
         """One configuration, by names.
 
         Parameters
@@ -550,7 +549,7 @@ class Robot:
         return np.maximum(lower, self.lower), np.minimum(upper, self.upper)
 
     @guarded
-    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> Any:
+    def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
         """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
 
         Parameters
@@ -571,7 +570,7 @@ class Robot:
         _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
         return self._distances(a, b)
 
-    def _distances(self, a: Floats, b: Floats) -> Any:
+    def _distances(self, a: Floats, b: Floats) -> OneOrMany:
         if a.ndim == b.ndim == 1 and self.runs_straight:
             return math.dist(a.tolist(), b.tolist())
         with np.errstate(over="ignore"):

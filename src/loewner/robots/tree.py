@@ -12,7 +12,8 @@ from loewner._validate import Floats, Ints, Pair
 from loewner.errors import InputError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
 
-_KINDS = {
+# Kinds of joints: what kernels call those of URDF.
+KINDS = {
     "fixed": kinematics.FIXED,
     "revolute": kinematics.REVOLUTE,
     "continuous": kinematics.REVOLUTE,
@@ -99,7 +100,7 @@ def tree_of(robot: Description, columns: dict[str, slice]) -> Tree:
             frames[name] = above, T
             continue
         mimic = joint.mimic
-        kind[i] = _KINDS[joint.kind]
+        kind[i] = KINDS[joint.kind]
         column[i] = columns[mimic.joint if mimic else joint.name].start
         if mimic:
             multiplier[i], offset[i] = mimic.multiplier, mimic.offset

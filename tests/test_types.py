@@ -1,0 +1,91 @@
+"""Types that users see: README and examples pass a strict checker; results are typed as far as types tell."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from mypy import api
+
+ROOT = Path(__file__).parent.parent
+
+# What each query returns, as far as the types of its arguments decide. `Any` stands for one value or an array.
+RESULTS = """
+from typing import Any, assert_type
+
+import numpy as np
+from numpy.typing import NDArray
+
+import loewner
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+body, several = loewner.Body.box([1, 1, 1]), loewner.Bodies.spheres([0.5, 1.0])
+assert_type(several[0], loewner.Body)
+assert_type(several[1:], loewner.Bodies)
+assert_type(several[[0, 1]], loewner.Bodies)
+T = np.eye(4)
+assert_type(loewner.classify(several, None, body, T), NDArray[np.int8])
+assert_type(loewner.collide(body, T, several, None), Bools)
+assert_type(loewner.collide(several, None, several, None, pairs=[[0, 1]]), Bools)
+assert_type(loewner.collide(body, None, body, T), Any)
+assert_type(loewner.distance(several, None, body, T).lower, Floats)
+assert_type(loewner.distance(several, None, body, T).distance, None)
+assert_type(loewner.distance(several, None, body, T, exact=True).distance, Floats)
+assert_type(loewner.distance(body, None, body, T).witness_a, None)
+assert_type(loewner.distance(body, None, body, T, exact=True).witness_a, Floats)
+assert_type(loewner.overlapping_pairs(several), NDArray[np.int64])
+
+scene = loewner.Scene()
+assert_type(scene.distance("a", "b").upper, float)
+assert_type(scene.distance("a", "b", exact=True).distance, float)
+assert_type(scene.collide(), bool)
+
+
+def asked(checker: loewner.CollisionChecker, q: Floats, exact: bool) -> loewner.Distance:
+    assert_type(checker.distance(q).distance, None)
+    assert_type(checker.distance(q, exact=True).normal, Floats)
+    assert_type(checker.collide_by_pair(q), Bools)
+    assert_type(checker.settle(q)[1].free, int)
+    return loewner.distance(body, None, body, T, exact=exact)
+"""
+
+
+def blocks(path: Path) -> str:
+    """All Python of a page."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", path.read_text(), flags=re.M | re.S))
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory):
+    """What a strict checker says of all of them, by file, in one run."""
+    folder = tmp_path_factory.mktemp("types")
+    (folder / "results.py").write_text(RESULTS)
+    (folder / "readme.py").write_text(blocks(ROOT / "README.md"))
+    for example in (ROOT / "examples").glob("*.py"):
+        shutil.copy(example, folder)
+    (folder / "mypy.ini").write_text("[mypy]\nstrict = true\nignore_missing_imports = true\nfollow_imports = silent\n")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("MYPYPATH", str(ROOT / "src"))
+        out, error, _ = api.run(
+            [
+                "--config-file",
+                str(folder / "mypy.ini"),
+                "--cache-dir",
+                str(folder / "cache"),
+                *map(str, folder.glob("*.py")),
+            ]
+        )
+    assert not error, error
+    return {path.name: [line for line in out.splitlines() if path.name in line] for path in folder.glob("*.py")}
+
+
+def test_results_are_typed(checked):
+    """Arrays where bodies are several, None where nothing exact was asked for; no cast anywhere."""
+    assert checked["results.py"] == []
+
+
+@pytest.mark.parametrize("name", ["readme.py", *sorted(path.name for path in (ROOT / "examples").glob("*.py"))])
+def test_examples_pass_a_strict_checker(checked, name):
+    """Users who check their types strictly can begin with this file."""
+    assert checked[name] == []
