@@ -195,6 +195,21 @@ def test_what_only_kernels_call_becomes_no_machine_code(package: Path, tmp_path:
     assert len(entries(cache)) == 3
 
 
+def test_many_threads_call_a_new_kernel_at_once(package: Path, tmp_path: Path):
+    """Each gets the answer, the kernel is compiled once, and the next call goes straight to the compiled code."""
+    many = f"""
+import sys
+sys.path.insert(0, {str(package)!r})
+from concurrent.futures import ThreadPoolExecutor
+from loewner._kernels.edited.caller import answer
+with ThreadPoolExecutor(8) as pool:
+    assert set(pool.map(answer, [1.0] * 100)) == {{2.0}}
+answer._compile_for_args = None
+assert answer(2.0) == 3.0
+"""
+    assert float(ask(package, tmp_path / "cache", many).stdout) == 2.0
+
+
 def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead without a place to keep the result is an error that names the folder."""
     blocked = tmp_path / "a file"

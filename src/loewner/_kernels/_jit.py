@@ -23,6 +23,7 @@ import numba
 from numba import types
 from numba.core import event
 from numba.core.caching import NullCache
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import intrinsic
@@ -168,18 +169,21 @@ class _Kernel(CPUDispatcher):
         for_python: Any = CPUDispatcher(function, targetoptions=options | {"no_cfunc_wrapper": True})
         for_python._cache = _KernelCache(function, "entry")
         self._for_python = for_python
+        self._callable: set[tuple[Any, ...]] = set()  # signatures that Python can call
 
     def add_overload(self, cres: Any) -> None:
         """Keep a part for the kernels, which look here; Python could not call it."""
         self.overloads[tuple(cres.signature.args)] = cres
 
+    @global_compiler_lock
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        """Compile what Python can call; asked for types that are new."""
+        """Compile what Python can call; asked for types that are new, by several threads perhaps."""
         function = self._for_python._compile_for_args(*args, **kws)
-        for cres in self._for_python.overloads.values():
-            if cres.entry_point is function:
-                codes = [kind._code for kind in cres.signature.args]
-                self._insert(codes, function, False)  # type: ignore[attr-defined]
+        for signature, cres in self._for_python.overloads.items():
+            # Each once: of two that are equal the dispatcher could choose neither, and would ask here at every call.
+            if signature not in self._callable:
+                self._callable.add(signature)
+                self._insert([kind._code for kind in signature], cres.entry_point, False)  # type: ignore[attr-defined]
         return function
 
 

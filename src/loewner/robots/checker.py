@@ -20,7 +20,7 @@ from loewner._kernels import codes
 from loewner._kernels.robots import configurations
 from loewner._settle import settle
 from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, OneOrMany, Pair
+from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies
 from loewner.errors import ConvergenceError, InputError
@@ -486,19 +486,26 @@ class CollisionChecker:
         ready = self._ready()
         flat = _flat(Q)
         total = len(flat)
-        _validate.fits_memory(2 * total, f"{total} configurations")
+        if total > LEAST_SHARE:
+            _validate.fits_memory(2 * total, f"{total} configurations")
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
-        pack = ready.bodies._packed.handle
 
-        def run(first: int, last: int) -> None:
-            # Counts of its own for each of several shares: threads that write side by side slow each other down.
-            hits = ready.hits if total <= LEAST_SHARE else np.zeros_like(ready.hits)
-            memory = workspace(ready.memory)
-            configurations.check_configurations(mode, first, last, flat, pack, ready.handle, out, tiers, hits, memory)
-            if hits is not ready.hits:
-                np.add(ready.hits, hits, out=ready.hits)
+        def run(first: int, last: int, hits: Ints) -> None:
+            configurations.check_configurations(
+                mode, first, last, flat, ready.bodies._packed.handle, ready.handle, out, tiers, hits,
+                workspace(ready.memory),
+            )  # fmt: skip
 
-        in_shares(run, total, LEAST_SHARE)
+        def share(first: int, last: int) -> None:
+            # Counts of its own: threads that write side by side slow each other down.
+            hits = np.zeros_like(ready.hits)
+            run(first, last, hits)
+            np.add(ready.hits, hits, out=ready.hits)
+
+        if total <= LEAST_SHARE:
+            run(0, total, ready.hits)
+        else:
+            in_shares(share, total, LEAST_SHARE)
         self._learn(ready, total)
         if mode == codes.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
             for k in np.flatnonzero(out == _OPEN):
