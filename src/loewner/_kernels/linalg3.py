@@ -5,6 +5,8 @@ xx, xy, xz, yy, yz, zz. A number may be a float or a vector of the `simd` packag
 Everything is inlined: a tuple costs nothing.
 """
 
+import numpy as np
+
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import select
 
@@ -87,6 +89,19 @@ def apply_symmetric(Q, v):
         Q[1] * v[0] + Q[3] * v[1] + Q[4] * v[2],
         Q[2] * v[0] + Q[4] * v[1] + Q[5] * v[2],
     )
+
+
+@inline
+def across(n):
+    """Two unit vectors square to a unit vector and to each other.
+
+    Duff and others (2017), "Building an orthonormal basis, revisited", J. Comput. Graph. Tech. 6(1).
+    """
+    x, y, z = n
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
 
 
 @inline
