@@ -56,6 +56,32 @@ def along(p, t, e):
 
 
 @inline
+def image(M, t, v):
+    """The point t + M v."""
+    return (
+        t[0] + M[0] * v[0] + M[1] * v[1] + M[2] * v[2],
+        t[1] + M[3] * v[0] + M[4] * v[1] + M[5] * v[2],
+        t[2] + M[6] * v[0] + M[7] * v[1] + M[8] * v[2],
+    )
+
+
+@inline
+def product(M, N):
+    """The product M N of two matrices."""
+    return (
+        M[0] * N[0] + M[1] * N[3] + M[2] * N[6],
+        M[0] * N[1] + M[1] * N[4] + M[2] * N[7],
+        M[0] * N[2] + M[1] * N[5] + M[2] * N[8],
+        M[3] * N[0] + M[4] * N[3] + M[5] * N[6],
+        M[3] * N[1] + M[4] * N[4] + M[5] * N[7],
+        M[3] * N[2] + M[4] * N[5] + M[5] * N[8],
+        M[6] * N[0] + M[7] * N[3] + M[8] * N[6],
+        M[6] * N[1] + M[7] * N[4] + M[8] * N[7],
+        M[6] * N[2] + M[7] * N[5] + M[8] * N[8],
+    )
+
+
+@inline
 def matrix(F):
     """Nine floats of an array of shape (3, 3)."""
     return F[0, 0], F[0, 1], F[0, 2], F[1, 0], F[1, 1], F[1, 2], F[2, 0], F[2, 1], F[2, 2]
