@@ -88,7 +88,7 @@ def expected_pairs(robot: Robot, scene: Scene, skip: frozenset = frozenset()) ->
     """Pairs of which one moves against the other, but for those that may touch; written from the documents."""
     held = scene.attachments
     carrier = {name: name for name in robot.bodies} | {name: how.link for name, how in held.items()}
-    parent, kind = robot.tree[0], robot.tree[1]
+    parent, kind = robot.tree.parent, robot.tree.kind
     at = {name: k for k, name in enumerate(robot.link_names)}
     thing = {name: int(parent[at[link]] if kind[at[link]] == 0 else at[link]) for name, link in carrier.items()}
     names = [*carrier, *scene.static_names]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
-from loewner._kernels.pipeline import distances
+from loewner._kernels.pipeline import bounds, distances
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
@@ -459,7 +459,7 @@ def _estimate(margin: float, pairs: _Pairs, out: Any) -> None:
         return
 
     def run(first: int, last: int) -> None:
-        distances.estimate_range(margin, first, last, *pairs.operands, out)
+        bounds.estimate_range(margin, first, last, *pairs.operands, out)
 
     in_shares(run, pairs.total, CHUNK)
 
@@ -572,9 +572,9 @@ def distance(
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        left = distances.distance_range(exact, first, last, *asked.operands, *results)
-        if len(left[0]):
-            distances.measure_left(*left, *asked.operands[1:], *results[3:])
+        pieces, values = distances.distance_range(exact, first, last, *asked.operands, *results)
+        if len(pieces):
+            distances.measure_left(pieces, values, *asked.operands[1:], *results[3:])
 
     in_shares(run, n, CHUNK)
     if exact:

@@ -451,7 +451,7 @@ def beside_pinocchio(case: tuple[str, int]) -> str | None:
         Q = robot.random_configurations(5)
         size = max(1.0, float(np.abs(robot.forward_kinematics(Q)).max()))
         # The multiple of an angle is rounded, by more than a pose may be off where it is some billions of turns.
-        angle = np.abs(robot.tree[3]).max() * np.abs(Q).max(initial=0.0) + np.abs(robot.tree[4]).max()
+        angle = np.abs(robot.tree.multiplier).max() * np.abs(Q).max(initial=0.0) + np.abs(robot.tree.offset).max()
         tolerance = (1e-9 + 4 * np.finfo(float).eps * angle) * size
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # it writes to standard error what it does not like
         try:
@@ -517,7 +517,7 @@ def test_the_campaign_can_fail():
     """A robot with poses that are no numbers, or samples outside its limits, is noticed."""
     path = folder(os.getpid()) / "good.urdf"
     robot = Robot.from_urdf(path, cache=False)
-    robot.tree[5][2, 9] = np.nan
+    robot.tree.constants[2, 9] = np.nan
     assert fault_of_robot(robot) == "poses that are no numbers"
     with pytest.raises(InputError):
         robot.checked([np.nan] * robot.dof)

@@ -5,6 +5,8 @@ xx, xy, xz, yy, yz, zz. A number may be a float or a vector of the `simd` packag
 Everything is inlined: a tuple costs nothing.
 """
 
+import numpy as np
+
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import select
 
@@ -54,6 +56,32 @@ def along(p, t, e):
 
 
 @inline
+def image(M, t, v):
+    """The point t + M v."""
+    return (
+        t[0] + M[0] * v[0] + M[1] * v[1] + M[2] * v[2],
+        t[1] + M[3] * v[0] + M[4] * v[1] + M[5] * v[2],
+        t[2] + M[6] * v[0] + M[7] * v[1] + M[8] * v[2],
+    )
+
+
+@inline
+def product(M, N):
+    """The product M N of two matrices."""
+    return (
+        M[0] * N[0] + M[1] * N[3] + M[2] * N[6],
+        M[0] * N[1] + M[1] * N[4] + M[2] * N[7],
+        M[0] * N[2] + M[1] * N[5] + M[2] * N[8],
+        M[3] * N[0] + M[4] * N[3] + M[5] * N[6],
+        M[3] * N[1] + M[4] * N[4] + M[5] * N[7],
+        M[3] * N[2] + M[4] * N[5] + M[5] * N[8],
+        M[6] * N[0] + M[7] * N[3] + M[8] * N[6],
+        M[6] * N[1] + M[7] * N[4] + M[8] * N[7],
+        M[6] * N[2] + M[7] * N[5] + M[8] * N[8],
+    )
+
+
+@inline
 def matrix(F):
     """Nine floats of an array of shape (3, 3)."""
     return F[0, 0], F[0, 1], F[0, 2], F[1, 0], F[1, 1], F[1, 2], F[2, 0], F[2, 1], F[2, 2]
@@ -87,6 +115,19 @@ def apply_symmetric(Q, v):
         Q[1] * v[0] + Q[3] * v[1] + Q[4] * v[2],
         Q[2] * v[0] + Q[4] * v[1] + Q[5] * v[2],
     )
+
+
+@inline
+def across(n):
+    """Two unit vectors square to a unit vector and to each other.
+
+    Duff and others (2017), "Building an orthonormal basis, revisited", J. Comput. Graph. Tech. 6(1).
+    """
+    x, y, z = n
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
 
 
 @inline

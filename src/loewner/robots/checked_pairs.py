@@ -197,7 +197,7 @@ def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]
 def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[frozenset[str]]) -> Ints:
     """Pairs of bodies, as places in `names`, the first of which moves."""
     # Links that are rigidly joined are one thing; its number is that of its first link.
-    parent, kind = robot.tree[0], robot.tree[1]
+    parent, kind = robot.tree.parent, robot.tree.kind
     thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))[link]
     moving, total = len(link), len(names)
     others = total - 1 - np.arange(moving)  # each with all that come after it

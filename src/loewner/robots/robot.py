@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
+from loewner._kernels.pieces.pack import Tree
 from loewner._kernels.robots import kinematics
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
@@ -23,7 +24,7 @@ from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
 from loewner.robots.link_bodies import link_bodies
 from loewner.robots.srdf import Semantics, State, read_srdf
-from loewner.robots.tree import Tree, adjacent_pairs, columns_of, placed_tree, tree_of
+from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, read_urdf
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
@@ -63,7 +64,7 @@ class Robot:
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies and at most one
         moving joint.
-    tree : tuple of ndarray
+    tree : Tree
         What kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
         The file it was read from.

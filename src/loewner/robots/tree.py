@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from loewner._kernels.pieces.pack import Tree
 from loewner._kernels.robots import kinematics
-from loewner._validate import Floats, Ints, Pair
+from loewner._validate import Floats, Pair
 from loewner.errors import InputError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
 
@@ -21,9 +22,6 @@ KINDS = {
     "planar": kinematics.PLANAR,
     "floating": kinematics.FLOATING,
 }
-
-# Parent, kind, column, multiplier, offset and constants of each link: see `loewner._kernels.robots.kinematics`.
-Tree = tuple[Ints, Ints, Ints, Floats, Floats, Floats]
 
 
 def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
@@ -106,13 +104,13 @@ def tree_of(robot: Description, columns: dict[str, slice]) -> Tree:
             multiplier[i], offset[i] = mimic.multiplier, mimic.offset
         constants[i] = _joint_constants(joint, T)
         frames[name] = i, np.eye(4)
-    return parent, kind, column, multiplier, offset, constants
+    return Tree(parent, kind, column, multiplier, offset, constants)
 
 
 def placed_tree(tree: Tree, T: Floats) -> Tree:
     """The tree with its root link at the pose T instead of the world's origin."""
-    constants = tree[5].copy()
-    on_base = np.flatnonzero(tree[0] < 0)
+    constants = tree.constants.copy()
+    on_base = np.flatnonzero(tree.parent < 0)
     R, t = T[:3, :3], T[:3, 3]
     for first in (kinematics.ROTATION, kinematics.SINE, kinematics.COSINE):
         block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
@@ -120,7 +118,7 @@ def placed_tree(tree: Tree, T: Floats) -> Tree:
     for first in (kinematics.TRANSLATION, kinematics.ACROSS, kinematics.ALONG):
         constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
     constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
-    return (*tree[:5], constants)
+    return tree._replace(constants=constants)
 
 
 def _joint_constants(joint: Joint, T: Floats) -> Floats:

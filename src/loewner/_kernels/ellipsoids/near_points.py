@@ -15,7 +15,7 @@ for the secular equation.
 import math
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import along, apply, apply_transposed, dot, matrix, minus
+from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
 
 SEPARATE = 0
 OVERLAP = 1
@@ -358,7 +358,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
         u1, u2, h1, h2, x1, x2 = _supports(F1, F2, r, n)
         w = minus(x2, x1)
         gap = dot(n, r) - h1 - h2
-        e1, e2 = _across(n)
+        e1, e2 = across(n)
         a1, a2 = dot(e1, w), dot(e2, w)
         steepness = math.sqrt(a1 * a1 + a2 * a2)
         distance = math.sqrt(dot(w, w))
@@ -396,7 +396,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
             elif gain >= -noise:
                 # Near the maximum g itself is flat to rounding; there its slope decides.
                 w = minus(x2, x1)
-                d1, d2 = _across(m)
+                d1, d2 = across(m)
                 moved = math.hypot(dot(d1, w), dot(d2, w)) <= 0.7 * steepness
             if moved:
                 break
@@ -414,15 +414,6 @@ def _unit(v):
     v = (k * v[0], k * v[1], k * v[2])
     k = 1.0 / math.sqrt(dot(v, v))
     return (k * v[0], k * v[1], k * v[2])
-
-
-@inline
-def _across(n):
-    """Two unit vectors across a unit vector and each other (Duff et al., 2017, J. Comput. Graph. Tech. 6(1))."""
-    sign = math.copysign(1.0, n[2])
-    a = -1.0 / (sign + n[2])
-    b = n[0] * n[1] * a
-    return (1.0 + sign * n[0] * n[0] * a, sign * b, -sign * n[0]), (b, sign + n[1] * n[1] * a, -n[1])
 
 
 @inline

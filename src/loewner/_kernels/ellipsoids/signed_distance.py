@@ -27,7 +27,7 @@ Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its har
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, dot, minus, plus, shape_matrix
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF, across, apply, dot, minus, plus, shape_matrix
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING, rotation_of
 
@@ -105,19 +105,9 @@ def _bend(F, n, e, g):
 
 
 @inline
-def _across(n):
-    """Two unit vectors square to the unit vector n (Duff and others 2017)."""
-    x, y, z = n
-    sign = np.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
-
-
-@inline
 def _model(FA, FB, c, n):
     """h at n, its slopes along two directions square to n, its second derivatives there, and the directions."""
-    e, g = _across(n)
+    e, g = across(n)
     ha, a1, a2, a11, a12, a22 = _bend(FA, n, e, g)
     hb, b1, b2, b11, b12, b22 = _bend(FB, n, e, g)
     h = ha + hb - (n[0] * c[0] + n[1] * c[1] + n[2] * c[2])

@@ -35,7 +35,17 @@ from loewner._kernels.ellipsoids.contact import (
     normal_at,
     separation,
 )
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, apply_symmetric, dot, minus, plus, rotated_shape, trace
+from loewner._kernels.linalg3 import (
+    UNIT_ROUNDOFF,
+    apply,
+    apply_symmetric,
+    dot,
+    minus,
+    plus,
+    rotated_shape,
+    selected,
+    trace,
+)
 from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
 from loewner._kernels.pieces.shapes import (
     HOT,
@@ -141,12 +151,6 @@ def _shape(columns, R, rotated):
     if rotated:
         Q = rotated_shape(R, Q)
     return Shape(Q, columns[6], columns[7])
-
-
-@inline
-def _selected(condition, a, b):
-    """Vectors a where the condition holds, else b."""
-    return select(condition, a[0], b[0]), select(condition, a[1], b[1]), select(condition, a[2], b[2])
 
 
 @inline
@@ -433,7 +437,7 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                 if movemask(free | inseparable) != everything:
                     s, m = better(p.Q, q.Q, r, n)
                     separated, none = _apart(p, q, r, m, s, size, unit, sure)
-                    n = _selected(inseparable, n, m)
+                    n = selected(inseparable, n, m)
                     free = free | separated
                     inseparable = inseparable | none
                 _put_normal(V, at, n)
@@ -486,7 +490,7 @@ single_spheres, single_certify = _stages(
 @inline
 def _ordered(swap, p, q, r):
     """The two ellipsoids and the vector from one center to the other's; the other way round where `swap` says so."""
-    return _selected_shape(swap, q, p), _selected_shape(swap, p, q), _selected(swap, _reversed(r), r)
+    return _selected_shape(swap, q, p), _selected_shape(swap, p, q), selected(swap, _reversed(r), r)
 
 
 @inline
@@ -516,7 +520,7 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)
-        _put_normal(V, at, _selected(swap, _reversed(n), n))
+        _put_normal(V, at, selected(swap, _reversed(n), n))
         free = far | (separation(p.Q, q.Q, r, n, size) > margin)
 
         p = _shape(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)

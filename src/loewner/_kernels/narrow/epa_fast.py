@@ -19,6 +19,7 @@ from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
@@ -60,6 +61,14 @@ FLAT_FACE = 1e-10
 
 # How far outside its face, in barycentric coordinates, the origin's foot may be found by rounding alone.
 FOOT_SLACK = 1e-9
+
+# Points and faces of the first shell. Typed, as are all other numbers of such: literals would have every function that
+# takes one compiled once for each.
+_P0, _P1, _P2, _P3 = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
+
+# The twin of each half-edge of that shell, three for a face and one that is not used: the faces are (1 2 3), (0 3 2),
+# (0 1 3) and (0 2 1).
+_FIRST_TWINS = (13, 5, 9, 0, 10, 1, 12, 0, 14, 2, 4, 0, 6, 0, 8, 0)
 
 THIRD = 1.0 / 3.0
 SQRT3 = 1.7320508075688772
@@ -132,8 +141,9 @@ def _place(P, shift, W, at):
 
 
 @inline
-def _farthest(W, at, vectors, x, y, z):
+def _farthest(W, at, vectors, n):
     """Number of the placed corner farthest along a direction."""
+    x, y, z = n
     most = load(W, at) * x + load(W, at + MAX_CORNERS) * y + load(W, at + 2 * MAX_CORNERS) * z
     where = broadcast(0.0)
     for c in range(1, vectors):
@@ -147,93 +157,89 @@ def _farthest(W, at, vectors, x, y, z):
 
 
 @inline
-def _add_point(W, K, p, vectors_a, vectors_b, x, y, z):
-    """Write point p: the one of A - B farthest along a direction. Returns its support value."""
-    i = _farthest(W, _A, vectors_a, x, y, z)
-    j = _farthest(W, _B, vectors_b, -x, -y, -z)
-    K[_CORNER_A + p] = i
-    K[_CORNER_B + p] = j
-    row = _POINT + _POINT_ROW * p
-    px = W[_A + i] - W[_B + j]
-    py = W[_A + MAX_CORNERS + i] - W[_B + MAX_CORNERS + j]
-    pz = W[_A + 2 * MAX_CORNERS + i] - W[_B + 2 * MAX_CORNERS + j]
-    W[row] = px
-    W[row + 1] = py
-    W[row + 2] = pz
-    return px * x + py * y + pz * z
+def _corner(W, at, i):
+    """Placed corner i of the polytope whose corners start at `at`."""
+    return W[at + i], W[at + MAX_CORNERS + i], W[at + 2 * MAX_CORNERS + i]
 
 
 @inline
-def _row(W, p):
-    at = _POINT + _POINT_ROW * p
-    return W[at], W[at + 1], W[at + 2]
+def _add_point(W, K, p, vectors_a, vectors_b, n):
+    """Write point p: the one of A - B farthest along a direction. Returns its support value."""
+    i = _farthest(W, _A, vectors_a, n)
+    j = _farthest(W, _B, vectors_b, negated(n))
+    K[_CORNER_A + p] = i
+    K[_CORNER_B + p] = j
+    point = minus(_corner(W, _A, i), _corner(W, _B, j))
+    row = _POINT + _POINT_ROW * p
+    W[row], W[row + 1], W[row + 2] = point
+    return dot(point, n)
+
+
+@inline
+def _point(W, p):
+    row = _POINT + _POINT_ROW * p
+    return W[row], W[row + 1], W[row + 2]
+
+
+@inline
+def _normal(W, f):
+    return W[_NX + f], W[_NY + f], W[_NZ + f]
+
+
+@inline
+def _corners(K, f):
+    """Numbers of the three points of face f."""
+    return K[_ORIGIN + 4 * f], K[_ORIGIN + 4 * f + 1], K[_ORIGIN + 4 * f + 2]
 
 
 @inline
 def _make_face(W, K, f, u, v, w):
     """Write face f with the corners u, v, w; False if it is too thin to have a direction."""
-    K[_ORIGIN + 4 * f] = u
-    K[_ORIGIN + 4 * f + 1] = v
-    K[_ORIGIN + 4 * f + 2] = w
-    ux, uy, uz = _row(W, u)
-    vx, vy, vz = _row(W, v)
-    wx, wy, wz = _row(W, w)
-    ax, ay, az = vx - ux, vy - uy, vz - uz
-    bx, by, bz = wx - ux, wy - uy, wz - uz
-    nx = ay * bz - az * by
-    ny = az * bx - ax * bz
-    nz = ax * by - ay * bx
-    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    K[_ORIGIN + 4 * f], K[_ORIGIN + 4 * f + 1], K[_ORIGIN + 4 * f + 2] = u, v, w
+    one, two, three = _point(W, u), _point(W, v), _point(W, w)
+    a, b = minus(two, one), minus(three, one)
+    n = cross(a, b)
+    area = np.sqrt(dot(n, n))
     scale = 1.0 / area
-    W[_NX + f] = nx * scale
-    W[_NY + f] = ny * scale
-    W[_NZ + f] = nz * scale
-    W[_OFFSET + f] = (nx * (ux + vx + wx) + ny * (uy + vy + wy) + nz * (uz + vz + wz)) * (THIRD * scale)
-    return area > FLAT_FACE * max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz)
+    W[_NX + f], W[_NY + f], W[_NZ + f] = n[0] * scale, n[1] * scale, n[2] * scale
+    W[_OFFSET + f] = dot(n, plus(plus(one, two), three)) * (THIRD * scale)
+    return area > FLAT_FACE * max(dot(a, a), dot(b, b))
 
 
 @inline
-def _first_points(W, K, vectors_a, vectors_b, nx, ny, nz):
+def _first_points(W, K, vectors_a, vectors_b, n):
     """Points 0..3 of A - B: along the unit vector n, and three times square to it."""
-    # Two unit vectors square to n (Duff and others 2017, "Building an orthonormal basis, revisited").
-    sign = np.copysign(1.0, nz)
-    s = -1.0 / (sign + nz)
-    t = nx * ny * s
-    ux, uy, uz = 1.0 + sign * nx * nx * s, sign * t, -sign * nx
-    vx, vy, vz = 0.5 * SQRT3 * t, 0.5 * SQRT3 * (sign + ny * ny * s), -0.5 * SQRT3 * ny
-    _add_point(W, K, 0, vectors_a, vectors_b, nx, ny, nz)
-    _add_point(W, K, 1, vectors_a, vectors_b, ux, uy, uz)
-    _add_point(W, K, 2, vectors_a, vectors_b, vx - 0.5 * ux, vy - 0.5 * uy, vz - 0.5 * uz)
-    _add_point(W, K, 3, vectors_a, vectors_b, -vx - 0.5 * ux, -vy - 0.5 * uy, -vz - 0.5 * uz)
+    u, v = across(n)
+    v, half = scaled(0.5 * SQRT3, v), scaled(0.5, u)
+    _add_point(W, K, _P0, vectors_a, vectors_b, n)
+    _add_point(W, K, _P1, vectors_a, vectors_b, u)
+    _add_point(W, K, _P2, vectors_a, vectors_b, minus(v, half))
+    _add_point(W, K, _P3, vectors_a, vectors_b, minus(negated(v), half))
 
 
 @inline
-def _points_across(W, K, vectors_a, vectors_b, nx, ny, nz):
+def _points_across(W, K, vectors_a, vectors_b, n):
     """Points 0..3 of A - B once more, for pieces with few corners or thin ones: each across what is there already."""
-    _add_point(W, K, 0, vectors_a, vectors_b, nx, ny, nz)
-    _add_point(W, K, 1, vectors_a, vectors_b, -nx, -ny, -nz)
-    ax, ay, az = _row(W, 0)
-    bx, by, bz = _row(W, 1)
-    ex, ey, ez = bx - ax, by - ay, bz - az
-    if abs(ex) <= abs(ey) and abs(ex) <= abs(ez):
-        px, py, pz = 0.0, -ez, ey
-    elif abs(ey) <= abs(ez):
-        px, py, pz = ez, 0.0, -ex
+    _add_point(W, K, _P0, vectors_a, vectors_b, n)
+    _add_point(W, K, _P1, vectors_a, vectors_b, negated(n))
+    a, b = _point(W, _P0), _point(W, _P1)
+    e = minus(b, a)
+    if abs(e[0]) <= abs(e[1]) and abs(e[0]) <= abs(e[2]):
+        p = 0.0, -e[2], e[1]
+    elif abs(e[1]) <= abs(e[2]):
+        p = e[2], 0.0, -e[0]
     else:
-        px, py, pz = -ey, ex, 0.0
-    _farther_point(W, K, 2, vectors_a, vectors_b, px, py, pz)
-    cx, cy, cz = _row(W, 2)
-    ux, uy, uz = cx - ax, cy - ay, cz - az
-    _farther_point(W, K, 3, vectors_a, vectors_b, ey * uz - ez * uy, ez * ux - ex * uz, ex * uy - ey * ux)
+        p = -e[1], e[0], 0.0
+    _farther_point(W, K, _P2, vectors_a, vectors_b, p)
+    _farther_point(W, K, _P3, vectors_a, vectors_b, cross(e, minus(_point(W, _P2), a)))
 
 
 @inline
-def _farther_point(W, K, p, vectors_a, vectors_b, x, y, z):
+def _farther_point(W, K, p, vectors_a, vectors_b, n):
     """Point p along a direction or against it, whichever is farther from point 0."""
-    ax, ay, az = _row(W, 0)
-    height = x * ax + y * ay + z * az
-    against = _add_point(W, K, p + 1, vectors_a, vectors_b, -x, -y, -z)
-    along = _add_point(W, K, p, vectors_a, vectors_b, x, y, z)
+    height = dot(n, _point(W, _P0))
+    against = _add_point(W, K, p + 1, vectors_a, vectors_b, negated(n))
+    along = _add_point(W, K, p, vectors_a, vectors_b, n)
     if along - height < against + height:
         K[_CORNER_A + p] = K[_CORNER_A + p + 1]
         K[_CORNER_B + p] = K[_CORNER_B + p + 1]
@@ -244,38 +250,23 @@ def _farther_point(W, K, p, vectors_a, vectors_b, x, y, z):
 @inline
 def _first_shell(W, K):
     """The four faces over points 0..3, facing outward; False if they are too thin."""
-    ax, ay, az = _row(W, 0)
-    bx, by, bz = _row(W, 1)
-    cx, cy, cz = _row(W, 2)
-    dx, dy, dz = _row(W, 3)
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    volume = (dx - ax) * (uy * vz - uz * vy) + (dy - ay) * (uz * vx - ux * vz) + (dz - az) * (ux * vy - uy * vx)
-    one, two = (2, 1) if volume < 0.0 else (1, 2)
+    a, b, c, d = _point(W, _P0), _point(W, _P1), _point(W, _P2), _point(W, _P3)
+    volume = dot(minus(d, a), cross(minus(b, a), minus(c, a)))
+    one, two = (_P2, _P1) if volume < 0.0 else (_P1, _P2)
     # Face f lies opposite point f (points `one` and `two` swapped if need be).
-    fine = _make_face(W, K, 0, one, two, 3)
-    fine = _make_face(W, K, 1, 0, 3, two) and fine
-    fine = _make_face(W, K, 2, 0, one, 3) and fine
-    fine = _make_face(W, K, 3, 0, two, one) and fine
-    # Sides: face 0 = (1 2 3), 1 = (0 3 2), 2 = (0 1 3), 3 = (0 2 1).
-    _join(K, 0, 0, 3, 1)
-    _join(K, 0, 1, 1, 1)
-    _join(K, 0, 2, 2, 1)
-    _join(K, 1, 0, 2, 2)
-    _join(K, 1, 2, 3, 0)
-    _join(K, 2, 0, 3, 2)
+    fine = _make_face(W, K, _P0, one, two, _P3)
+    fine = _make_face(W, K, _P1, _P0, _P3, two) and fine
+    fine = _make_face(W, K, _P2, _P0, one, _P3) and fine
+    fine = _make_face(W, K, _P3, _P0, two, one) and fine
+    for edge in range(16):
+        K[_TWIN + edge] = _FIRST_TWINS[edge]
     return fine
 
 
 @inline
-def _join(K, f, e, g, h):
-    K[_TWIN + 4 * f + e] = 4 * g + h
-    K[_TWIN + 4 * g + h] = 4 * f + e
-
-
-@inline
-def _seen(W, live, x, y, z, error):
-    """Mask of the faces in front of which the point lies."""
+def _seen(W, live, point, error):
+    """Mask of the faces in front of which a point lies."""
+    x, y, z = point
     seen = np.int64(0)
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
@@ -370,22 +361,17 @@ def _expand(W, K, live, seen, w):
 @inline
 def _foot(W, K, f):
     """Barycentric coordinates of the foot of the origin on face f."""
-    ux, uy, uz = _row(W, K[_ORIGIN + 4 * f])
-    vx, vy, vz = _row(W, K[_ORIGIN + 4 * f + 1])
-    wx, wy, wz = _row(W, K[_ORIGIN + 4 * f + 2])
-    nx, ny, nz = W[_NX + f], W[_NY + f], W[_NZ + f]
-    a = _area(nx, ny, nz, vx, vy, vz, wx, wy, wz)
-    b = _area(nx, ny, nz, wx, wy, wz, ux, uy, uz)
-    c = _area(nx, ny, nz, ux, uy, uz, vx, vy, vz)
+    u, v, w = _corners(K, f)
+    one, two, three, n = _point(W, u), _point(W, v), _point(W, w), _normal(W, f)
+    a, b, c = _area(n, two, three), _area(n, three, one), _area(n, one, two)
     total = a + b + c
     return a / total, b / total, c / total
 
 
 @inline
-def _area(nx, ny, nz, ux, uy, uz, vx, vy, vz):
+def _area(n, u, v):
     """Twice the area of the triangle (origin, u, v), seen along n."""
-    ex, ey, ez = vx - ux, vy - uy, vz - uz
-    return nx * (uy * ez - uz * ey) + ny * (uz * ex - ux * ez) + nz * (ux * ey - uy * ex)
+    return dot(n, cross(u, minus(v, u)))
 
 
 @inline
@@ -418,29 +404,28 @@ def overlap_depth(A, B, n, W, K, result):
     if max(corners_a, corners_b) <= MAX_CORNERS:
         vectors_a = _place(A, (0.0, 0.0, 0.0), W, _A)
         vectors_b = _place(B, shift, W, _B)
-    return _placed_depth(vectors_a, vectors_b, error, n[0], n[1], n[2], W, K, result)
+    return _placed_depth(vectors_a, vectors_b, error, n, W, K, result)
 
 
 @njit()
-def _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result):
+def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
     """`overlap_depth` of corners already placed, so many vectors of eight; none of them if they are too many."""
     if vectors_a == 0:
         return UNSETTLED, -np.inf, np.inf
     tolerance = error * (DEPTH_ACCURACY / POSITION_ROUNDINGS)
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    length = np.sqrt(dot(n, n))
     if not 0.0 < length < np.inf:
-        nx, ny, nz, length = 0.0, 0.0, 1.0, 1.0
-    nx, ny, nz = nx / length, ny / length, nz / length
-    _first_points(W, K, vectors_a, vectors_b, nx, ny, nz)
+        n, length = (0.0, 0.0, 1.0), 1.0
+    n = n[0] / length, n[1] / length, n[2] / length
+    _first_points(W, K, vectors_a, vectors_b, n)
     if not _first_shell(W, K):
-        _points_across(W, K, vectors_a, vectors_b, nx, ny, nz)
+        _points_across(W, K, vectors_a, vectors_b, n)
         if not _first_shell(W, K):
             return UNSETTLED, -np.inf, np.inf
     live = np.int64(15)
     f, lower = _nearest(W, live)
     for used in range(4, MAX_POINTS):
-        nx, ny, nz = W[_NX + f], W[_NY + f], W[_NZ + f]
-        height = _add_point(W, K, used, vectors_a, vectors_b, nx, ny, nz)
+        height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
         if height <= error:
             break
         # This face's own plane: another's may be as near already, but its normal is not the one at hand.
@@ -448,8 +433,7 @@ def _placed_depth(vectors_a, vectors_b, error, nx, ny, nz, W, K, result):
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
             return SETTLED, lower, height
-        px, py, pz = _row(W, used)
-        seen = _seen(W, live, px, py, pz, error) | (np.int64(1) << f)
+        seen = _seen(W, live, _point(W, used), error) | (np.int64(1) << f)
         live, f, lower = _expand(W, K, live, seen, used)
         if live == 0:
             break
@@ -476,8 +460,8 @@ def _witness(W, K, live, f, window, result):
                 inside = min(p, min(q, r))
     if not inside >= -FOOT_SLACK:
         return False
-    result[0], result[1], result[2] = W[_NX + f], W[_NY + f], W[_NZ + f]
-    u, v, w = K[_ORIGIN + 4 * f], K[_ORIGIN + 4 * f + 1], K[_ORIGIN + 4 * f + 2]
+    result[0], result[1], result[2] = _normal(W, f)
+    u, v, w = _corners(K, f)
     for m in range(3):
         at = _A + MAX_CORNERS * m
         result[3 + m] = a * W[at + K[_CORNER_A + u]] + b * W[at + K[_CORNER_A + v]] + c * W[at + K[_CORNER_A + w]]

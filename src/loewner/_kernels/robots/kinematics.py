@@ -1,6 +1,6 @@
 """Where the links of a robot are: forward kinematics of eight configurations side by side.
 
-A robot is a tree of links, each hung on its parent by one joint. Kernels get it as one flat tuple of arrays, a `tree`,
+A robot is a tree of links, each hung on its parent by one joint. Kernels get it as a record of arrays, a `pack.Tree`,
 with an entry or a row a link, parents first:
 
 parent : ndarray of int64, shape (L,)
@@ -24,6 +24,8 @@ W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the transl
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.linalg3 import along, image, product
+from loewner._kernels.pieces.pack import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
@@ -81,37 +83,6 @@ def _by_quaternion(w, x, y, z):
 
 
 @inline
-def _product(a, b):
-    """Product of two rotations by rows."""
-    return (
-        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
-        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
-        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
-        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
-        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
-        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
-        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
-        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
-        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
-    )
-
-
-@inline
-def _image(a, b, x):
-    """Image of a point under the rotation a and the translation b."""
-    return (
-        b[0] + a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
-        b[1] + a[3] * x[0] + a[4] * x[1] + a[5] * x[2],
-        b[2] + a[6] * x[0] + a[7] * x[1] + a[8] * x[2],
-    )
-
-
-@inline
-def _slid(t, direction, by):
-    return t[0] + by * direction[0], t[1] + by * direction[1], t[2] + by * direction[2]
-
-
-@inline
 def _store_pose(W, link, R, t):
     at = link * (POSE * LANES)
     store(W, at, R[0])
@@ -129,7 +100,8 @@ def _store_pose(W, link, R, t):
 
 
 @inline
-def _rotation_of(W, link):
+def rotation_of_link(W, link):
+    """The rotations of a link by rows, as `place_links` wrote them."""
     at = link * (POSE * LANES)
     return (
         load(W, at),
@@ -145,7 +117,8 @@ def _rotation_of(W, link):
 
 
 @inline
-def _translation_of(W, link):
+def translation_of_link(W, link):
+    """The translations of a link, as `place_links` wrote them."""
     at = link * (POSE * LANES) + 9 * LANES
     return load(W, at), load(W, at + LANES), load(W, at + 2 * LANES)
 
@@ -156,7 +129,7 @@ def place_links(tree, Q, rows, at, W):
 
     Parameters
     ----------
-    tree : tuple
+    tree : Tree
     Q : ndarray, shape (N, dof)
         In C order; checked at the border (quaternions of norm 1). NaN gives poses of NaN.
     rows : ndarray of int64
@@ -165,44 +138,47 @@ def place_links(tree, Q, rows, at, W):
     W : ndarray, shape (workspace_size(links, dof),) or longer
         What lies behind the poses is scratch.
     """
-    parent, kind, column = borrowed(tree[0]), borrowed(tree[1]), borrowed(tree[2])
-    multiplier, offset, constants = borrowed(tree[3]), borrowed(tree[4]), borrowed(tree[5])
-    links, dof = parent.size, Q.shape[1]
+    tree = Tree(
+        borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column),
+        borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants),
+    )  # fmt: skip
+    constants = tree.constants
+    links, dof = tree.parent.size, Q.shape[1]
     behind = links * (POSE * LANES)
     for lane in range(LANES):
         row = rows[at + lane]
         for k in range(dof):
             W[behind + k * LANES + lane] = Q[row, k]
     for link in range(links):
-        what = kind[link]
-        q = behind + column[link] * LANES
+        what = tree.kind[link]
+        q = behind + tree.column[link] * LANES
         R = _nine(constants, link, ROTATION)
         t = _three(constants, link, TRANSLATION)
         if what == REVOLUTE:
-            R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
+            R = _turned(constants, link, load(W, q) * tree.multiplier[link] + tree.offset[link])
         elif what == PRISMATIC:
-            t = _slid(t, _three(constants, link, ACROSS), load(W, q) * multiplier[link] + offset[link])
+            t = along(t, load(W, q) * tree.multiplier[link] + tree.offset[link], _three(constants, link, ACROSS))
         elif what == PLANAR:
             R = _turned(constants, link, load(W, q + 2 * LANES))
-            t = _slid(t, _three(constants, link, ACROSS), load(W, q))
-            t = _slid(t, _three(constants, link, ALONG), load(W, q + LANES))
+            t = along(t, load(W, q), _three(constants, link, ACROSS))
+            t = along(t, load(W, q + LANES), _three(constants, link, ALONG))
         elif what == FLOATING:
-            t = _image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
+            t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
             w, x = load(W, q + 3 * LANES), load(W, q + 4 * LANES)
             y, z = load(W, q + 5 * LANES), load(W, q + 6 * LANES)
-            R = _product(R, _by_quaternion(w, x, y, z))
-        above = parent[link]
+            R = product(R, _by_quaternion(w, x, y, z))
+        above = tree.parent[link]
         if above >= 0:
-            A = _rotation_of(W, above)
-            t = _image(A, _translation_of(W, above), t)
-            R = _product(A, R)
+            A = rotation_of_link(W, above)
+            t = image(A, translation_of_link(W, above), t)
+            R = product(A, R)
         _store_pose(W, link, R, t)
 
 
 @njit()
 def forward(tree, Q, start, stop, out):
     """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4)."""
-    links = tree[0].size
+    links = tree.parent.size
     W = np.empty(workspace_size(links, Q.shape[1]))
     rows = np.empty(LANES, dtype=np.int64)
     last = np.int64(stop - 1)
@@ -212,7 +188,7 @@ def forward(tree, Q, start, stop, out):
             rows[lane] = min(first + lane, last)  # the last block is filled up with repeats, written as often
         place_links(tree, Q, rows, np.int64(0), W)
         for link in range(links):
-            R, t = _rotation_of(W, link), _translation_of(W, link)
+            R, t = rotation_of_link(W, link), translation_of_link(W, link)
             upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
             lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
             scatter_transpose(out, links * 16, rows, np.int64(0), link * 16, upper)

@@ -21,13 +21,12 @@ from loewner._kernels.pieces.shapes import (
     OUTER_SHAPE,
     REACH,
 )
-from loewner._kernels.robots.kinematics import POSE, place_links, workspace_size
+from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
 from loewner._kernels.simd.memory import floats_at, integers_at, lines, singles_at
 from loewner._kernels.simd.vectors import (
     LANES,
     absolute,
     broadcast,
-    load,
     load_single,
     movemask,
     scatter_transpose,
@@ -156,13 +155,7 @@ def place(problem, pieces, Q, first, last, S, to):
             numbers[lane] = min(first + at + lane, last)
         place_links(problem.tree, Q, numbers, nought, W)
         for body in range(link.size):
-            k = link[body] * (POSE * LANES)
-            R = (
-                load(W, k), load(W, k + LANES), load(W, k + 2 * LANES),
-                load(W, k + 3 * LANES), load(W, k + 4 * LANES), load(W, k + 5 * LANES),
-                load(W, k + 6 * LANES), load(W, k + 7 * LANES), load(W, k + 8 * LANES),
-            )  # fmt: skip
-            t = load(W, k + 9 * LANES), load(W, k + 10 * LANES), load(W, k + 11 * LANES)
+            R, t = rotation_of_link(W, link[body]), translation_of_link(W, link[body])
             for lane in range(LANES):
                 numbers[lane] = body * S + at + lane
             scatter_transpose(to.poses, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))

@@ -22,6 +22,7 @@ from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_widt
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
+from loewner._kernels.simd.vectors import lowest_bit
 
 WIDE = 8  # boxes in a group
 ROWS = 6 * WIDE  # numbers in a group
@@ -107,16 +108,6 @@ def within(typingctx, boxes, group, lx, ly, lz, ux, uy, uz, squared):
         return _bits(builder, builder.fcmp_ordered("<=", total, _everywhere(builder, arguments[8])))
 
     return types.int64(boxes, types.int64, *[types.float64] * 7), generate
-
-
-@intrinsic
-def lowest(typingctx, mask):
-    """Position of the lowest bit that is set."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.int64), generate
 
 
 # -- boxes -------------------------------------------------------------------------------------
@@ -343,7 +334,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
         above = 0
         while mask != 0:
-            stack[above] = group * WIDE + lowest(mask)
+            stack[above] = group * WIDE + lowest_bit(mask)
             depth[above] = level
             above += 1
             mask &= mask - 1
@@ -354,7 +345,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
             if below > 0:
                 mask = meeting(boxes, level_start[below] + found, lx, ly, lz, ux, uy, uz)
                 while mask != 0:
-                    stack[above] = found * WIDE + lowest(mask)
+                    stack[above] = found * WIDE + lowest_bit(mask)
                     depth[above] = below
                     above += 1
                     mask &= mask - 1
@@ -378,7 +369,7 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
     """Write down a body's pairs with the bodies of a leaf group that a mask names."""
     while mask != 0:
-        other = order[leaf * WIDE + lowest(mask)]
+        other = order[leaf * WIDE + lowest_bit(mask)]
         rows_a[count] = min(body, other)
         rows_b[count] = max(body, other)
         count += 1
@@ -424,7 +415,7 @@ def candidates(first, last, margin, boxes, level_start, order, rows_a, rows_b):
             for group in range((behind + WIDE - 1) // WIDE):
                 met = meeting(near, group, lx, ly, lz, ux, uy, uz)
                 while met != 0:
-                    other = numbers[group * WIDE + lowest(met)]
+                    other = numbers[group * WIDE + lowest_bit(met)]
                     met &= met - 1
                     mask = meeting(boxes, other, lx, ly, lz, ux, uy, uz)
                     count = _note(body, other, mask, order, rows_a, rows_b, count)

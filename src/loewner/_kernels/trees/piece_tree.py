@@ -15,7 +15,8 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_width
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
-from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, lowest, ordered, raised, within
+from loewner._kernels.simd.vectors import lowest_bit
+from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, ordered, raised, within
 
 FEW = 8  # pieces; fewer than this are tried one by one
 
@@ -228,7 +229,7 @@ def _open(groups, children, group, numbers, box, slack, reach, steps, stack, hei
         reach * reach,
     )  # fmt: skip
     while mask != 0:
-        steps[stack + steps[height]] = children[group * WIDE + lowest(mask)]
+        steps[stack + steps[height]] = children[group * WIDE + lowest_bit(mask)]
         steps[height] += 1
         mask &= mask - 1
 
