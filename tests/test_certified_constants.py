@@ -95,6 +95,22 @@ def test_table_and_code_agree():
     assert disagreements(page, code) == []
 
 
+def test_errors_of_positions_come_from_one_function():
+    """Nothing multiplies a length by the constant itself: a term added to `position_error` reaches every proof."""
+    users = {
+        path.relative_to(PACKAGE / "_kernels").as_posix(): re.findall(
+            r"(?:POSITION_ERROR|POSITION_ROUNDINGS) \*.*", text
+        )
+        for path in sorted((PACKAGE / "_kernels").rglob("*.py"))
+        if re.search(r"(POSITION_ERROR|POSITION_ROUNDINGS) \*", text := path.read_text())
+    }
+    assert {name: len(uses) for name, uses in users.items()} == {
+        "ellipsoids/contact.py": 1,  # the function
+        "pipeline/distances.py": 1,  # not a proof, but how near to contact counts as a graze
+        "robots/placement.py": 1,  # B7, of bounds in single precision, derived apart
+    }, users
+
+
 def test_bounds_are_derived_in_the_text():
     """The page's text names each bound of the table, in bold, once, and no other."""
     derived = re.findall(r"\*\*(B\d+)\*\*", PAGE.read_text())

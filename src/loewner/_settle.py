@@ -1,6 +1,7 @@
 """Verdicts for listed pairs: the fast pass, then the fallback for what that leaves open.
 
-Queries of pairs, crowds and robots all come through here.
+Queries of pairs and of crowds ask here; robots do for the configurations that their own block
+(`_kernels/robots/configurations.py`) leaves open.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         `codes.CERTIFY` or `codes.EXACT`.
     margin : float
         Metres, >= 0.
+    operands : Operands
     out : ndarray of int8
         Receives the verdicts. AMBIGUOUS in mode EXACT means that no search settled the pair: the caller must not take
         it for anything else.

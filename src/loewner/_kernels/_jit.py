@@ -86,9 +86,10 @@ event.register("numba:compile", _Announcer())
 
 
 def _identity(value: Any) -> Any:
-    """What tells the functions that one factory makes apart: their code and what they close over.
+    """What tells apart the functions that one factory makes: their code and what they close over.
 
-    All sources are in the name of the folder. Paths are not: a copy of the package elsewhere finds the same entries.
+    What else a function depends on is in the sources, whose hash names the folder. Paths are in neither, so that a copy
+    of the package elsewhere finds the same entries.
     """
     function = getattr(value, "py_func", value)
     if not callable(function) or isinstance(function, type) or not hasattr(function, "__code__"):

@@ -31,14 +31,14 @@ class _PartLibrary(JITCodeLibrary):
         self._ensure_finalized()
         return self.name, "bitcode", self._final_module.as_bitcode()
 
-    def take(self, bitcode: bytes) -> None:
+    def load(self, bitcode: bytes) -> None:
         """Become what was kept on disk."""
         self._final_module = parse_bitcode(bitcode)
         self._finalize_final_module()
 
 
 def _key(library: Any, fndesc: Any, environment: Any) -> object:
-    """What a caller's compilation knows a part by, where other functions have something that Python can call."""
+    """Stand in for what Python would call; callers are compiled against it, and need only that it is unique."""
     library._ensure_finalized()
     return object()
 
@@ -60,7 +60,7 @@ def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, s
     if kind != "bitcode":
         return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)
     part = _PartLibrary(target_context.codegen(), name)
-    part.take(code)
+    part.load(code)
     return compile_result(
         target_context=target_context,
         typing_context=target_context.typing_context,

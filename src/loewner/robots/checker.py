@@ -45,8 +45,6 @@ POSES_AT_ONCE = 2**20 * 3 // 4
 # Piece pairs of bounds that `distance` works on at a time: 30 MB.
 AT_ONCE = 50_000
 
-_OPEN = int(Verdict.AMBIGUOUS)
-
 
 @dataclass(frozen=True, eq=False)
 class StateDistance(Generic[Exact, Vector]):
@@ -319,7 +317,8 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         out, tiers = self._settle(codes.EXACT, checked)
-        free, hit = (np.bincount(tiers[out == verdict], minlength=codes.TIERS).tolist() for verdict in (0, 1))
+        free = np.bincount(tiers[out == codes.FREE], minlength=codes.TIERS).tolist()
+        hit = np.bincount(tiers[out == codes.COLLIDING], minlength=codes.TIERS).tolist()
         settled = Settled(
             free_by_bounds=free[codes.BY_SPHERE],
             free_by_ellipsoids=free[codes.BY_OUTER],
@@ -507,8 +506,8 @@ class CollisionChecker:
         else:
             in_shares(share, total, LEAST_SHARE)
         self._learn(ready, total)
-        if mode == codes.EXACT and (out[0] == _OPEN if total == 1 else (out == _OPEN).any()):
-            for k in np.flatnonzero(out == _OPEN):
+        if mode == codes.EXACT and (out[0] == codes.AMBIGUOUS if total == 1 else (out == codes.AMBIGUOUS).any()):
+            for k in np.flatnonzero(out == codes.AMBIGUOUS):
                 out[k], tiers[k] = self._settle_pairs(ready, flat[k]), codes.BY_SEARCH
         return out, tiers
 
@@ -524,7 +523,7 @@ class CollisionChecker:
         self._learn(ready, settled)
         if verdict != codes.AMBIGUOUS:
             return bool(verdict == codes.FREE)
-        still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == _OPEN)])
+        still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == codes.AMBIGUOUS)])
         return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
 
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:

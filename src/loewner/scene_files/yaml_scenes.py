@@ -389,7 +389,7 @@ def _primitive_of(body: Body) -> dict[str, Any] | None:
     }
     if vertices is not None:
         guesses["polytope"] = "box", (2 * vertices.max(axis=0)).tolist()
-    shape, sizes = guesses[kind]
+    shape, sizes = guesses.get(kind, ("", [0.0]))
     if not min(sizes) > 0:
         return None
     if shape in AXIS_SHAPES:

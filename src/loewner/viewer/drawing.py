@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from loewner._validate import Floats, Ints
 from loewner.bodies import Body
+from loewner.errors import InputError
 from loewner.queries import Verdict
 
 Mesh = tuple[Floats, Ints]
@@ -185,13 +186,15 @@ def ball(subdivisions: int) -> Mesh:
 
 
 def _curved(kind: str, rounding: float, center: Floats, factor: Floats) -> Mesh:
-    """A curved piece: the image of a unit shape, and a ball added to it (see `loewner._kernels.shapes`)."""
+    """A curved piece: the image of a unit shape, and a ball added to it (see `loewner._kernels.pieces.shapes`)."""
     if kind in ("cylinder", "cone"):
         unit, triangles = _cylinder(0.0 if kind == "cone" else 1.0)
         return unit @ factor.T + center, triangles
     unit, triangles = ball(3)
     if kind == "ellipsoid":
         return unit @ factor.T + center, triangles
+    if kind not in ("sphere", "capsule"):
+        raise InputError(f"expected a kind of piece that can be drawn, found {kind}")
     lengths = np.linalg.norm(factor, axis=0)
     half = lengths[2] if kind == "capsule" else 0.0
     core = np.where(unit[:, 2:] >= 0, half, -half) * [0.0, 0.0, 1.0]

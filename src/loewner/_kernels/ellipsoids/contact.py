@@ -31,6 +31,17 @@ SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 32, certified.md B14
 # derived 11, certified.md B19
+POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
+
+
+@inline
+def position_error(size, unit):
+    """What rounding can do to a position, or to its product with a unit vector, in the precision of roundoff `unit`.
+
+    `size` is the sum of the lengths that went into it. All that is proven about positions takes its slack from here, so
+    that a term added here is added everywhere.
+    """
+    return POSITION_ERROR * unit * size
 
 
 @inline
@@ -145,7 +156,7 @@ def separation(P, Q, r, n, size):
 @inline
 def gap_bound(offset, width_p, width_q, length, size):
     """The bound of `separation` from n·r, the two outward widths and |n|."""
-    bound = (offset - width_p - width_q) / length - POSITION_ROUNDINGS * size
+    bound = (offset - width_p - width_q) / length - position_error(size, UNIT_ROUNDOFF)
     # The quotient itself rounds; step away from it in the safe direction.
     return bound - 8.0 * UNIT_ROUNDOFF * absolute(bound)
 
@@ -173,7 +184,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     level_b = s * (width_q + SHAPE_ROUNDINGS * trace(Q) * length / sigma_b)
     # What separates the two points: zero in exact arithmetic, r - K n here.
     gap = r[0] - u * Pn[0] - s * Qn[0], r[1] - u * Pn[1] - s * Qn[1], r[2] - u * Pn[2] - s * Qn[2]
-    slack = sqrt(dot(gap, gap)) + POSITION_ROUNDINGS * size
+    slack = sqrt(dot(gap, gap)) + position_error(size, UNIT_ROUNDOFF)
     common = level_b + slack / sigma_b
     # A NaN in either must stay one: `maximum` passes on that of its second argument.
     level = (maximum(level_a, common) + 0.0 * level_a) * (1.0 + 8.0 * UNIT_ROUNDOFF)
@@ -187,7 +198,7 @@ def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
         r[1] - fb * Qn[1] - fa * Pn[1],
         r[2] - fb * Qn[2] - fa * Pn[2],
     )
-    distance = sqrt(dot(between, between)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + POSITION_ROUNDINGS * size
+    distance = sqrt(dot(between, between)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + position_error(size, UNIT_ROUNDOFF)
     return level, distance, depth
 
 

@@ -26,13 +26,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
+from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN, UNSURE
 from loewner._kernels.ellipsoids.contact import (
-    POSITION_ROUNDINGS,
     SHAPE_ROUNDINGS,
     maximize,
     nearness,
     normal_at,
+    position_error,
     separation,
 )
 from loewner._kernels.linalg3 import (
@@ -84,16 +84,11 @@ NEWTON_STEPS = 12
 # Of the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
 # derived 28, certified.md B5
-# Of the positions, times the lengths.
-POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 SINGLE_ROUNDOFF = 2.0**-24
 
 # How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
 # rounding does to F (see `_doubt`), in either precision. No proof rests on them: such a pair is left OPEN.
 SURE, SINGLE_SURE = 1e-6, 2e-3
-
-# What `certify` says where a better s may settle a pair.
-UNSURE = 7
 
 
 class Pose(NamedTuple):
@@ -198,7 +193,7 @@ def rounded_size(a, reach_a, b, reach_b):
 @inline
 def _clear(r, radii, size, margin, unit):
     """Mask: bounding spheres surely farther apart than the margin."""
-    far = radii + POSITION_ERROR * unit * size + margin
+    far = radii + position_error(size, unit) + margin
     # The second where squares overflow.
     widest = maximum(absolute(r[0]), maximum(absolute(r[1]), absolute(r[2])))
     return (dot(r, r) * (1.0 - 16.0 * unit) > far * far) | (widest * (1.0 - 8.0 * unit) > far)
@@ -236,7 +231,7 @@ def _doubt(P, Q, least, miss, s, size, unit, sure):
         c; also the least distance of F from 1 that is taken for real.
     """
     u = 1.0 - s
-    off = POSITION_ERROR * unit * size + miss
+    off = position_error(size, unit) + miss
     trace_of_K = u * trace(P) + s * trace(Q)
     return sure * least + 4.0 / sure * (s * u * off * off) + SHAPE_ERROR * unit * trace_of_K
 
@@ -264,7 +259,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
     squared = dot(n, n)
     along = dot(n, r)
     # n·r > √v + √w, with n·r rounded down and the squared widths v and w rounded up.
-    low = along - POSITION_ERROR * unit * size * _one_norm(n)
+    low = along - position_error(size, unit) * _one_norm(n)
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
@@ -289,7 +284,7 @@ def _common(a, b, r, n, s, size, unit, sure):
     length = _one_norm(n)
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
-    slack = miss + POSITION_ERROR * unit * size
+    slack = miss + position_error(size, unit)
     # Its level in each, (1-s)|Fᵀn| and s|Gᵀn|, must be at most 1 less what rounding does to it.
     error_a = SHAPE_ERROR * unit * trace(a.Q)
     error_b = SHAPE_ERROR * unit * trace(b.Q)

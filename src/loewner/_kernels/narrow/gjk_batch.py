@@ -19,8 +19,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
-from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
+from loewner._kernels.ellipsoids.contact import position_error
+from loewner._kernels.linalg3 import (
+    UNIT_ROUNDOFF,
+    apply,
+    apply_transposed,
+    cross,
+    dot,
+    minus,
+    negated,
+    plus,
+    selected,
+)
 from loewner._kernels.narrow import pair_list
 from loewner._kernels.narrow.certificate import (
     SINGLE_ROUNDOFF,
@@ -240,7 +250,7 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     )  # fmt: skip
     gap = x * tx + y * ty + z * tz - (np.float64(width_a) + np.float64(width_b))
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
-    error += POSITION_ROUNDINGS * (abs(tx) + abs(ty) + abs(tz))
+    error += position_error(abs(tx) + abs(ty) + abs(tz), UNIT_ROUNDOFF)
     squared = x * x + y * y + z * z
     # What is longer may overflow single precision.
     return (gap > error * np.sqrt(squared)) & (squared > SHORT) & (squared < 1.0 / SHORT)

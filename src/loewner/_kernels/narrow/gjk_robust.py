@@ -14,7 +14,7 @@ doi:10.1080/10867651.1999.10487502 (termination by the support plane).
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF, dot, minus, negated, plus
 from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import ROUNDING, placed_support, reach
@@ -48,7 +48,7 @@ def minkowski_support(A, B, shift, n, S, k):
 @inline
 def rounding_error(A, B, shift):
     """Bound on the error of any computed dot product of a unit vector with a point of A - B: certified.md B14."""
-    return POSITION_ROUNDINGS * lengths(A, B, shift)
+    return position_error(lengths(A, B, shift), UNIT_ROUNDOFF)
 
 
 @inline

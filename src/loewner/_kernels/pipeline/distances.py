@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, position_error
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
@@ -223,7 +224,7 @@ def _measure_near(count, queue, operands, S, searches, exact):
             if searched == DEPTH_SETTLED:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
-        error = POSITION_ROUNDINGS * size
+        error = position_error(size, UNIT_ROUNDOFF)
         ends = begin(A, B, shift, vertices)
         status, below, above = measure(A, B, shift, vertices, ends, n, error, -np.inf, np.inf, result)
         if status == NEAREST:
@@ -248,7 +249,7 @@ def _measure_late(late, queue, operands, S, exact):
         A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
         B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
         shift, n = three(S, SHIFT, lane), three(S, NORMAL, lane)
-        error = POSITION_ROUNDINGS * S[SIZE * LANES + lane]
+        error = position_error(S[SIZE * LANES + lane], UNIT_ROUNDOFF)
         curved = _is_curved(A) or _is_curved(B)
         if inside and not curved:
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)

@@ -20,6 +20,7 @@ from loewner._kernels.codes import (
     EXACT,
     FREE,
     OPEN,
+    UNSURE,
 )
 from loewner._kernels.narrow import certificate, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
@@ -29,10 +30,10 @@ from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.rigid import RIGID, fault
 from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
 from loewner._kernels.pipeline.workspace import (
-    HELD,
-    TURN,
-    UNSURE,
-    WALKING,
+    HALF,
+    N_HELD,
+    N_UNSURE,
+    N_WALKING,
     ahead_of,
     carried_of,
     exact_of,
@@ -53,9 +54,11 @@ from loewner._kernels.trees import piece_tree
 FAR, CLOSE = 1, 2
 FAULTY = -1
 
-# Said to `_flush` besides: the list is of bodies of one piece, no pair twice; of consecutive ones; it tells what comes
-# later; and it is of pairs that need the best s.
-DISTINCT, CONSECUTIVE, PREFETCHING, BEST = 4, 8, 16, 32
+# Said to `_flush` besides.
+DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
+CONSECUTIVE = 8  # the listed pairs follow each other
+PREFETCHING = 16  # the list `ahead` tells what a later block needs
+BEST = 32  # the pairs need the s at the maximum of the contact function, which the first guesses missed
 
 AHEAD = 6  # piece pairs between asking for their vertices and their use
 
@@ -134,10 +137,10 @@ def _culled(query, flags, count, single, work):
 
 
 @njit()
-def _wait(count, listed, tier, waiting, unsure):
+def _put_aside(count, listed, tier, waiting, unsure):
     """Copy the listed pairs that are UNSURE to a list that `waiting` pairs are in already; how many are in it then."""
     for lane in range(count):
-        if tier[lane] == certificate.UNSURE:
+        if tier[lane] == UNSURE:
             pair_list.copy(unsure, waiting, listed, lane)
             waiting += 1
     return waiting
@@ -145,10 +148,10 @@ def _wait(count, listed, tier, waiting, unsure):
 
 @njit()
 def _improved(query, count, work):
-    """Certify the lanes left UNSURE once more, at the best s; False for a faulty pose."""
+    """Certify the lanes left UNSURE once more, at the maximum of the contact function; False for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     again = ahead_of(work)  # what it said has been asked for by now
-    unsure = _wait(count, listed_of(work), tier_of(work), np.int64(0), again)
+    unsure = _put_aside(count, listed_of(work), tier_of(work), np.int64(0), again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
     normals = np.empty(3 * BLOCK)
@@ -158,7 +161,7 @@ def _improved(query, count, work):
         return False
     n = 0
     for lane in range(count):
-        if tier_of(work)[lane] == certificate.UNSURE:
+        if tier_of(work)[lane] == UNSURE:
             tier_of(work)[lane] = tiers[n]
             for row in range(3):
                 normals_of(work)[row * BLOCK + lane] = normals[row * BLOCK + n]
@@ -188,7 +191,7 @@ def _search(query, turn, count, fresh, last, work, out, tally):
     together = query.margin == 0.0 and len(a.single) > 0 and len(b.single) > 0
     at, way = turn * BLOCK, turn * (3 * BLOCK)
     other = BLOCK - at
-    walking = carried_of(work)[WALKING]
+    walking = carried_of(work)[N_WALKING]
     for n in range(max(count, fresh)):
         if n < fresh:
             prefetch_vertices_far(a.layout, a.vertices, _entry(held.piece_a, other + n))
@@ -219,7 +222,7 @@ def _search(query, turn, count, fresh, last, work, out, tally):
     if last != 0 and walking > 0:
         _walk(query, walking, work, out, tally)
         walking = np.int64(0)
-    carried_of(work)[WALKING] = walking
+    carried_of(work)[N_WALKING] = walking
 
 
 @njit()
@@ -307,10 +310,10 @@ def _flush(query, flags, count, work, out, tally):
         if not done:
             return FAULTY
         for lane in range(count):
-            unsure += tier[lane] == certificate.UNSURE
-        if flags & DISTINCT and carried[UNSURE] + unsure <= BLOCK:
+            unsure += tier[lane] == UNSURE
+        if flags & DISTINCT and carried[N_UNSURE] + unsure <= BLOCK:
             if unsure > 0:
-                carried[UNSURE] = _wait(count, listed, tier, carried[UNSURE], unsure_of(work))
+                carried[N_UNSURE] = _put_aside(count, listed, tier, carried[N_UNSURE], unsure_of(work))
         elif unsure > 0 and not _improved(query, count, work):
             return FAULTY
 
@@ -340,11 +343,11 @@ def _flush(query, flags, count, work, out, tally):
     if query.mode != EXACT:
         tally[OPEN] += left
         return found
-    turn = 1 - carried[TURN]
+    turn = 1 - carried[HALF]
     held = _hold(a, b, count, turn, work)
     if flags & DISTINCT:
-        _search(query, carried[TURN], carried[HELD], held, np.int64(0), work, out, tally)
-        carried[HELD], carried[TURN] = held, turn
+        _search(query, carried[HALF], carried[N_HELD], held, np.int64(0), work, out, tally)
+        carried[N_HELD], carried[HALF] = held, turn
     elif held > 0:
         _search(query, turn, held, np.int64(0), np.int64(1), work, out, tally)
     return found
@@ -480,16 +483,16 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
             found = _flush(query, flags, count, work, out, tally)
             if found == FAULTY:
                 return False
-            waiting = carried[UNSURE]
+            waiting = carried[N_UNSURE]
             if waiting >= ENOUGH or (waiting > 0 and k == stop):
                 # They take the place of the block for once; what is found of them says nothing about those to come.
-                carried[UNSURE] = 0
+                carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
                 if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
                     return False
-        if carried[HELD] + carried[WALKING] > 0:
-            _search(query, carried[TURN], carried[HELD], np.int64(0), np.int64(1), work, out, tally)
+        if carried[N_HELD] + carried[N_WALKING] > 0:
+            _search(query, carried[HALF], carried[N_HELD], np.int64(0), np.int64(1), work, out, tally)
         return True
 
     # Bodies of which one has many pieces: by their trees.

@@ -10,9 +10,9 @@ from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.pair_list import pair_list_at
 from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at
 
-# Entries of `carried_of`: how many pairs are held for the search, in which half of the list; wait for the best s; wait
-# for the batch GJK.
-HELD, TURN, UNSURE, WALKING, CARRIED = 0, 1, 2, 3, 4
+# Entries of `carried_of`: how many pairs are held for the search, and in which half of the list; how many wait for the
+# s at the maximum of the contact function, and how many for the batch GJK.
+N_HELD, HALF, N_UNSURE, N_WALKING, CARRIED = 0, 1, 2, 3, 4
 
 _LIST, _NORMALS = pair_list.size(BLOCK), 8 * 3 * BLOCK
 _HELD = 3 * _LIST

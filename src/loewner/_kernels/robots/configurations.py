@@ -30,6 +30,7 @@ from loewner._kernels.codes import (
     EXACT,
     FREE,
     OPEN,
+    UNSURE,
 )
 from loewner._kernels.narrow import certificate, exact, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
@@ -51,7 +52,7 @@ from loewner._kernels.robots.placement import (
     placement_size,
     stand,
 )
-from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, lines
+from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, lines, whole_lines
 from loewner._kernels.simd.vectors import SINGLE_LANES, lowest_bit
 from loewner._kernels.trees import piece_tree
 
@@ -70,8 +71,8 @@ _DIRECTIONS = _AT_WAITING + _WAITING
 _LIVE = _DIRECTIONS + 3 * 8 * WAITING
 _VERDICTS = _LIVE + LINE
 _STEPS = _VERDICTS + 2 * MOST
-_TREE = _STEPS + lines.py_func(8 * piece_tree.STEPS)
-_EXACT = _TREE + lines.py_func(8 * piece_tree.NUMBERS)
+_TREE = _STEPS + whole_lines(8 * piece_tree.STEPS)
+_EXACT = _TREE + whole_lines(8 * piece_tree.NUMBERS)
 _WAY = _EXACT + exact.SIZE
 
 
@@ -192,7 +193,8 @@ def _hit(query, s, pair, tier):
 
 
 @inline
-def _leave(query, s):
+def _mark_open(query, s):
+    """A configuration that is not known to collide has a pair that nothing settled."""
     _verdicts_of(query.work)[s] = AMBIGUOUS
     _tiers_of(query.work)[s] = OPEN
 
@@ -230,7 +232,7 @@ def _improve(query, S, held):
             if tier[lane] == BY_INNER:
                 _hit(query, s, code // S, BY_INNER)
             elif tier[lane] == OPEN:
-                _leave(query, s)
+                _mark_open(query, s)
             elif tiers[s] < BY_OUTER:
                 tiers[s] = BY_OUTER
 
@@ -260,7 +262,7 @@ def _search(query, S, held):
             if query.first_hit != 0:
                 return
         elif verdict == AMBIGUOUS:
-            _leave(query, s)
+            _mark_open(query, s)
         elif tiers[s] < tier:
             tiers[s] = tier
 
@@ -309,7 +311,7 @@ def _certify(query, keep, count, S, held):
             _hit(query, s, code // S, BY_INNER)
         elif tier[lane] == BY_OUTER:
             tiers[s] = max(tiers[s], BY_OUTER)
-        elif tier[lane] != BY_SPHERE and (query.mode == EXACT or tier[lane] == certificate.UNSURE):
+        elif tier[lane] != BY_SPHERE and (query.mode == EXACT or tier[lane] == UNSURE):
             pair_list.put(
                 waiting, held, code, pieces_a[lane], pieces_b[lane], listed.pose_a[lane],
                 listed.pose_b[lane],
@@ -318,7 +320,7 @@ def _certify(query, keep, count, S, held):
                 directions[held, row] = normals[row * BLOCK + lane]
             held += 1
         elif tier[lane] == OPEN:
-            _leave(query, s)
+            _mark_open(query, s)
     if _ended(query):
         return np.int64(0)
     # Last of all: it makes lists of its own in `listed`.

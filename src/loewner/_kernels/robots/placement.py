@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
+from loewner._kernels.ellipsoids.contact import POSITION_ERROR, SHAPE_ROUNDINGS
 from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
-from loewner._kernels.narrow.certificate import POSITION_ERROR, SINGLE_ROUNDOFF
+from loewner._kernels.narrow.certificate import SINGLE_ROUNDOFF
 from loewner._kernels.pieces.shapes import (
     HOT,
     INNER_CENTER,

@@ -59,10 +59,12 @@ def bytes_at(address, shape):
     return carray(_bytes(address), shape)
 
 
-@inline
-def lines(size):
-    """Bytes of whole cache lines that hold `size` bytes."""
+def whole_lines(size: int) -> int:
+    """Bytes of whole cache lines that hold `size` bytes; for Python, and as `lines` for kernels."""
     return (size + (LINE - 1)) // LINE * LINE
+
+
+lines = inline(whole_lines)
 
 
 class Memory:

@@ -18,7 +18,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_width
+from loewner._kernels.ellipsoids.contact import outward_width, position_error
 from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
@@ -156,7 +156,7 @@ def bounds(first, last, body_step, pose_step, pack, T, lower, upper):
                 shape = hot[i, q], hot[i, q + 1], hot[i, q + 2], hot[i, q + 3], hot[i, q + 4], hot[i, q + 5]
                 width, _ = outward_width(shape, (x, y, z), squared)
                 middle = t + (x * hot[i, c] + y * hot[i, c + 1] + z * hot[i, c + 2])
-                width += POSITION_ROUNDINGS * (abs(t) + hot[i, REACH])
+                width += position_error(abs(t) + hot[i, REACH], UNIT_ROUNDOFF)
                 low = min(low, middle - width)
                 high = max(high, middle + width)
             lower[body, axis] = low if low > -MOST else -MOST

@@ -13,7 +13,8 @@ the world times at most the norm of R. `BEND` allows for both.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, outward_width
+from loewner._kernels.ellipsoids.contact import outward_width, position_error
+from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
 from loewner._kernels.simd.vectors import lowest_bit
 from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, ordered, raised, within
@@ -259,7 +260,7 @@ def _place(hot, piece, numbers):
     for row in range(3):
         x, y, z = numbers[TURN + 3 * row], numbers[TURN + 3 * row + 1], numbers[TURN + 3 * row + 2]
         width, _ = outward_width(_shape(hot, piece), (x, y, z), x * x + y * y + z * z)
-        width += POSITION_ROUNDINGS * numbers[SIZE]
+        width += position_error(numbers[SIZE], UNIT_ROUNDOFF)
         middle = _placed_center(hot, piece, numbers, row)
         numbers[PIECE_BOX + row] = middle - width
         numbers[PIECE_BOX + 3 + row] = middle + width
@@ -291,7 +292,7 @@ def _place_all(b, ib, Ta, ka, Tb, kb, numbers):
                 near, far = _root_interval(b.groups, root, axis)
                 low += min(along * near, along * far)
                 high += max(along * near, along * far)
-        error = POSITION_ROUNDINGS * numbers[SIZE]
+        error = position_error(numbers[SIZE], UNIT_ROUNDOFF)
         numbers[B_BOX + row] = shift + low - error
         numbers[B_BOX + 3 + row] = shift + high + error
 
