@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loewner
-from families import FAMILIES, pieces, random_poses
+from families import FAMILIES, pieces, random_poses, translation
 from loewner import Bodies, Body, Verdict, _settle, crowds, overlapping_pairs
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -290,3 +290,16 @@ def test_unsettled_pairs_are_an_error(monkeypatch):
     monkeypatch.setattr(_settle.verdicts, "settle_range", gives_up)
     with pytest.raises(loewner.ConvergenceError, match=r"first of them \(0, 1\)"):
         overlapping_pairs(Bodies.spheres([1.0, 1.0]))
+
+
+def test_poses_that_are_hardly_rigid_are_refused():
+    """A pose that one check lets through and another does not is no proof that nothing overlaps."""
+    grid = Body.union([Body.box([1, 1, 1]).transformed(translation(i, j)) for i in range(8) for j in range(8)])
+    T = np.tile(np.eye(4), (8, 1, 1))
+    T[:, 0, 3] = [0, 0.1, 100, 200, 300, 400, 500, 600]
+    # The square of the last entry is off by 1e-6 and a hair.
+    T[:, 2, 2] = 1.0000004999998753
+    with pytest.raises(loewner.PoseError, match="T_world"):
+        overlapping_pairs(Bodies([grid] * 8), T)
+    T[:, 2, 2] = 1.0000004999998
+    assert overlapping_pairs(Bodies([grid] * 8), T).tolist() == [[0, 1]]

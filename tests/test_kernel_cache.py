@@ -210,6 +210,30 @@ assert answer(2.0) == 3.0
     assert float(ask(package, tmp_path / "cache", many).stdout) == 2.0
 
 
+def test_compiling_ahead_can_be_interrupted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """What `progress` raises, an interrupt for instance, ends the processes at once."""
+    alive = tmp_path / "pid"
+    child = (
+        f"import os, time; open({str(alive)!r}, 'w').write(str(os.getpid())); print('fits', flush=True); time.sleep(60)"
+    )
+    monkeypatch.setattr(compilation, "_code", lambda names: child)
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compilation.compile_kernels(["fits"], progress=interrupt)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(alive.read_text()), 0)
+
+
+def test_kernels_need_the_compiler(package: Path, tmp_path: Path):
+    """Numba's switch that turns its compiler off is refused by name."""
+    with pytest.raises(subprocess.CalledProcessError) as raised:
+        ask(package, tmp_path, NUMBA_DISABLE_JIT="1")
+    assert "NUMBA_DISABLE_JIT: expected Numba to compile" in raised.value.stderr
+
+
 def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead without a place to keep the result is an error that names the folder."""
     blocked = tmp_path / "a file"

@@ -6,10 +6,9 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from queue import SimpleQueue
 
 import numpy as np
 
@@ -37,6 +36,7 @@ def _verdicts() -> None:
     a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
     loewner.classify(a, None, b, _poses())
     loewner.collide(a, None, b, _poses(), margin=0.1)
+    _validate.rigid_motions(_poses(), "T")
 
 
 def _estimates() -> None:
@@ -57,6 +57,7 @@ def _paper() -> None:
     from loewner import paper
 
     paper.run(20)
+    paper.mvce_by_lifted_mvie(np.random.default_rng(0).normal(size=(12, 3)))
 
 
 def _distances() -> None:
@@ -76,7 +77,8 @@ def _fits() -> None:
 
     points = np.random.default_rng(0).normal(size=(12, 3))
     loewner.Body.from_points(points)
-    loewner.Body.from_points(np.random.default_rng(0).normal(size=(4000, 3)))  # with a map of directions
+    round_points = np.random.default_rng(0).normal(size=(400, 3))
+    loewner.Body.from_points(round_points / np.linalg.norm(round_points, axis=1)[:, None])  # with a map of directions
     loewner.mvce(points)
     loewner.mvie(points)
     one, other = (loewner.Ellipsoids([x, 0.0, 0.0], np.eye(3)) for x in (0.0, 3.0))
@@ -93,7 +95,9 @@ def _robots() -> None:
         urdf.write_text(_ARM, encoding="utf-8")
         robot = loewner.Robot.from_urdf(urdf)
     robot.forward_kinematics([[0.0]])
-    loewner.CollisionChecker(robot, skip_adjacent=False).collide([[0.0], [5.0]])
+    checker = loewner.CollisionChecker(robot, skip_adjacent=False)
+    checker.collide([[0.0], [5.0]])
+    checker.valid_edges([5.0], [6.0], resolution=0.5)
 
 
 _PARTS = {
@@ -104,6 +108,9 @@ PARTS = tuple(_PARTS)
 
 # What one process compiles, since most of it is the same; those that take longest first.
 _TOGETHER = (("verdicts", "crowds", "robots"), ("fits",), ("distances", "estimates", "paper"))
+
+
+POLL = 0.1  # seconds between looks at the processes
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -133,48 +140,60 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [[name for name in group if name in wanted] for group in _TOGETHER]
     _validate.callback(progress, "progress")
-    told: SimpleQueue[str | None] = SimpleQueue()
-    total, done = sum(map(len, chosen)), 0
-    with ThreadPoolExecutor(max(1, os.cpu_count() or 1)) as pool:
-        running = [pool.submit(_compile_apart, names, told) for names in chosen if names]
-        at_work = len(running)
-        while at_work:
-            if told.get() is None:
-                at_work -= 1
-                continue
-            done += 1
+    waiting, running, ended = [names for names in chosen if names], list[_Group](), 0
+    total, told = sum(map(len, chosen)), 0
+    folder = tempfile.TemporaryDirectory()
+    try:
+        while waiting or running:
+            while waiting and len(running) < (os.cpu_count() or 1):
+                running.append(_Group(waiting.pop(0), Path(folder.name)))
+            time.sleep(POLL)
+            for group in [group for group in running if group.process.poll() is not None]:
+                group.check()
+                running.remove(group)
+                ended += len(group.names)
+            done = ended + sum(group.done() for group in running)
             if progress is not None:
-                progress(done, total)
+                for number in range(told + 1, done + 1):
+                    progress(number, total)
+            told = done
+    finally:
         for group in running:
-            group.result()
+            group.process.kill()
+            group.process.wait()
+        folder.cleanup()
     return CACHE_FOLDER
 
 
-def _compile_apart(names: list[str], told: SimpleQueue[str | None]) -> None:
-    """Some parts in a process of their own: Numba compiles one function at a time in each.
+class _Group:
+    """Some parts in a process of their own: Numba compiles one function at a time in each."""
 
-    Each is told when it is done, and None at the end, however that comes.
-    """
-    command = [sys.executable, "-c", _code(names)]
-    try:
-        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
-            with subprocess.Popen(
-                command, env={**os.environ, "LOEWNER_QUIET": "1"}, stdout=subprocess.PIPE, stderr=said, text=True
-            ) as process:
-                for name in process.stdout or ():
-                    told.put(name.strip())
-            if process.returncode:
-                said.seek(0)
-                what, why = ", ".join(names), said.read().strip()[-2000:]
-                raise FileError(f"{CACHE_FOLDER}: the kernels for {what} could not be compiled:\n{why}")
-    finally:
-        told.put(None)
+    def __init__(self, names: list[str], folder: Path) -> None:
+        self.names = names
+        # Files, not pipes: nobody has to read them in time, and a full pipe would stop the process.
+        self._told, self._said = folder / f"{names[0]}.out", folder / f"{names[0]}.err"
+        environment = {**os.environ, "LOEWNER_QUIET": "1"}
+        command = [sys.executable, "-c", _code(names)]
+        with self._told.open("wb") as told, self._said.open("wb") as said:
+            self.process = subprocess.Popen(command, env=environment, stdout=told, stderr=said)
+
+    def done(self) -> int:
+        """How many parts are done."""
+        return sum(line in self.names for line in self._told.read_text(encoding="utf-8", errors="replace").splitlines())
+
+    def check(self) -> None:
+        """Raise what the process ended with."""
+        if self.process.returncode:
+            what, why = ", ".join(self.names), self._said.read_text(encoding="utf-8", errors="replace").strip()[-2000:]
+            raise FileError(f"{CACHE_FOLDER}: the kernels for {what} could not be compiled:\n{why}")
 
 
 def _code(names: list[str]) -> str:
-    # Numba makes millions of small objects that stay: looking through them for garbage takes a sixth of the time.
+    # This package, wherever it lies. And Numba makes millions of small objects that stay: looking through them for
+    # garbage takes a sixth of the time.
     return f"""
 import gc, sys
+sys.path.insert(0, {str(Path(__file__).parent.parent)!r})
 gc.set_threshold(200_000, 50, 100)
 from loewner._kernels import _jit
 from loewner.compilation import _PARTS

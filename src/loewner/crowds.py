@@ -151,8 +151,10 @@ def _settled(
             continue
         listed = rows[:, :count].copy()
         a, b = listed
-        out = np.full(count, codes.AMBIGUOUS, dtype=np.int8)
-        settle(mode, margin, 0, count, (plan, listed, packed.handle, T, packed.handle, T), out)
+        out = np.empty(count, dtype=np.int8)
+        if settle(mode, margin, 0, count, (plan, listed, packed.handle, T, packed.handle, T), out) is None:
+            _validate.rigid_motions(T, "T_world")
+            raise PoseError("T_world: expected rigid motions, found poses that changed during the call")
         if mode == codes.EXACT:
             _refuse_unsettled(out, a, b)
         kept = out != codes.FREE

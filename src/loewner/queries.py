@@ -273,7 +273,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
             return tally
         for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
             _validate.rigid_motions(T, name)
-        raise PoseError("expected rigid motions, found poses that are none")
+        raise PoseError("expected rigid motions, found poses that changed during the call")
 
     return out, reduce(np.add, in_shares(run, pairs.total, CHUNK))
 

@@ -23,7 +23,6 @@ import numba
 from numba import types
 from numba.core import event
 from numba.core.caching import NullCache
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import intrinsic
@@ -31,6 +30,9 @@ from numba.extending import intrinsic
 from loewner._kernels import _parts, _sealed
 
 _config: Any = numba.config  # its settings are made at run time; no type knows them
+
+if _config.DISABLE_JIT:
+    raise ImportError("NUMBA_DISABLE_JIT: expected Numba to compile, for loewner's kernels are nothing without it")
 
 # Contraction (fused multiply-add) drops roundings and adds none, so every error bound stays
 # valid. Nothing that reorders or assumes away NaN is allowed here.
@@ -167,30 +169,36 @@ class _Kernel(CPUDispatcher):
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions=options | quiet, pipeline_class=_parts.PartCompiler)
         self._cache = _KernelCache(function, "part")
-        for_python: Any = CPUDispatcher(function, targetoptions=options | {"no_cfunc_wrapper": True})
-        for_python._cache = _KernelCache(function, "entry")
-        self._for_python = for_python
-        self._callable: set[tuple[Any, ...]] = set()  # signatures that Python can call
+        self._for_python: Any = _Callable(self, function, options | {"no_cfunc_wrapper": True})
 
     def add_overload(self, cres: Any) -> None:
         """Keep a part for the kernels, which look here; Python could not call it."""
         self.overloads[tuple(cres.signature.args)] = cres
 
-    @global_compiler_lock
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        """Compile what Python can call; asked for types that are new, by several threads perhaps."""
-        function = self._for_python._compile_for_args(*args, **kws)
-        for signature, cres in self._for_python.overloads.items():
-            # Each once: of two that are equal the dispatcher could choose neither, and would ask here at every call.
-            if signature not in self._callable:
-                self._callable.add(signature)
-                self._insert([kind._code for kind in signature], cres.entry_point, False)  # type: ignore[attr-defined]
-        return function
+        """Compile what Python can call; asked for types that are new."""
+        return self._for_python._compile_for_args(*args, **kws)
+
+
+class _Callable(CPUDispatcher):
+    """The form of a kernel that Python calls, by way of the kernel."""
+
+    def __init__(self, kernel: _Kernel, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=options)
+        self._kernel = kernel
+        self._cache = _KernelCache(function, "entry")
+
+    def add_overload(self, cres: Any) -> None:
+        """Make it known to the kernel; Numba calls this under a lock, once for each signature.
+
+        Of two that are equal the kernel could choose neither, and would ask to compile at every call.
+        """
+        kernel: Any = self._kernel
+        kernel._insert([kind._code for kind in cres.signature.args], cres.entry_point, False)
+        super().add_overload(cres)
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    if _config.DISABLE_JIT:
-        return function
     return _Kernel(function, {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True, **options})
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, overload
+from typing import Any, Generic, Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -392,10 +392,8 @@ class CollisionChecker:
         """
         checked = self.robot.checked_one(q)
         ready = self._ready()
-        T, meet = ready.poses(checked[None])[0], np.zeros(len(ready.pairs), dtype=bool)
-        for margin in np.unique(ready.margins):
-            at = ready.margins == margin
-            meet[at] = queries.collide(ready.bodies, T, ready.bodies, T, margin=float(margin), pairs=ready.pairs[at])
+        T = ready.poses(checked[None])[0]
+        meet = _collisions_by_pair(ready, _listed(ready), checked, T)
         a, b = ready.pairs[meet].T
         found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
         return Contact.from_distances(((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True)), found)
@@ -424,12 +422,10 @@ class CollisionChecker:
             len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
         )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
-        each = max(1, min(BY_PAIR, POSES_AT_ONCE // len(ready.names)))
+        each, listed = max(1, min(BY_PAIR, POSES_AT_ONCE // len(ready.names))), _listed(ready)
         for k in range(0, len(flat), each):
-            T = ready.poses(flat[k : k + each])
-            for p, (a, b) in enumerate(ready.pairs.tolist()):
-                one, other, margin = ready.bodies[a], ready.bodies[b], float(ready.margins[p])
-                out[k : k + each, p] = queries.collide(one, T[:, a], other, T[:, b], margin=margin)
+            for at, (q, T) in enumerate(zip(flat[k : k + each], ready.poses(flat[k : k + each]), strict=True), k):
+                out[at] = _collisions_by_pair(ready, listed, q, T)
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
@@ -528,24 +524,10 @@ class CollisionChecker:
 
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, by each of its pairs."""
-        T, pack = ready.poses(q[None])[0], ready.bodies._packed.handle
-        verdicts = np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
-        for margin in np.unique(ready.margins):
-            at = np.flatnonzero(ready.margins == margin)
-            plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
-            found = np.empty(len(at), dtype=np.int8)
-            operands = plan, np.ascontiguousarray(ready.pairs[at].T), pack, T, pack, T
-            if settle(codes.EXACT, float(margin), 0, len(at), operands, found) is not None:
-                verdicts[at] = found
+        verdicts = _pair_verdicts(ready, _listed(ready), ready.poses(q[None])[0])
         if (verdicts == Verdict.COLLIDING).any():
             return int(Verdict.COLLIDING)
-        unsettled = np.flatnonzero(verdicts == Verdict.AMBIGUOUS)
-        if len(unsettled):
-            a, b = (ready.names[k] for k in ready.pairs[unsettled[0]])
-            raise ConvergenceError(
-                f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat "
-                "it as colliding or change it by a hair"
-            )
+        _refuse_unsettled(ready, q, verdicts)
         return int(Verdict.FREE)
 
     def _learn(self, ready: CheckedPairs, count: int) -> None:
@@ -604,6 +586,53 @@ class CollisionChecker:
 def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
     """Whether configurations collide, from their verdicts."""
     return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
+
+
+class _Listed(NamedTuple):
+    """Pairs of one margin, as `settle` takes them."""
+
+    margin: float
+    at: Ints  # their places among all
+    plan: Ints
+    rows: Ints
+
+
+def _listed(ready: CheckedPairs) -> list[_Listed]:
+    """All pairs, by their margins."""
+    found = []
+    for margin in np.unique(ready.margins).tolist():
+        at = np.flatnonzero(ready.margins == margin)
+        plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
+        found.append(_Listed(margin, at, plan, np.ascontiguousarray(ready.pairs[at].T)))
+    return found
+
+
+def _pair_verdicts(ready: CheckedPairs, listed: list[_Listed], T: Floats) -> NDArray[np.int8]:
+    """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
+    pack, verdicts = ready.bodies._packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
+    for margin, at, plan, rows in listed:
+        found = np.empty(len(at), dtype=np.int8)
+        if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
+            verdicts[at] = found
+    return verdicts
+
+
+def _collisions_by_pair(ready: CheckedPairs, listed: list[_Listed], q: Floats, T: Floats) -> Bools:
+    """Which pairs collide at one configuration, where the bodies are at T."""
+    verdicts = _pair_verdicts(ready, listed, T)
+    _refuse_unsettled(ready, q, verdicts)
+    return np.asarray(verdicts == Verdict.COLLIDING)
+
+
+def _refuse_unsettled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
+    """An answer that arithmetic could not settle is an exception, never a guess."""
+    unsettled = np.flatnonzero(verdicts == Verdict.AMBIGUOUS)
+    if len(unsettled):
+        a, b = (ready.names[k] for k in ready.pairs[unsettled[0]])
+        raise ConvergenceError(
+            f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
+            "as colliding or change it by a hair"
+        )
 
 
 def _flat(Q: Floats) -> Floats:

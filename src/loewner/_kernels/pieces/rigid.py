@@ -9,8 +9,9 @@ from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose
 # float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
 ROTATION_TOLERANCE = 1e-6
 
-# What eight poses are checked with at once: a hair more, so that whatever fails has a fault one by one too.
-QUICK_TOLERANCE = ROTATION_TOLERANCE * (1 + 1e-9)
+# What eight poses are checked with at once, in another order of rounding. In the certificate a hair more, so that
+# whatever fails has a fault one by one too; in search of faults a hair less, so that none is missed.
+HAIR = 1e-9
 
 RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
@@ -67,7 +68,8 @@ def _rigid(tolerance, largest):
     return is_rigid
 
 
-is_rigid = _rigid(QUICK_TOLERANCE, np.finfo(np.float64).max)
+is_rigid = _rigid(ROTATION_TOLERANCE * (1 + HAIR), np.finfo(np.float64).max)
+_is_surely_rigid = _rigid(ROTATION_TOLERANCE * (1 - HAIR), np.finfo(np.float64).max)
 
 # What rounding the entries to single precision and multiplying them costs. So what passes here is rigid, except for a
 # last row that rounds to (0, 0, 0, 1), which no certificate reads.
@@ -82,12 +84,11 @@ def first_fault(Ts):
     rows = np.arange(LANES)
     for start in range(0, total, LANES):
         stop = min(start + LANES, total)
-        if (
-            stop == start + LANES
-            and movemask(is_rigid(gather_transpose(Ts, 16, rows, 0, 0), gather_transpose(Ts, 16, rows, 0, 8))) == ALL
-        ):
-            rows += LANES
-            continue
+        if stop == start + LANES:
+            p, q = gather_transpose(Ts, 16, rows, 0, 0), gather_transpose(Ts, 16, rows, 0, 8)
+            if movemask(_is_surely_rigid(p, q)) == ALL:
+                rows += LANES
+                continue
         for k in range(start, stop):
             kind, size = fault(Ts[k])
             if kind != RIGID:

@@ -502,11 +502,11 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     found_b = np.empty(BLOCK, np.int64)
     flags, filled = np.int64(0), np.int64(0)
     for k in range(start, stop):
-        out[k] = FREE
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         # The trees may leave no piece pair at all, and nobody else would then look at the poses.
         if (a.roots[ia] >= 0 or b.roots[ib] >= 0) and (fault(Ta[ka])[0] != RIGID or fault(Tb[kb])[0] != RIGID):
             return False
+        out[k] = FREE
         piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
         while out[k] != COLLIDING:
             more = piece_tree.more(a, b, ib, query.margin, steps, numbers, found_a, found_b)
