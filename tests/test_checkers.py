@@ -481,6 +481,12 @@ def test_allowed_pairs_that_are_none(allowed, tmp_path):
         CollisionChecker(slider(tmp_path), allowed=allowed)
 
 
+def test_the_message_about_a_link_names_the_argument(tmp_path):
+    """A misspelt link among the allowed pairs is told as one of `allowed`."""
+    with pytest.raises(UnknownNameError, match="link in allowed: expected one of l0, l1; found 'floor'"):
+        CollisionChecker(slider(tmp_path), allowed=[("l0", "floor")])
+
+
 def test_neither_robot_nor_scene(tmp_path):
     """A checker is made of a Robot and a Scene, and names what it got instead."""
     with pytest.raises(InputError, match=r"robot: expected loewner\.Robot, found str"):

@@ -13,6 +13,7 @@ import trimesh
 import loewner
 from gantry import RADIUS, gantry
 from loewner import cli
+from loewner.cli.output import covering_text
 
 
 @pytest.fixture
@@ -265,7 +266,37 @@ def test_robot_check_prints_tables(folder, capsys):
     assert sum(int(n) for line in settled for n in re.findall(r"\d+", line)) == 500
     assert 0 < colliding < 500
     assert row(out, "rod", "wall")
-    assert "configurations a second" in out
+
+
+@pytest.mark.parametrize(("least", "told"), [(0.0, True), (60.0, False)])
+def test_robot_check_tells_a_rate_only_of_what_took_a_while(folder, capsys, monkeypatch, least, told):
+    """Of a short batch, most of the time is that of starting: no rate is printed, and in JSON it is null."""
+    monkeypatch.setattr("loewner.cli.robot.LEAST_TIMED", least)
+    check = ("robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500)
+    assert ("configurations a second" in run(capsys, *check)[1]) == told
+    assert (json.loads(run(capsys, *check, "--json")[1])["per_second"] is not None) == told
+
+
+@pytest.mark.parametrize(
+    ("excess", "text"), [(-1e-16, "+0.0 %"), (0.0, "+0.0 %"), (0.013, "+1.3 %"), (-0.02, "-2.0 %")]
+)
+def test_excess_volume_is_never_minus_zero(excess, text):
+    """Rounding can make the volume of the pieces a little less than that of the mesh."""
+    assert text in covering_text(loewner.Covering("convex", True, 0.0, excess, 8))
+
+
+def test_compile_tells_each_part_in_a_log(capsys, monkeypatch, tmp_path):
+    """Where standard error is no terminal, each part that is done is a line there."""
+
+    def compiled(parts, *, progress):
+        for done in range(len(parts)):
+            progress(done + 1, len(parts))
+        return tmp_path
+
+    monkeypatch.setattr("loewner.cli.compile.compile_kernels", compiled)
+    status, out, err = run(capsys, "compile", "--only", "fits", "paper")
+    assert (status, out) == (0, f"compiled into {tmp_path}\n")
+    assert err.splitlines()[1:] == ["loewner: 1 of 2 parts compiled", "loewner: 2 of 2 parts compiled"]
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,16 @@ def test_links_lead_somewhere(document):
     assert missing == []
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_rows_of_a_table_have_as_many_cells_as_its_head(document):
+    """Two rows on one line would be rendered as one: the cells beyond the head's are dropped."""
+    text = re.sub(r"^```.*?^```", "", document.read_text(), flags=re.M | re.S)
+    for table in re.findall(r"(?:^\|.*\n?)+", text, flags=re.M):
+        bars = [len(re.findall(r"(?<!\\)\|", row)) for row in table.splitlines()]
+        odd = [row for row, count in zip(table.splitlines(), bars, strict=True) if count != bars[0]]
+        assert odd == []
+
+
 def example(name: str, *arguments: str, cwd: Path) -> str:
     """Run an example as a user would and return what it printed."""
     environment = os.environ | {"PYTHONWARNINGS": "error", "LOEWNER_QUIET": "1"}

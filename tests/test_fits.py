@@ -274,7 +274,7 @@ BAD_POINTS = {
     "inf": ([[0, 0], [1, 0], [0, np.inf]], InputError, "finite"),
     "no points": (np.empty((0, 3)), GeometryError, "at least 4 points"),
     "no dimension": (np.empty((3, 0)), InputError, "dimension"),
-    "one axis": ([1.0, 2.0], InputError, r"shape \(n, n\)"),
+    "one axis": ([1.0, 2.0], InputError, r"shape \(m, n\), found \(2,\)"),
     "too few": ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], GeometryError, "at least 4 points"),
     "text": ([["a", "b"]], InputError, "numbers"),
     "ragged": ([[1, 2], [3]], InputError, "ragged"),

@@ -295,6 +295,15 @@ def test_robots_can_be_pickled(tmp_path):
     np.testing.assert_array_equal(again.forward_kinematics(q), robot.forward_kinematics(q))
 
 
+def test_a_body_of_no_link_is_an_unknown_name(tmp_path):
+    """A misspelt link among the bodies is told like any other name, also after the robot was pickled."""
+    robot = read(tmp_path, '<link name="a"/>')
+    for known in (robot, pickle.loads(pickle.dumps(robot))):
+        with pytest.raises(UnknownNameError, match=r"link with a body: expected one of \(there are none\); found 'a'"):
+            known.bodies["a"]
+        assert known.bodies.get("a") is None
+
+
 # -- bodies -------------------------------------------------------------------------------------
 
 

@@ -127,7 +127,7 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     name : str
         What the caller calls it, for the message.
     shape : tuple
-        Expected shape; ``None`` matches any length, a leading ``"..."`` any batch shape.
+        Expected shape; ``None`` or a letter matches any length, a leading ``"..."`` any batch shape.
 
     Raises
     ------
@@ -138,7 +138,10 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     tail = shape[1:] if shape and shape[0] == "..." else shape
     fits = array.ndim >= len(tail) if len(tail) < len(shape) else array.ndim == len(tail)
     if fits and tail:
-        fits = all(want is None or want == have for want, have in zip(tail, array.shape[-len(tail) :], strict=True))
+        fits = all(
+            not isinstance(want, int) or want == have
+            for want, have in zip(tail, array.shape[-len(tail) :], strict=True)
+        )
     if not fits:
         raise InputError(f"{name}: expected shape {shape_text(shape)}, found {shape_text(array.shape)}")
     if array.size and not np.isfinite(array).all():

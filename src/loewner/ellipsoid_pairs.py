@@ -76,7 +76,8 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
     Notes
     -----
-    Compares the contact function with 1. The paper's eigenproblem is `loewner.paper.overlap_by_eigenvalue`.
+    Compares the contact function with 1. The paper's eigenproblem is `paper.overlap_by_eigenvalue`, after
+    ``from loewner import paper``.
 
     References
     ----------

@@ -95,7 +95,7 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
     Notes
     -----
     Solves the dual by an interior point, with an active set when there are many points. The paper's reduction to an
-    inscribed ellipsoid is `loewner.paper.mvce_by_lifted_mvie`.
+    inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     References
     ----------
@@ -107,7 +107,7 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
     >>> fit.ellipsoid.semi_axes.round(4)
     array([1.4142, 1.4142])
     """
-    x = writeable(_validate.finite_array(points, "points", (None, None)))
+    x = writeable(_validate.finite_array(points, "points", ("m", "n")))
     check_enough(x, "points")
     tolerance = checked_tolerance(tol)
     n = x.shape[1]
@@ -158,7 +158,7 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     tolerance = checked_tolerance(tol)
     if b is not None:
         return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
-    points = _validate.finite_array(A, "points", (None, None))
+    points = _validate.finite_array(A, "points", ("m", "n"))
     check_enough(points, "points")
     if points.shape[1] == 1:  # Qhull wants a plane at least; an interval is its own two half-spaces
         return _mvie_of_halfspaces(np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance)

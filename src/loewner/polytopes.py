@@ -104,7 +104,7 @@ class Polytope:
         >>> Polytope.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
         Polytope(4 vertices, 4 faces, n=3)
         """
-        return cls(*_hull(_validate.finite_array(points, "points", (None, None)), "points"))
+        return cls(*_hull(_validate.finite_array(points, "points", ("m", "n")), "points"))
 
     @classmethod
     def from_halfspaces(cls, A: ArrayLike, b: ArrayLike) -> Polytope:
@@ -197,7 +197,7 @@ def flat_error(name: str, points: Floats) -> GeometryError:
 
 def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     """Half-spaces with rows of length about 1 (scaled by powers of two, so exactly), empty rows dropped."""
-    rows = _validate.finite_array(A, "A", (None, None))
+    rows = _validate.finite_array(A, "A", ("m", "n"))
     bounds = _validate.finite_array(b, "b", (len(rows),))
     if rows.shape[1] < 1 or len(rows) < 1:
         raise InputError(f"A: expected at least one half-space in dimension n >= 1, found shape {rows.shape}")

@@ -405,7 +405,8 @@ def collide(
     -------
     bool, or ndarray of bool, shape (...)
         Touching counts as colliding. False from "exact" is proven; True is proven up to rounding:
-        pairs apart by less than about 1e-14 of the lengths involved count as touching.
+        pairs apart by less than about 1e-12 of the lengths involved may count as touching, and which
+        of them do may depend on the order of the two bodies (docs/certified.md).
 
     Raises
     ------

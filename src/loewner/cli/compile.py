@@ -18,12 +18,19 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if not sys.stderr.isatty():  # where no bar shows
-        print(f"loewner: compiling {', '.join(options.only)}; takes a minute or two", file=sys.stderr, flush=True)
-    with progress_bar() as bar:
-        task = bar.add_task("compiling", total=None)
-        folder = compile_kernels(
-            options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    if sys.stderr.isatty():
+        with progress_bar() as bar:
+            task = bar.add_task("compiling", total=None)
+            folder = compile_kernels(
+                options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
+            )
+    else:  # a log, where no bar shows
+        _log(f"compiling {', '.join(options.only)}; takes a minute or two")
+        folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))
     print(f"compiled into {folder}")
     return 0
+
+
+def _log(text: str) -> None:
+    """Say it at once on standard error, so that standard output stays the answer."""
+    print(f"loewner: {text}", file=sys.stderr, flush=True)

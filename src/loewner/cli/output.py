@@ -37,7 +37,8 @@ def covering_text(covering: loewner.Covering | None) -> str:
     """What the pieces of a mesh hold of it, in a few words."""
     if covering is None:
         return "-"
-    excess = f", {100 * covering.excess_volume:+.1f} % volume"
+    percent = round(100 * covering.excess_volume, 1) + 0.0  # no minus zero
+    excess = f", {percent:+.1f} % volume"
     if np.isnan(covering.excess_volume):
         excess = ", volume of the mesh unknown"
     if covering.exact:

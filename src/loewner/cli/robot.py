@@ -27,6 +27,9 @@ from loewner.errors import FileError, InputError
 AT_ONCE = 50_000
 LISTED = 20
 
+# What is timed for less says nothing about a rate: the first large batch takes about 10 ms more to start [s].
+LEAST_TIMED = 0.1
+
 # The largest file of configurations that is read [bytes].
 MOST_BYTES = 2**33
 
@@ -218,7 +221,7 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
         "pairs": [[*checker.checked_pairs[p], int(hits[p])] for p in often if hits[p]],
         "outside_limits": np.flatnonzero(outside.any(axis=1)).tolist(),
         "outside_limits_of": [robot.configuration_names[k] for k in np.flatnonzero(outside.any(axis=0))],
-        "per_second": len(Q) / seconds,
+        "per_second": len(Q) / seconds if seconds >= LEAST_TIMED else None,
     }
 
 
@@ -249,5 +252,5 @@ def _print_checked(answer: dict[str, Any]) -> None:
     if answer["outside_limits"]:
         rows, names = answer["outside_limits"], ", ".join(answer["outside_limits_of"])
         print(f"note: {len(rows):,} configurations are outside the limits, the first in row {rows[0]}: {names}")
-    if count > 1:
+    if answer["per_second"] is not None:
         print(f"{answer['per_second']:,.0f} configurations a second, this machine, this run")

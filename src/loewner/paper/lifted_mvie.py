@@ -52,7 +52,7 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     >>> fit.ellipsoid.semi_axes.round(4)
     array([1.4142, 1.4142])
     """
-    x = writeable(_validate.finite_array(points, "points", (None, None)))
+    x = writeable(_validate.finite_array(points, "points", ("m", "n")))
     check_enough(x, "points")
     return _lifted(x, checked_tolerance(tol))
 

@@ -34,6 +34,13 @@ QUATERNION_TOLERANCE = 1e-6
 LEAST_SHARE = 1024
 
 
+class _LinkBodies(dict[str, Body]):
+    """The bodies by link name; of another name, the error lists the links that have one."""
+
+    def __missing__(self, name: object) -> Body:
+        raise _validate.unknown_name("link with a body", name, self)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A tree of links on joints; read one by `from_urdf`.
@@ -53,7 +60,8 @@ class Robot:
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
         outside are allowed everywhere; one that is far outside is told once (see `checked`).
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry.
+        Link name to `Body`, in the frame of the link, for links with collision geometry. Any other name is an
+        UnknownNameError.
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
@@ -198,7 +206,7 @@ class Robot:
             configuration_names=names,
             lower=lower,
             upper=upper,
-            bodies=bodies,
+            bodies=_LinkBodies(bodies),
             groups=semantics.groups,
             states=semantics.states,
             disabled_pairs=semantics.disabled_pairs,
@@ -306,7 +314,7 @@ class Robot:
                 raise InputError(f"{name}: expected pairs of names of links, found {_validate.short(pair)} among them")
             for link in names:
                 if not isinstance(link, str) or link not in known:
-                    raise _validate.unknown_name("link", link, self.link_names)
+                    raise _validate.unknown_name(f"link in {name}", link, self.link_names)
             if names[0] == names[1]:
                 raise InputError(f"{name}: expected two links, found {names[0]!r} twice")
             found.add((min(names), max(names)))
