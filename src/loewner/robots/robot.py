@@ -356,7 +356,7 @@ class Robot:
         _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
         flat = checked.reshape(count, self.dof)
         out = np.empty((count, links, 4, 4))
-        in_shares(lambda first, last: kinematics.forward(self.tree, flat, first, last, out), count, LEAST_SHARE)
+        in_shares(lambda first, last: kinematics.forward(*self.tree, flat, first, last, out), count, LEAST_SHARE)
         return out.reshape(*batch, links, 4, 4)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:

@@ -138,26 +138,23 @@ def place_links(tree, Q, rows, at, W):
     W : ndarray, shape (workspace_size(links, dof),) or longer
         What lies behind the poses is scratch.
     """
-    tree = Tree(
-        borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column),
-        borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants),
-    )  # fmt: skip
-    constants = tree.constants
-    links, dof = tree.parent.size, Q.shape[1]
+    parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
+    multiplier, offset, constants = borrowed(tree.multiplier), borrowed(tree.offset), borrowed(tree.constants)
+    links, dof = parent.size, Q.shape[1]
     behind = links * (POSE * LANES)
     for lane in range(LANES):
         row = rows[at + lane]
         for k in range(dof):
             W[behind + k * LANES + lane] = Q[row, k]
     for link in range(links):
-        what = tree.kind[link]
-        q = behind + tree.column[link] * LANES
+        what = kind[link]
+        q = behind + column[link] * LANES
         R = _nine(constants, link, ROTATION)
         t = _three(constants, link, TRANSLATION)
         if what == REVOLUTE:
-            R = _turned(constants, link, load(W, q) * tree.multiplier[link] + tree.offset[link])
+            R = _turned(constants, link, load(W, q) * multiplier[link] + offset[link])
         elif what == PRISMATIC:
-            t = along(t, load(W, q) * tree.multiplier[link] + tree.offset[link], _three(constants, link, ACROSS))
+            t = along(t, load(W, q) * multiplier[link] + offset[link], _three(constants, link, ACROSS))
         elif what == PLANAR:
             R = _turned(constants, link, load(W, q + 2 * LANES))
             t = along(t, load(W, q), _three(constants, link, ACROSS))
@@ -167,7 +164,7 @@ def place_links(tree, Q, rows, at, W):
             w, x = load(W, q + 3 * LANES), load(W, q + 4 * LANES)
             y, z = load(W, q + 5 * LANES), load(W, q + 6 * LANES)
             R = product(R, _by_quaternion(w, x, y, z))
-        above = tree.parent[link]
+        above = parent[link]
         if above >= 0:
             A = rotation_of_link(W, above)
             t = image(A, translation_of_link(W, above), t)
@@ -176,9 +173,13 @@ def place_links(tree, Q, rows, at, W):
 
 
 @njit()
-def forward(tree, Q, start, stop, out):
-    """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4)."""
-    links = tree.parent.size
+def forward(parent, kind, column, multiplier, offset, constants, Q, start, stop, out):
+    """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4).
+
+    The tree comes in its six arrays: a record would cost each call from Python a microsecond.
+    """
+    tree = Tree(parent, kind, column, multiplier, offset, constants)
+    links = parent.size
     W = np.empty(workspace_size(links, Q.shape[1]))
     rows = np.empty(LANES, dtype=np.int64)
     last = np.int64(stop - 1)
