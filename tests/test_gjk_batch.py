@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 import loewner
 from families import box_corners, pieces, posed_near_contact, random_poses, rotations
@@ -13,6 +14,7 @@ from loewner._kernels._jit import njit
 from loewner._kernels.narrow import gjk_batch
 from loewner._kernels.pieces import shapes
 from loewner._kernels.simd.memory import Memory
+from loewner._kernels.simd.vectors import broadcast, store
 from loewner.queries import _prepare, _settle
 from oracles import differences, hull, pack, posed_gaps
 
@@ -245,3 +247,17 @@ def test_a_faulty_pose_while_pairs_wait():
         with pytest.raises(PoseError, match=rf"T_world_b\[{at}\]"):
             loewner.collide(a, Ta, b, wrong)
     assert loewner.collide(a[:0], Ta[:0], b[:0], Tb[:0]).shape == (0,)
+
+
+@njit()
+def _ones(array):
+    store(array, 0, broadcast(1.0))
+
+
+def test_arrays_in_another_order_do_not_compile():
+    """Vectors look at no strides: an array that is not in C order is refused, not misread."""
+    array = np.zeros(16)
+    _ones(array)
+    assert array.tolist() == [1.0] * 8 + [0.0] * 8
+    with pytest.raises(NumbaError, match="expected an array in C order"):
+        _ones(np.zeros(32)[::2])

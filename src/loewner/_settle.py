@@ -17,7 +17,7 @@ from loewner._kernels.pipeline.workspace import SIZE
 from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
 
-# Plan, rows, handle and poses of a, handle and poses of b: see `verdicts.settle_range`.
+# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `verdicts.settle_range`.
 Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 # The plan of one pair, and the rows of pairs that are not listed by number.

@@ -113,7 +113,10 @@ class CheckedPairs:
         """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""
         moving = self.robot.forward_kinematics(Q)[:, self.link]
         standing = self.standing_poses.reshape(-1, 4, 4)
-        return np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
+        # In C order, which the kernels take for granted; NumPy may choose another.
+        return np.ascontiguousarray(
+            np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
+        )
 
 
 def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) -> CheckedPairs:

@@ -11,7 +11,7 @@ As everywhere in this package the only freedom given to the compiler is contract
 import operator
 
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, errors, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -304,6 +304,8 @@ def masked_store(typingctx, array, at, m, code):
 
 
 def _address(context, builder, array_type, array, offset):
+    if array_type.layout != "C":  # no strides are looked at: another array's entries would be taken for these
+        raise errors.LoweringError(f"expected an array in C order, found {array_type}")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [offset])
 
