@@ -17,7 +17,7 @@ from loewner._kernels._jit import CACHE_FOLDER
 from loewner.errors import FileError
 
 _ARM = """<robot name="arm">
-  <link name="base"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+  <link name="base"><collision><geometry><cylinder radius="0.5" length="1"/></geometry></collision></link>
   <link name="hand"><collision><geometry><sphere radius="0.5"/></geometry></collision></link>
   <joint name="slide" type="prismatic"><parent link="base"/><child link="hand"/><axis xyz="1 0 0"/>
     <limit lower="0" upper="9" effort="1" velocity="1"/></joint>
@@ -30,10 +30,13 @@ def _poses() -> np.ndarray:
     return T
 
 
+# Curved bodies where any will do: those with vertices need the kernels of hulls and fits besides.
+
+
 def _verdicts() -> None:
     import loewner
 
-    a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
+    a, b = loewner.Body.cylinder(0.5, 1), loewner.Body.sphere(0.5)
     loewner.classify(a, None, b, _poses())
     loewner.collide(a, None, b, _poses(), margin=0.1)
     _validate.rigid_motions(_poses(), "T")
@@ -42,7 +45,7 @@ def _verdicts() -> None:
 def _estimates() -> None:
     import loewner
 
-    a, b = loewner.Body.box([1, 1, 1]), loewner.Body.sphere(0.5)
+    a, b = loewner.Body.cylinder(0.5, 1), loewner.Body.sphere(0.5)
     loewner.collide(a, None, b, _poses(), method="estimate")
 
 
