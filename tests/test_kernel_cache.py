@@ -145,6 +145,21 @@ def test_a_damaged_entry_is_made_anew(compiled, tmp_path: Path, kind: str):
     assert compiled() == (2.0, "")
 
 
+def other(x: float) -> float:
+    return x + 2.0
+
+
+def test_an_entry_of_another_kernel_is_not_taken(compiled, tmp_path: Path):
+    """A whole and sealed file of another kernel, under this one's name, is no answer."""
+    (entry,) = entries(tmp_path)
+    assert _jit.njit()(other)(1.0) == 3.0
+    (foreign_entry,) = set(entries(tmp_path)) - {entry}
+    entry.write_bytes(foreign_entry.read_bytes())
+    result, said = compiled()
+    assert result == 2.0
+    assert "is damaged; compiling it anew" in said
+
+
 def test_any_flipped_bit_is_noticed(compiled, tmp_path: Path, rng: np.random.Generator):
     """Machine code with one wrong bit is never run: all of 200 places, header and checksum included."""
     (entry,) = entries(tmp_path)

@@ -126,7 +126,9 @@ class _KernelCache(NullCache):
         target_context.refresh()
         path = self._path(sig, target_context.codegen())
         try:
-            parts = pickle.loads(_sealed.read(path))
+            name, *parts = pickle.loads(_sealed.read(path))
+            if name != path.name:
+                raise _sealed.DamagedFileError(path)
             return _parts.restored(target_context, *parts)
         except FileNotFoundError:
             return None
@@ -146,7 +148,8 @@ class _KernelCache(NullCache):
             return  # holds addresses of this process
         try:
             CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
-            _sealed.write(self._path(sig, data.codegen), dumps(data._reduce()))
+            path = self._path(sig, data.codegen)
+            _sealed.write(path, dumps((path.name, *data._reduce())))
         except OSError as error:
             _KernelCache.failure = error
             _say(f"{CACHE_FOLDER} cannot be written ({error.strerror or error}); compiled kernels stay in memory")
