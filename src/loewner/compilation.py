@@ -112,7 +112,6 @@ PARTS = tuple(_PARTS)
 # What one process compiles, since most of it is the same; those that take longest first.
 _TOGETHER = (("verdicts", "crowds", "robots"), ("fits",), ("distances", "estimates", "paper"))
 
-
 POLL = 0.1  # seconds between looks at the processes
 
 
