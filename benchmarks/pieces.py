@@ -9,8 +9,7 @@ import numpy as np
 import loewner
 from clock import race, threads_set_to, timed
 from loewner import Body, bodies, queries
-from loewner._kernels import codes
-from loewner._kernels.trees import piece_tree
+from loewner._kernels import codes, columns
 from report import Row
 from samples import poses, rotations
 
@@ -55,8 +54,8 @@ def shell(rng: np.random.Generator, count: int) -> Body:
 
 def without_trees(body: Body) -> Body:
     """The same body, packed as if any number of pieces were few."""
-    few, piece_tree.FEW = piece_tree.FEW, len(body._packed.layout) + 1
+    few, columns.FEW = columns.FEW, len(body._packed.layout) + 1
     try:
         return Body(bodies.Packed.of(bodies.PieceArrays(**bodies.arrays_of(body._packed))))
     finally:
-        piece_tree.FEW = few
+        columns.FEW = few

@@ -11,7 +11,7 @@ import numpy as np
 
 import loewner
 from clock import race, timed
-from loewner import _settle
+from loewner._native import entries
 from report import Row
 from rivals import CoalPython, Missing
 from samples import repeated_pairs
@@ -27,17 +27,17 @@ def _nothing(*arguments):
 def handed_over(call: tuple[Any, ...]) -> tuple[Any, ...]:
     """What one `classify` hands to its kernel."""
     caught: list[tuple[Any, ...]] = []
-    kernel = _settle.verdicts.settle_range
+    kernel = entries.settle_range
 
     def catch(*arguments: Any) -> Any:
         caught.append(arguments)
         return kernel(*arguments)
 
-    _settle.verdicts.settle_range = catch
+    entries.settle_range = catch
     try:
         loewner.classify(*call)
     finally:
-        _settle.verdicts.settle_range = kernel
+        entries.settle_range = kernel
     return caught[0]
 
 

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, pieces, random_poses, translation
-from loewner import Bodies, Body, Verdict, _settle, crowds, overlapping_pairs
+from loewner import Bodies, Body, Verdict, crowds, overlapping_pairs
+from loewner._kernels import columns
+from loewner._native import entries
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -99,7 +101,7 @@ def test_boxes_hold_their_bodies():
     T = random_poses(rng, n)
     T[::2, :3, 3] += 1e6
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
-    crowds.boxes.bounds(0, n, 1, 1, bodies._packed.handle, T, lower, upper)
+    entries.body_boxes(0, n, 1, 1, bodies._packed.handle, T, lower, upper)
     exact = T.astype(np.longdouble)
     for k in range(n):
         x = bodies[k].pieces[0].vertices.astype(np.longdouble) @ exact[k, :3, :3].T + exact[k, :3, 3]
@@ -140,7 +142,7 @@ def test_one_far_away():
 def test_all_in_one_place():
     """Everybody meets everybody, more pairs than the buffer for candidates holds."""
     n = 600
-    assert n * (n - 1) // 2 > crowds.CANDIDATES + crowds.boxes.WIDE * n
+    assert n * (n - 1) // 2 > crowds.CANDIDATES + columns.WIDE * n
     found = overlapping_pairs(Body.sphere(1.0), np.tile(np.eye(4), (n, 1, 1)))
     assert np.array_equal(found, np.stack(np.triu_indices(n, 1), axis=1))
     assert np.array_equal(overlapping_pairs(Bodies.spheres(np.ones(n))), found)
@@ -217,10 +219,10 @@ def test_search_is_far_from_all_pairs():
     _, steps, operands = crowds._prepare(bodies, T)
     tree = crowds._tree(n, steps, operands)
     rows = np.empty((2, 10 * n), dtype=np.int64)
-    leaf, count = crowds.boxes.candidates(0, -(-n // crowds.boxes.WIDE), 0.0, *tree, rows[0], rows[1])
-    assert leaf == n // crowds.boxes.WIDE
+    leaf, count = entries.meeting_boxes(0, -(-n // columns.WIDE), 0.0, *tree, rows[0], rows[1])
+    assert leaf == n // columns.WIDE
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
-    crowds.boxes.bounds(0, n, *steps, operands[0].handle, operands[1], lower, upper)
+    entries.body_boxes(0, n, *steps, operands[0].handle, operands[1], lower, upper)
     meet = ((lower[:, None] <= upper[None]) & (upper[:, None] >= lower[None])).all(axis=2)
     truth = np.argwhere(np.triu(meet, 1))
     assert count == len(truth)
@@ -287,7 +289,7 @@ def test_unsettled_pairs_are_an_error(monkeypatch):
         out[:] = Verdict.AMBIGUOUS
         return True
 
-    monkeypatch.setattr(_settle.verdicts, "settle_range", gives_up)
+    monkeypatch.setattr(entries, "settle_range", gives_up)
     with pytest.raises(loewner.ConvergenceError, match=r"first of them \(0, 1\)"):
         overlapping_pairs(Bodies.spheres([1.0, 1.0]))
 

@@ -13,7 +13,7 @@ from families import FAMILIES, box_corners, near_contact, pieces, random_poses, 
 from loewner import Bodies, Body
 from loewner._kernels.ellipsoids import signed_distance
 from loewner._kernels.narrow import epa_fast, epa_robust
-from loewner._kernels.pieces.pack import Placed
+from loewner._kernels.records import Placed
 from oracles import directional_distance, ellipsoid_support, fibonacci_sphere, hull, pack, posed_support
 
 seeds = st.integers(0, 2**32 - 1)

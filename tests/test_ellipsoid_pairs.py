@@ -16,8 +16,10 @@ from loewner import (
     near_points,
     overlap,
 )
+from loewner._kernels import codes
 from loewner._kernels.ellipsoids import contact_robust
 from loewner._kernels.ellipsoids import near_points as kernel
+from loewner._native import entries
 from loewner.paper import distance_estimate, overlap_by_eigenvalue
 from oracles import exact_ellipsoid_verdict
 
@@ -584,8 +586,8 @@ def test_a_pair_that_does_not_converge_is_an_error(monkeypatch, rng):
     A, B = random_pairs(rng, 4)
 
     def stuck(*arguments):
-        arguments[-1][:] = [0, kernel.UNCONVERGED, 0, kernel.UNCONVERGED]
+        arguments[-1][:] = [0, codes.UNCONVERGED, 0, codes.UNCONVERGED]
 
-    monkeypatch.setattr(kernel, "near_points_of_pairs", stuck)
+    monkeypatch.setattr(entries, "near_points_of_pairs", stuck)
     with pytest.raises(ConvergenceError, match="2 of 4"):
         near_points(A, B)

@@ -9,12 +9,11 @@ from numba.core.errors import NumbaError
 import loewner
 from families import box_corners, pieces, posed_near_contact, random_poses, rotations
 from loewner import Bodies, Body, PoseError
-from loewner._kernels import codes
+from loewner._kernels import codes, columns
 from loewner._kernels._jit import njit
 from loewner._kernels.narrow import gjk_batch
-from loewner._kernels.pieces import shapes
-from loewner._kernels.simd.memory import Memory
 from loewner._kernels.simd.vectors import broadcast, store
+from loewner._workspaces import Memory
 from loewner.queries import _prepare, _settle
 from oracles import differences, hull, pack, posed_gaps
 
@@ -61,9 +60,9 @@ class Crowd(NamedTuple):
         operands = []
         for bodies, rows, T in ((self.a, self.ia, self.Ta), (self.b, self.ib, self.Tb)):
             _, layout, _, _, _, single, _, _, _, vertices = bodies._packed.kernel
-            assert (layout[rows, shapes.KIND] == shapes.POLYTOPE).all()
+            assert (layout[rows, columns.KIND] == columns.POLYTOPE).all()
             assert len(vertices) > 0
-            assert (layout[rows, shapes.POINTS_TO] - layout[rows, shapes.POINTS_FROM]).max() <= gjk_batch.MOST
+            assert (layout[rows, columns.POINTS_TO] - layout[rows, columns.POINTS_FROM]).max() <= gjk_batch.MOST
             poses = np.eye(4)[None] if T is None else np.ascontiguousarray(T[which])
             operands += [single, layout, vertices, np.ascontiguousarray(rows[which]), poses, T is not None]
         N = np.ascontiguousarray(directions[which])
@@ -76,7 +75,7 @@ class Crowd(NamedTuple):
         """What positions are made of: the reaches of both pieces, and the translations if asked for."""
         total = np.zeros(len(self.ia))
         for bodies, rows, T in ((self.a, self.ia, self.Ta), (self.b, self.ib, self.Tb)):
-            total += bodies._packed.kernel[0][rows, shapes.REACH]
+            total += bodies._packed.kernel[0][rows, columns.REACH]
             total += np.abs(T[:, :3, 3]).sum(axis=1) if poses and T is not None else 0.0
         return total
 

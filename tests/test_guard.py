@@ -22,7 +22,7 @@ from loewner import (
     _memory,
     _validate,
 )
-from loewner._kernels.pipeline import verdicts
+from loewner._native import entries
 
 
 def chained(error: BaseException, links: int) -> SystemError:
@@ -81,7 +81,7 @@ def test_queries_guard_their_quick_way_too(query, count, monkeypatch):
     def interrupted(*_):
         raise chained(KeyboardInterrupt(), 2)
 
-    monkeypatch.setattr(verdicts, "settle_range", interrupted)
+    monkeypatch.setattr(entries, "settle_range", interrupted)
     ball, T = Body.sphere(1.0), np.eye(4) if count == 1 else np.tile(np.eye(4), (count, 1, 1))
     with pytest.raises(KeyboardInterrupt):
         query(ball, None, ball, T)

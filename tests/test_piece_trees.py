@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 import loewner
 from families import random_poses, translation
 from loewner import Bodies, Body, Verdict, bodies, queries
-from loewner._kernels import codes
-from loewner._kernels.pieces import rigid
-from loewner._kernels.trees import boxes, piece_tree
+from loewner._kernels import codes, columns, tolerances
+from loewner._kernels.trees import piece_tree
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -28,7 +27,7 @@ def cloud(rng: np.random.Generator, count: int, size: float | None = None, reach
 def without_trees(body: Body) -> Body:
     """The same body, all of whose pieces are tried."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(piece_tree, "FEW", 10**9)
+        patch.setattr(columns, "FEW", 10**9)
         plain = Body(bodies.Packed.of(bodies.PieceArrays(**bodies.arrays_of(body._packed))))
     assert (plain._packed.kernel[8] == -1).all()
     return plain
@@ -37,7 +36,7 @@ def without_trees(body: Body) -> Body:
 def bent(rng: np.random.Generator, T: np.ndarray) -> np.ndarray:
     """Poses as far from rigid as they may be."""
     T = T.copy()
-    T[:, :3, :3] += rng.uniform(-1, 1, size=(len(T), 3, 3)) * 0.25 * rigid.ROTATION_TOLERANCE
+    T[:, :3, :3] += rng.uniform(-1, 1, size=(len(T), 3, 3)) * 0.25 * tolerances.ROTATION_TOLERANCE
     return T
 
 
@@ -47,7 +46,7 @@ def test_same_verdicts_and_distances(counts, margin):
     """Verdicts, booleans, distances and witnesses are those of all piece pairs, whichever body has a tree."""
     rng = np.random.default_rng([1, *counts])
     a, b = cloud(rng, counts[0]), cloud(rng, counts[1])
-    assert (a._packed.kernel[8][0] >= 0) == (counts[0] >= piece_tree.FEW)
+    assert (a._packed.kernel[8][0] >= 0) == (counts[0] >= columns.FEW)
     Ta, Tb = random_poses(rng, 24, 0.5), random_poses(rng, 24, 2.0)
     plain_a, plain_b = without_trees(a), without_trees(b)
     hit = loewner.collide(a, Ta, b, Tb, margin=margin)
@@ -132,15 +131,15 @@ def test_every_piece_is_in_its_tree_once():
     counts = (3, 8, 9, 64, 65, 130, 1)
     packed = Bodies([cloud(rng, count) for count in counts])._packed
     start, groups, children, roots = packed.kernel[3], *packed.kernel[6:9]
-    box_of = groups.reshape(-1, 6, boxes.WIDE)
+    box_of = groups.reshape(-1, 6, columns.WIDE)
 
     def below(group: int) -> list[int]:
         out = []
-        for lane in range(boxes.WIDE):
+        for lane in range(columns.WIDE):
             lower, upper = box_of[group, :3, lane], box_of[group, 3:, lane]
             if not (lower <= upper).all():
                 continue
-            child = children[boxes.WIDE * group + lane]
+            child = children[columns.WIDE * group + lane]
             if child < 0:
                 out.append(~child)
                 center = packed.outer_center[~child]
@@ -155,7 +154,7 @@ def test_every_piece_is_in_its_tree_once():
         return out
 
     for body, count in enumerate(counts):
-        if count < piece_tree.FEW:
+        if count < columns.FEW:
             assert roots[body] == -1
         else:
             assert sorted(below(roots[body])) == list(range(start[body], start[body + 1]))
@@ -198,4 +197,4 @@ def test_walk_in_small_steps_is_the_same_walk():
 
 def test_bend_covers_what_poses_may_be():
     """The walk allows for every pose that the border lets in: three entries of RᵀR - 1 in a row."""
-    assert np.sqrt(3) * rigid.ROTATION_TOLERANCE < piece_tree.BEND
+    assert np.sqrt(3) * tolerances.ROTATION_TOLERANCE < piece_tree.BEND

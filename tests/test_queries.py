@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, sizes, stretch, translation
-from loewner import Bodies, Body, Verdict, classify, collide, distance, queries
+from loewner import Bodies, Body, Verdict, classify, collide, distance
+from loewner._native import entries
 from oracles import (
     HullPool,
     Support,
@@ -709,14 +710,14 @@ def test_a_batch_with_a_pair_that_cannot_be_settled(monkeypatch):
     poses[:, 0, 3] = [2.0, 3.0, 0.1, 5.0, 6.0]
     sphere, box = Body.sphere(0.3), Body.box([1.0, 1.0, 1.0])
     right = distance(sphere, None, box, poses, exact=True)
-    settle = queries.distances.distance_range
+    settle = entries.distance_range
 
     def one_left(*arguments):
         left = settle(*arguments)
         arguments[-1][2] = 1  # the status of the third pair
         return left
 
-    monkeypatch.setattr(queries.distances, "distance_range", one_left)
+    monkeypatch.setattr(entries, "distance_range", one_left)
     with pytest.raises(loewner.ConvergenceError, match=r"1 of 5 .* flat index 2") as caught:
         distance(sphere, None, box, poses, exact=True)
     found = caught.value.partial

@@ -8,10 +8,11 @@ import pytest
 import loewner
 from families import box_corners, polygon, prism, random_poses
 from loewner import Bodies, Body
+from loewner._kernels import columns
 from loewner._kernels._jit import njit
-from loewner._kernels.pieces import shapes
 from loewner._kernels.pieces.directions import direction_map
 from loewner._kernels.pieces.pack import pieces_of, placed
+from loewner._kernels.pieces.shapes import core_support
 
 
 @njit()
@@ -19,7 +20,7 @@ def kernel_supports(handle, piece, directions, out):
     P = placed(pieces_of(handle), piece, np.empty((1, 4, 4)), 0)  # the pose does not matter
     for k in range(len(directions)):
         n = directions[k, 0], directions[k, 1], directions[k, 2]
-        out[k, 0], out[k, 1], out[k, 2] = shapes.core_support(P, n)
+        out[k, 0], out[k, 1], out[k, 2] = core_support(P, n)
 
 
 def supports(body: Body | Bodies, piece: int, directions: np.ndarray) -> np.ndarray:
@@ -49,8 +50,8 @@ HULLS = {
     "9 vertices": on_surface(9),
     "20 vertices": on_surface(20),
     "duplicates": np.repeat(on_surface(30), 5, axis=0),
-    "128 vertices": on_surface(shapes.LARGE),
-    "129 vertices": on_surface(shapes.LARGE + 1),
+    "128 vertices": on_surface(columns.LARGE),
+    "129 vertices": on_surface(columns.LARGE + 1),
     "1,000 vertices": on_surface(1_000),
     "10,000 vertices": on_surface(10_000),
     "near a cube": on_surface(3_000, 8.0),
@@ -84,7 +85,7 @@ def test_farthest_is_farthest(name: str):
     body = Body.from_points(HULLS[name])
     vertices = body.pieces[0].vertices
     assert vertices is not None
-    assert (body._packed.kernel[1][0, shapes.KIND] == shapes.MAPPED) == (len(vertices) > shapes.LARGE)
+    assert (body._packed.kernel[1][0, columns.KIND] == columns.MAPPED) == (len(vertices) > columns.LARGE)
     directions = awkward_directions(body)
     found = supports(body, 0, directions)
     unit = directions / np.abs(directions).max(axis=1, keepdims=True)

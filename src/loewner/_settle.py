@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import codes
-from loewner._kernels.pipeline import fallback, verdicts
-from loewner._kernels.pipeline.workspace import SIZE
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
 
-# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `verdicts.settle_range`.
+# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `_kernels/pipeline/verdicts.py`.
 Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 # The plan of one pair, and the rows of pairs that are not listed by number.
@@ -45,8 +44,8 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         How many piece pairs the fast pass settled by each tier. None if a pose is no rigid motion; nothing then holds.
     """
     tally = np.zeros(codes.TIERS, dtype=np.int64)
-    if not verdicts.settle_range(mode, margin, first, last, *operands, out, tally, workspace(SIZE)):
+    if not entries.settle_range(mode, margin, first, last, *operands, out, tally, workspace(entries.workspace_size())):
         return None
     if mode == codes.EXACT and tally[codes.OPEN]:
-        fallback.settle_open(margin, first, last, *operands, out)
+        entries.settle_open(margin, first, last, *operands, out)
     return tally

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _memory
-from loewner._kernels.pieces import rigid
+from loewner._kernels import codes, tolerances
+from loewner._native import entries
 from loewner.errors import InputError, MemoryLimitError, PoseError, UnknownNameError
 
 Floats = NDArray[np.float64]
@@ -293,7 +294,7 @@ def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     ------
     PoseError
         If the shape is wrong, an entry is not finite, the last row is not (0, 0, 0, 1), or the
-        rotation part is not orthonormal to `rigid.ROTATION_TOLERANCE` with determinant +1.
+        rotation part is not orthonormal to `tolerances.ROTATION_TOLERANCE` with determinant +1.
     """
     if T is None:
         return IDENTITY
@@ -322,18 +323,18 @@ def pose(T: ArrayLike | None, name: str) -> Floats:
 def rigid_motions(T: Floats, name: str) -> None:
     """Check poses of shape (..., 4, 4) one by one."""
     batch = T.reshape(-1, 4, 4)
-    at, kind, size = rigid.first_fault(batch)
+    at, kind, size = entries.first_fault(batch)
     if at < len(batch):
         where = f"{name}[{at}]" if len(batch) > 1 else name
-        tolerance = rigid.ROTATION_TOLERANCE
+        tolerance = tolerances.ROTATION_TOLERANCE
         raise PoseError(f"{where}: {_POSE_FAULTS[kind].format(size=size, tolerance=tolerance, T=batch[at])}")
 
 
 _POSE_FAULTS = {
-    rigid.NOT_FINITE: "expected finite numbers, found NaN or inf",
-    rigid.LAST_ROW: "expected last row [0. 0. 0. 1.], found {T[3]}",
-    rigid.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
-    rigid.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
+    codes.NOT_FINITE: "expected finite numbers, found NaN or inf",
+    codes.LAST_ROW: "expected last row [0. 0. 0. 1.], found {T[3]}",
+    codes.NOT_ORTHONORMAL: "expected a rotation (RᵀR = 1 within {tolerance:g}), found a departure of {size:.3g}",
+    codes.REFLECTION: "expected a rotation with determinant +1, found a reflection (determinant {size:.3g})",
 }
 
 

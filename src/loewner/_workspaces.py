@@ -2,7 +2,18 @@
 
 import threading
 
-from loewner._kernels.simd.memory import Memory
+import numpy as np
+
+from loewner._kernels.columns import CACHE_LINE
+
+
+class Memory:
+    """A piece of memory for kernels to write to, which begins at a cache line; one thread uses it at a time."""
+
+    def __init__(self, size: int) -> None:
+        self._raw = np.empty(size + CACHE_LINE, dtype=np.uint8)
+        self.size = size
+        self.address = -(-self._raw.ctypes.data // CACHE_LINE) * CACHE_LINE
 
 
 class _Own(threading.local):

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels import codes
-from loewner._kernels.trees import boxes
+from loewner._kernels import codes, columns
+from loewner._native import entries
 from loewner._settle import settle
 from loewner._threads import in_shares, usable
 from loewner._validate import Floats, Ints
@@ -81,7 +81,7 @@ def overlapping_pairs(
         return np.empty((0, 2), dtype=np.int64)
     threads = min(usable(), -(-n // CHUNK))
     _validate.fits_memory(
-        BODY_BYTES * n + threads * 16 * (boxes.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
+        BODY_BYTES * n + threads * 16 * (columns.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
     )
     tree = _tree(n, steps, operands)
     counts: list[int] = []  # of the pairs found so far
@@ -89,8 +89,8 @@ def overlapping_pairs(
     def settled(first: int, last: int) -> Ints:
         return _settled(mode, keep, first, last, tree, steps, operands, counts)
 
-    leaves = -(-n // boxes.WIDE)
-    keys = np.concatenate(in_shares(settled, leaves, CHUNK // boxes.WIDE))
+    leaves = -(-n // columns.WIDE)
+    keys = np.concatenate(in_shares(settled, leaves, CHUNK // columns.WIDE))
     keys.sort()
     return np.stack(np.divmod(keys, n), axis=1)
 
@@ -117,11 +117,11 @@ def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tu
     lower, upper = np.empty((n, 3)), np.empty((n, 3))
 
     def box(first: int, last: int) -> None:
-        boxes.bounds(first, last, *steps, operands[0].handle, operands[1], lower, upper)
+        entries.body_boxes(first, last, *steps, operands[0].handle, operands[1], lower, upper)
 
     in_shares(box, n, CHUNK)
-    order = boxes.ordered(lower, upper)
-    return (*boxes.grown(lower, upper, order), order)
+    order = entries.curve_order(lower, upper)
+    return (*entries.box_tree(lower, upper, order), order)
 
 
 def _settled(
@@ -142,11 +142,11 @@ def _settled(
     packed, T = operands
     # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
     plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
-    rows = np.empty((2, boxes.WIDE * n + CANDIDATES), dtype=np.int64)
+    rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
     found: list[Ints] = []
     leaf = first
     while leaf < last:
-        leaf, count = boxes.candidates(leaf, last, margin, *tree, rows[0], rows[1])
+        leaf, count = entries.meeting_boxes(leaf, last, margin, *tree, rows[0], rows[1])
         if count == 0:
             continue
         listed = rows[:, :count].copy()

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.ellipsoids import contact_robust as _contact
-from loewner._kernels.ellipsoids import near_points as _near
+from loewner._kernels import codes
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import ConvergenceError, InputError
 
-NEAR_POINT_METHODS = {"rimon-boyd": _near.RIMON_BOYD, "lin-han": _near.LIN_HAN, "center-line": _near.CENTER_LINE}
+NEAR_POINT_METHODS = {"rimon-boyd": codes.RIMON_BOYD, "lin-han": codes.LIN_HAN, "center-line": codes.CENTER_LINE}
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     """
     pair = PairArrays(E1, E2, "contact_function")
     value = np.empty(len(pair.offset))
-    _contact.contact_of_pairs(pair.offset, pair.F1, pair.F2, value)
+    entries.contact_of_pairs(pair.offset, pair.F1, pair.F2, value)
     _expect_numbers(value, "contact_function")
     return value.reshape(pair.batch)[()]
 
@@ -178,8 +178,8 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     n = len(pair.offset)
     x1, x2, distance = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     iterations, status = np.empty(n, np.int64), np.empty(n, np.int64)
-    _near.near_points_of_pairs(code, pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status)
-    failed = np.flatnonzero(status == _near.UNCONVERGED)
+    entries.near_points_of_pairs(code, pair.offset, pair.F1, pair.F2, tolerance, x1, x2, distance, iterations, status)
+    failed = np.flatnonzero(status == codes.UNCONVERGED)
     if failed.size:
         raise ConvergenceError(
             f"near_points: expected every pair to reach {tolerance:g} rad, found {failed.size} of {n} that did not "

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.pieces import rigid
+from loewner._kernels import tolerances
 from loewner._validate import Floats
 from loewner.errors import BodyIndexError, GeometryError, InputError
 
@@ -140,7 +140,7 @@ class Ellipsoids:
             _validate.broadcast({"rotation": R.shape[:-2], "semi_axes": axes.shape[:-1]})
             with np.errstate(over="ignore", invalid="ignore"):
                 defect = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(R.shape[-1])).max() if R.size else 0.0
-            if not defect <= rigid.ROTATION_TOLERANCE:
+            if not defect <= tolerances.ROTATION_TOLERANCE:
                 raise InputError(f"rotation: expected an orthogonal matrix, found a departure of {defect:.3g}")
             F = R @ F
         c = _validate.finite_array(center, "center", ("...", axes.shape[-1]))

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.fits import halfspaces as halfspace_kernel
-from loewner._kernels.fits import mvce as mvce_kernel
-from loewner._kernels.fits import pieces as kernel
+from loewner._kernels import codes
+from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
 from loewner.ellipsoids import Ellipsoids
@@ -112,8 +111,8 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fit:
     tolerance = checked_tolerance(tol)
     n = x.shape[1]
     center, factor = np.empty(n), np.empty((n, n))
-    code, gap, iterations, _, _, _ = mvce_kernel.fit_outer(x, tolerance, FLATNESS, center, factor)
-    if code == mvce_kernel.FLAT:
+    code, gap, iterations, _, _, _ = entries.fit_outer(x, tolerance, FLATNESS, center, factor)
+    if code == codes.FLAT:
         raise flat_error("points", x)
     return certified_fit("mvce", center, factor, gap, iterations, tolerance)
 
@@ -172,8 +171,8 @@ def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
     n = A.shape[1]
     x = interior_point(A, b)
     center, factor, direction = np.empty(n), np.empty((n, n)), np.empty(n)
-    code, gap, iterations = halfspace_kernel.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
-    if code == halfspace_kernel.UNBOUNDED or (code != 0 and iterations == 0):
+    code, gap, iterations = entries.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
+    if code == codes.UNBOUNDED or (code != 0 and iterations == 0):
         raise center_error(code, A, direction)
     return certified_fit("mvie", center, factor, gap, iterations, tol)
 
@@ -224,7 +223,7 @@ def fit_pieces(
     bad = np.flatnonzero((info[:, 0] != 0) | (info[:, 2] != 0))
     if len(bad):
         i = int(bad[0])
-        if info[i, 0] == mvce_kernel.FLAT:
+        if info[i, 0] == codes.FLAT:
             raise GeometryError(f"piece {i}: expected vertices that span all 3 dimensions, found a flat piece")
         side, gap = ("outer", info[i, 1]) if info[i, 0] != 0 else ("inner", info[i, 3])
         raise ConvergenceError(f"piece {i}: the {side} ellipsoid reached a gap of {gap:.3g}, expected {tolerance:g}")
@@ -247,7 +246,7 @@ def _fit_all(
     info = np.empty((total, 5))
 
     def run(first: int, last: int) -> None:
-        kernel.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
+        entries.fit_range(first, last, vert_start, vertices, face_start, normals, tol, FLATNESS, *inner, *outer, info)
 
     in_shares(run, total, LEAST_SHARE, most=BLOCK, progress=progress)
     return inner, outer, info

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _memory, _validate
 from loewner._guard import guarded
-from loewner._kernels.fits import halfspaces as halfspace_kernel
-from loewner._kernels.fits import hulls as kernel
-from loewner._kernels.fits.mvce import FLAT
+from loewner._kernels import codes
+from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
 from loewner.errors import GeometryError, InputError
@@ -134,7 +133,7 @@ class Polytope:
             raise InputError(f"A: expected half-spaces in dimension n >= 2, found shape {rows.shape}")
         x = interior_point(rows, bounds)
         frame, shift = np.empty((rows.shape[1],) * 2), np.empty(rows.shape[1])
-        code = halfspace_kernel.center_in(rows, bounds, x, frame, shift, FLATNESS)
+        code = entries.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
         from scipy.spatial import ConvexHull, QhullError
@@ -266,7 +265,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
     """Say that the polytope goes on for ever, and which way."""
-    if code != halfspace_kernel.UNBOUNDED:
+    if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
     if not direction.any():  # the normals do not span the space: any vector they are all orthogonal to
         direction = np.linalg.svd(A)[2][-1]
@@ -281,8 +280,8 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
     check_enough(points, name, least_dim=2)
     points = writeable(points)
-    code, _, _, _, _, frame, coordinates = kernel.to_unit_size(points, FLATNESS)
-    if code == FLAT:
+    code, _, _, _, _, frame, coordinates = entries.to_unit_size(points, FLATNESS)
+    if code == codes.FLAT:
         raise flat_error(name, points)
     try:
         qhull = ConvexHull(coordinates)
@@ -291,7 +290,7 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
             raise MemoryError(str(error).strip().splitlines()[0]) from None
         raise GeometryError(f"{name}: no hull found: {str(error).strip().splitlines()[0]}") from None
     simplices = qhull.simplices.astype(np.int64)
-    code, worst, used, face_of, normals, offsets = kernel.finish_hull(
+    code, worst, used, face_of, normals, offsets = entries.finish_hull(
         points, frame, coordinates, simplices, qhull.neighbors.astype(np.int64), qhull.equations
     )
     if code != 0:
@@ -301,9 +300,9 @@ def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints
 
 
 _HULL_FAULTS = {
-    kernel.OPEN: "the hull does not close up; the points are too close to flat for their rounding",
-    kernel.WIDE: "a face of the hull misses its own vertices by {worst:.3g} m; the points are too close to flat",
-    kernel.INSIDE_OUT: "the hull cannot be oriented; the points are too close to flat for their rounding",
+    codes.NOT_CLOSED: "the hull does not close up; the points are too close to flat for their rounding",
+    codes.FACE_OFF: "a face of the hull misses its own vertices by {worst:.3g} m; the points are too close to flat",
+    codes.INSIDE_OUT: "the hull cannot be oriented; the points are too close to flat for their rounding",
 }
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
-from loewner._kernels.pipeline import bounds, distances
+from loewner._native import entries
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
@@ -460,7 +460,7 @@ def _estimate(margin: float, pairs: _Pairs, out: Any) -> None:
         return
 
     def run(first: int, last: int) -> None:
-        bounds.estimate_range(margin, first, last, *pairs.operands, out)
+        entries.estimate_range(margin, first, last, *pairs.operands, out)
 
     in_shares(run, pairs.total, CHUNK)
 
@@ -573,9 +573,9 @@ def distance(
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        pieces, values = distances.distance_range(exact, first, last, *asked.operands, *results)
+        pieces, values = entries.distance_range(exact, first, last, *asked.operands, *results)
         if len(pieces):
-            distances.measure_left(pieces, values, *asked.operands[1:], *results[3:])
+            entries.measure_left(pieces, values, *asked.operands[1:], *results[3:])
 
     in_shares(run, n, CHUNK)
     if exact:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate, crowds, queries
 from loewner._guard import guarded
-from loewner._kernels.pieces.shapes import OUTER_RADIUS
+from loewner._kernels.columns import OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Body

@@ -35,7 +35,7 @@ from loewner import (
     read_motion_bench_maker,
     save_scene,
 )
-from loewner._kernels.pieces.rigid import ROTATION_TOLERANCE
+from loewner._kernels.tolerances import ROTATION_TOLERANCE
 from robot_oracle import disagreement
 
 URDF = """<?xml version="1.0" encoding="UTF-8"?>

@@ -27,7 +27,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.extending import intrinsic
 
-from loewner._kernels import _parts, _sealed
+from loewner._kernels import _parts, _sealed, _sources
 
 _config: Any = numba.config  # its settings are made at run time; no type knows them
 
@@ -39,28 +39,13 @@ if _config.DISABLE_JIT:
 FASTMATH = {"contract"}
 
 
-def _source_hash() -> str:
-    """Hash of all kernel sources, subfolders included, and of what else decides the compiled code."""
+def _version() -> str:
+    """Hash of the kernel sources, and of what else decides the compiled code."""
     made_with = numba.__version__, platform.python_version(), platform.machine(), _config.BOUNDSCHECK, _config.OPT
-    digest = hashlib.sha256(repr(made_with).encode())
-    home = Path(__file__).parent
-    for path in sorted(home.rglob("*.py")):
-        digest.update(path.relative_to(home).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    return hashlib.sha256(repr((made_with, _sources.source_hash())).encode()).hexdigest()[:16]
 
 
-def _user_cache_folder() -> Path:
-    if "LOEWNER_CACHE_DIR" in os.environ:
-        return Path(os.environ["LOEWNER_CACHE_DIR"])
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "loewner"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "loewner"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "loewner"
-
-
-CACHE_FOLDER = _user_cache_folder() / f"kernels-{_source_hash()}"
+CACHE_FOLDER = _sources.cache_folder() / f"kernels-{_version()}"
 
 _said: set[str] = set()
 

@@ -46,11 +46,13 @@ def _key(library: Any, fndesc: Any, environment: Any) -> object:
 class PartCompiler(Compiler):
     """Numba's compiler, for parts."""
 
+    library_class: type[_PartLibrary] = _PartLibrary
+
     def compile_extra(self, func: Any) -> Any:
         """Compile a function whose library and key are those of a part."""
         context = self.state.targetctx  # a copy made for this function
         context.get_executable = _key
-        self.state.library = _PartLibrary(context.codegen(), func.__qualname__)
+        self.state.library = self.library_class(context.codegen(), func.__qualname__)
         return super().compile_extra(func)
 
 

@@ -1,4 +1,4 @@
-"""Codes that kernels and queries share."""
+"""Codes that kernels and Python share: what is asked, and how it came out."""
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 CERTIFY, EXACT = 0, 1
@@ -7,3 +7,17 @@ CERTIFY, EXACT = 0, 1
 BY_SPHERE, BY_OUTER, BY_INNER, BY_PLANE, BY_SEARCH, OPEN = 0, 1, 2, 3, 4, 5
 TIERS = 6
 UNSURE = TIERS  # no tier: what `certificate.certify` says where a better s may settle a pair
+
+# What is wrong with a pose.
+RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
+
+# Near points of two ellipsoids: methods, and how a method ended.
+RIMON_BOYD, LIN_HAN, CENTER_LINE = 0, 1, 2
+SEPARATE, OVERLAP, UNCONVERGED = 0, 1, 2
+
+# How a fit ended (0 is success), ...
+FLAT, STALLED, UNBOUNDED = 1, 2, 3
+
+# ... and how a hull did: its simplices do not close up, a face does not pass through its own vertices, or the simplices
+# cannot be oriented.
+NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13

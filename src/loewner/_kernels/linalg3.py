@@ -10,8 +10,6 @@ import numpy as np
 from loewner._kernels._jit import inline
 from loewner._kernels.simd.vectors import select
 
-UNIT_ROUNDOFF = 2.0**-53
-
 
 @inline
 def dot(a, b):

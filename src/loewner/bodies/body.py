@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate, fits, meshes
 from loewner._guard import guarded
-from loewner._kernels.pieces import shapes
+from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import files
 from loewner.bodies.layout import PieceArrays, arrays_of
@@ -147,7 +147,7 @@ class Body(_Bodies):
         return self._covering
 
     def __repr__(self) -> str:
-        kinds = [KIND_NAMES[k] for k in self._packed.layout[:, shapes.KIND]]
+        kinds = [KIND_NAMES[k] for k in self._packed.layout[:, columns.KIND]]
         text = kinds[0] if len(kinds) == 1 else f"{len(kinds)} pieces"
         return f"Body({text}, {len(self._packed.points)} vertices)"
 
@@ -321,7 +321,7 @@ class Body(_Bodies):
         array([[0.5, 0.5, 0.5]])
         """
         r = _validate.positive_scalar(radius, "radius")
-        return _primitive(shapes.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
+        return _primitive(columns.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
@@ -343,7 +343,7 @@ class Body(_Bodies):
         Body(ellipsoid, 0 vertices)
         """
         s = _validate.positive_vector(semi_axes, "semi_axes", 3)
-        return _primitive(shapes.ELLIPSOID, 0.0, s, s, s, 0.0)
+        return _primitive(columns.ELLIPSOID, 0.0, s, s, s, 0.0)
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> Body:
@@ -367,7 +367,7 @@ class Body(_Bodies):
         r = _validate.positive_scalar(radius, "radius")
         h = _validate.positive_scalar(length, "length") / 2
         wide = r * np.sqrt(1.5)
-        return _primitive(shapes.CYLINDER, 0.0, [r, r, h], [r, r, h], [wide, wide, np.sqrt(3.0) * h], 0.0)
+        return _primitive(columns.CYLINDER, 0.0, [r, r, h], [r, r, h], [wide, wide, np.sqrt(3.0) * h], 0.0)
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
@@ -391,7 +391,7 @@ class Body(_Bodies):
         r = _validate.positive_scalar(radius, "radius")
         H = _validate.positive_scalar(length, "length")
         narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
-        return _primitive(shapes.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
+        return _primitive(columns.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
@@ -415,7 +415,7 @@ class Body(_Bodies):
         r = _validate.positive_scalar(radius, "radius")
         h = _validate.positive_scalar(length, "length") / 2
         a, b = around_capsules(np.array(r), np.array(h))
-        return _primitive(shapes.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
+        return _primitive(columns.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
@@ -573,7 +573,7 @@ class Bodies(_Bodies):
         """
         r = _validate.positive_vector(radii, "radii", None)
         axes = np.repeat(r[:, None], 3, axis=1)
-        return cls._wrap(primitives(shapes.POINT, r, axes, axes, axes, 0.0))
+        return cls._wrap(primitives(columns.POINT, r, axes, axes, axes, 0.0))
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
@@ -590,7 +590,7 @@ class Bodies(_Bodies):
         Bodies(2 bodies, 2 pieces)
         """
         s = _validate.positive_array(semi_axes, "semi_axes", (None, 3))
-        return cls._wrap(primitives(shapes.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
+        return cls._wrap(primitives(columns.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
 
     def __len__(self) -> int:
         return len(self._packed.piece_start) - 1
@@ -687,9 +687,9 @@ def _assemble_polytopes(
 ) -> Packed:
     count = len(hull.vert_start) - 1
     layout = np.zeros((count, 5), dtype=np.int64)
-    layout[:, shapes.KIND] = shapes.POLYTOPE
-    layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
-    layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
+    layout[:, columns.KIND] = columns.POLYTOPE
+    layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO] = hull.vert_start[:-1], hull.vert_start[1:]
+    layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO] = hull.face_start[:-1], hull.face_start[1:]
     pieces = PieceArrays(
         layout=layout,
         points=np.ascontiguousarray(hull.vertices),
@@ -714,10 +714,10 @@ def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, o
 
 
 def _piece(p: Packed, i: int) -> Piece:
-    kind = int(p.layout[i, shapes.KIND])
-    polytope = kind == shapes.POLYTOPE
-    points = slice(p.layout[i, shapes.POINTS_FROM], p.layout[i, shapes.POINTS_TO])
-    planes = slice(p.layout[i, shapes.PLANES_FROM], p.layout[i, shapes.PLANES_TO])
+    kind = int(p.layout[i, columns.KIND])
+    polytope = kind == columns.POLYTOPE
+    points = slice(p.layout[i, columns.POINTS_FROM], p.layout[i, columns.POINTS_TO])
+    planes = slice(p.layout[i, columns.PLANES_FROM], p.layout[i, columns.PLANES_TO])
     return Piece(
         kind=KIND_NAMES[kind],
         vertices=p.points[points] if polytope else None,

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._kernels.pieces import directions, rigid, shapes
+from loewner._kernels import columns, tolerances
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps
 from loewner.bodies.pack import KIND_NAMES, Packed
@@ -31,7 +32,7 @@ DOUBT, ROUNDINGS, MOST_DOUBT = 1e-9, 64 * 2.0**-53, 0.05
 MOST_ASPECT = 1e15
 
 # Capsules and spheres move by poses that may stretch by this; their radius then stays, the ellipsoids stretch along.
-BEND = 4 * rigid.ROTATION_TOLERANCE
+BEND = 4 * tolerances.ROTATION_TOLERANCE
 
 # Points and planes of a block of polytopes, about, and products formed at a time.
 BLOCK, AT_ONCE = 1 << 14, 1 << 16
@@ -132,18 +133,18 @@ def _rises(name: str, x: Ints, total: int, least: int) -> None:
 def _check_ranges(arrays: dict[str, Any]) -> None:
     """Every index leads where it should: nothing overlaps, nothing is left over, nothing is outside."""
     layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
-    kind = layout[:, shapes.KIND]
+    kind = layout[:, columns.KIND]
     _refuse((kind < 0) | (kind >= len(KIND_NAMES)), f"layout: expected kinds 0 to {len(KIND_NAMES) - 1}", kind)
     _rises("piece_start", arrays["piece_start"], len(layout), 1)
     _rises("triangle_start", triangle_start, len(triangles), 0)
     counts = {"triangles": np.diff(triangle_start)}
-    for what, first in (("points", shapes.POINTS_FROM), ("planes", shapes.PLANES_FROM)):
+    for what, first in (("points", columns.POINTS_FROM), ("planes", columns.PLANES_FROM)):
         start, stop = layout[:, first], layout[:, first + 1]
         ends = np.concatenate([start[:1], stop]) if len(layout) else np.zeros(1, dtype=np.int64)
         _rises(f"layout, {what}", ends, len(arrays[what]), 0)
         _refuse(start[1:] != stop[:-1], f"layout, {what}: expected each piece's where the last one's end", start[1:])
         counts[what] = stop - start
-    polytope = kind == shapes.POLYTOPE
+    polytope = kind == columns.POLYTOPE
     for what, count in counts.items():
         _refuse(polytope & (count < 4), f"layout: expected at least four {what} of a polytope", count)
         _refuse(~polytope & (count != 0), f"layout: expected no {what} of a curved piece", count)
@@ -174,12 +175,12 @@ def _doubt(aspect: Floats) -> Floats:
 def _check_polytopes(arrays: dict[str, Any]) -> Maps:
     """Inner ellipsoid in the hull of the points, that in the outer one; triangles and planes are the hull's."""
     layout, points = arrays["layout"], arrays["points"]
-    rows = np.flatnonzero(layout[:, shapes.KIND] == shapes.POLYTOPE)
+    rows = np.flatnonzero(layout[:, columns.KIND] == columns.POLYTOPE)
     _refuse(arrays["frames"][rows].any(axis=1), "frames: expected zeros for a polytope", rows=rows)
     if len(rows) == 0:
         return {}
     # Block by block: what is formed on the way stays in the processor's caches.
-    size = layout[rows, shapes.POINTS_TO] + layout[rows, shapes.PLANES_TO]
+    size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
     blocks = np.split(rows, np.flatnonzero(np.diff(size // BLOCK)) + 1)
     doubt = np.concatenate([_check_ellipsoids(arrays, block) for block in blocks])
     _check_planes(arrays, rows, doubt)
@@ -189,7 +190,7 @@ def _check_polytopes(arrays: dict[str, Any]) -> Maps:
 def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
     """The part of `_check_polytopes` about the ellipsoids of some successive polytopes; returns its doubts."""
     layout = arrays["layout"][rows]
-    start, stop = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
+    start, stop = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     points = arrays["points"][start[0] : stop[-1]]
     owner, start = np.repeat(np.arange(len(rows)), stop - start), start - start[0]
 
@@ -216,8 +217,8 @@ def _check_ellipsoids(arrays: dict[str, Any], rows: Ints) -> Floats:
 def _local(inverse: Floats, center: Floats, points: Floats, owner: Ints) -> Floats:
     """Points in the coordinates of their piece's ellipsoid, shape (3, V): that is the order that NumPy is quick in."""
     away = np.ascontiguousarray((points - center[owner]).T)
-    columns = np.ascontiguousarray(inverse.transpose(1, 2, 0))
-    return np.stack([_dot(columns[k].take(owner, axis=1), away) for k in range(3)])
+    rows = np.ascontiguousarray(inverse.transpose(1, 2, 0))
+    return np.stack([_dot(rows[k].take(owner, axis=1), away) for k in range(3)])
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -280,9 +281,9 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
     squared = _dot(normals.T, normals.T)
     _refuse(~(np.abs(squared - 1) <= DOUBT), "planes: expected unit normals", normals)
     farthest = np.empty(len(planes))
-    from_point, from_plane = layout[:, shapes.POINTS_FROM], layout[:, shapes.PLANES_FROM]
-    counts = np.column_stack([layout[:, shapes.POINTS_TO] - from_point, layout[:, shapes.PLANES_TO] - from_plane])
-    small = np.flatnonzero(counts[:, 0] <= shapes.LARGE)
+    from_point, from_plane = layout[:, columns.POINTS_FROM], layout[:, columns.PLANES_FROM]
+    counts = np.column_stack([layout[:, columns.POINTS_TO] - from_point, layout[:, columns.PLANES_TO] - from_plane])
+    small = np.flatnonzero(counts[:, 0] <= columns.LARGE)
     # Pieces with as many points and planes as each other go together.
     code = counts[small, 0] * (len(planes) + 1) + counts[small, 1]
     order = small[np.argsort(code, kind="stable")]
@@ -296,7 +297,7 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
             farthest[of_faces] = heights.max(axis=1)
     left = MOST_CANDIDATES * (len(points) + len(planes))
     centers, factors = arrays["inner_center"][rows], arrays["inner_factor"][rows]
-    for i in np.flatnonzero(counts[:, 0] > shapes.LARGE):
+    for i in np.flatnonzero(counts[:, 0] > columns.LARGE):
         faces = slice(from_plane[i], from_plane[i] + counts[i, 1])
         its = (points[from_point[i] : from_point[i] + counts[i, 0]] - centers[i]) @ np.linalg.inv(factors[i]).T
         most, looked = _farthest(its, normals[faces] @ factors[i], left)
@@ -304,7 +305,7 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
         left -= looked
     x, y, z = np.abs(points.T)
     reach = np.maximum.reduceat(np.maximum(np.maximum(x, y), z), from_point)
-    allowed = np.repeat(np.where(counts[:, 0] > shapes.LARGE, doubt, DOUBT) * reach, counts[:, 1])
+    allowed = np.repeat(np.where(counts[:, 0] > columns.LARGE, doubt, DOUBT) * reach, counts[:, 1])
     off = np.abs(planes[:, 3] - farthest)
     _refuse(~(off <= allowed), "planes: expected each to touch its piece", off)
 
@@ -314,9 +315,9 @@ def _farthest(vertices: Floats, normals: Floats, most: int) -> tuple[Floats, int
 
     By a direction map, in coordinates where the piece is round: there it leaves few candidates, whatever the piece.
     """
-    chosen, nodes = directions.direction_map(np.array(vertices))
+    chosen, nodes = entries.direction_map(np.array(vertices))
     node, s, t = _cells(normals)
-    for bit in reversed(range(directions.DEEPEST)):
+    for bit in reversed(range(columns.DEEPEST)):
         inner = nodes[node, 1] < 0
         child = nodes[node, 0].astype(np.int64) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
         node = np.where(inner, child, node)
@@ -340,7 +341,7 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
     one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
     each = np.arange(len(normals))
     major = normals[each, axis]
-    grid = directions.GRID
+    grid = columns.GRID
     cells = [
         np.clip(normals[each, k] / np.abs(major) * (grid / 2) + grid / 2, 0, grid - 1).astype(np.int64)
         for k in (one, two)
@@ -353,13 +354,13 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
 
 def _check_curved(arrays: dict[str, Any]) -> None:
     """Curved pieces are what their kind says, and their ellipsoids are the closed forms or on the safe side of them."""
-    kind = arrays["layout"][:, shapes.KIND]
-    rows = np.flatnonzero(kind != shapes.POLYTOPE)
+    kind = arrays["layout"][:, columns.KIND]
+    rows = np.flatnonzero(kind != columns.POLYTOPE)
     if len(rows) == 0:
         return
     kind, frames = kind[rows], arrays["frames"][rows]
     rounding, center, image = frames[:, 0], frames[:, 1:4], frames[:, 4:].reshape(-1, 3, 3)
-    round_kind = kind >= shapes.SEGMENT
+    round_kind = kind >= columns.SEGMENT
     _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 
@@ -379,7 +380,7 @@ def _check_curved(arrays: dict[str, Any]) -> None:
     inverse /= volume
     equal = np.abs(lengths - rounding) <= 10 * BEND * rounding
     _refuse(~(equal[0] & equal[1]) & round_kind, "frames: expected axes as long as the radius", lengths.T, rows)
-    _refuse(~equal[2] & (kind == shapes.POINT), "frames: expected axes as long as the radius", lengths.T, rows)
+    _refuse(~equal[2] & (kind == columns.POINT), "frames: expected axes as long as the radius", lengths.T, rows)
 
     inner, outer, lift = ellipsoids_in_frame(kind, rounding, lengths.T)
     aspect = np.maximum.reduce(outer.T) / np.minimum.reduce(outer.T)

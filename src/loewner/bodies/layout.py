@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner._kernels.pieces import directions, pack, rigid, shapes
-from loewner._kernels.simd import support
-from loewner._kernels.trees import piece_tree
+from loewner._kernels import columns, records, tolerances
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.errors import GeometryError
 
@@ -21,7 +20,7 @@ Maps = dict[int, tuple[Ints, Floats]]
 SMALLEST, LARGEST = 1e-30, 1e30
 
 # A pose accepted as rigid may still stretch or shrink lengths.
-BEND = 2 * rigid.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
+BEND = 2 * tolerances.ROTATION_TOLERANCE  # derived 1.6e-6, certified.md B22
 
 # Bounds are rounded up by this factor before they go to single precision.
 UP = 1 + 2.0**-22  # derived 1, certified.md B23
@@ -111,22 +110,22 @@ class KernelArrays:
         """
         table = _table(p)
         layout, points = _kernel_points(p, maps)
-        hot = np.ascontiguousarray(table[:, : shapes.HOT])
+        hot = np.ascontiguousarray(table[:, : columns.HOT])
         start = p.piece_start.copy()
         single = _single(hot)
-        vertices = support.aligned(len(points) if len(single) else 0, np.float32)
+        vertices = _aligned(len(points) if len(single) else 0, np.float32)
         vertices[:] = points[: len(vertices)]
-        arrays = pack.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices)
-        addresses = pack.table_of(arrays)
+        arrays = records.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices)
+        addresses = records.table_of(arrays)
         return cls(arrays, addresses, addresses.ctypes.data)
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:
     """Direction maps of the large polytopes, by number of the piece."""
-    first, last = layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO]
+    first, last = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     return {
-        int(i): directions.direction_map(points[first[i] : last[i]].copy())
-        for i in np.flatnonzero(last - first > shapes.LARGE)
+        int(i): entries.direction_map(points[first[i] : last[i]].copy())
+        for i in np.flatnonzero(last - first > columns.LARGE)
     }
 
 
@@ -137,58 +136,65 @@ def starts(lengths: Ints) -> Ints:
 
 def _kernel_points(p: PieceArrays, maps: Maps) -> tuple[Ints, Floats]:
     """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
-    first = p.layout[:, shapes.POINTS_FROM]
-    lengths = p.layout[:, shapes.POINTS_TO] - first
-    columns = -(-lengths // support.BLOCK) * support.BLOCK
-    room = columns.copy()
+    first = p.layout[:, columns.POINTS_FROM]
+    lengths = p.layout[:, columns.POINTS_TO] - first
+    width = -(-lengths // columns.BLOCK) * columns.BLOCK
+    room = width.copy()
     for i, (chosen, nodes) in maps.items():
-        columns[i] = len(chosen)
-        room[i] = len(chosen) + -(-nodes.size // (3 * support.BLOCK)) * support.BLOCK
+        width[i] = len(chosen)
+        room[i] = len(chosen) + -(-nodes.size // (3 * columns.BLOCK)) * columns.BLOCK
     begin = starts(room)
     # A block is filled up with repeats of the last point: they change no maximum.
     vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
     for i, (chosen, _) in maps.items():
         vertex[begin[i] : begin[i] + len(chosen)] = chosen
-    points = support.aligned(3 * len(vertex))
-    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, support.BLOCK, 3)
-    points.reshape(-1, 3, support.BLOCK)[:] = by_block.transpose(0, 2, 1)
+    points = _aligned(3 * len(vertex))
+    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, columns.BLOCK, 3)
+    points.reshape(-1, 3, columns.BLOCK)[:] = by_block.transpose(0, 2, 1)
     for i, (chosen, nodes) in maps.items():
         at = 3 * (begin[i] + len(chosen))
         points[at : at + nodes.size] = nodes.ravel()
-    kind = p.layout[:, shapes.KIND].copy()
-    kind[list(maps)] = shapes.MAPPED
-    return np.column_stack([kind, begin[:-1], begin[:-1] + columns]), points
+    kind = p.layout[:, columns.KIND].copy()
+    kind[list(maps)] = columns.MAPPED
+    return np.column_stack([kind, begin[:-1], begin[:-1] + width]), points
+
+
+def _aligned(count: int, kind: Any = np.float64) -> NDArray[Any]:
+    """Make an uninitialised flat array that starts at a cache line."""
+    raw = np.empty(count + columns.CACHE_LINE, kind)
+    skip = -raw.ctypes.data % columns.CACHE_LINE // raw.itemsize
+    return raw[skip : skip + count]
 
 
 def _table(p: PieceArrays) -> Floats:
     """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
-    table = np.zeros((len(p.layout), shapes.COLUMNS))
+    table = np.zeros((len(p.layout), columns.COLUMNS))
     # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
     largest = np.abs(p.outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
     upper = np.triu_indices(3)
     for center, factor, at_center, at_shape in (
-        (p.outer_center, p.outer_factor, shapes.OUTER_CENTER, shapes.OUTER_SHAPE),
-        (p.inner_center, p.inner_factor, shapes.INNER_CENTER, shapes.INNER_SHAPE),
+        (p.outer_center, p.outer_factor, columns.OUTER_CENTER, columns.OUTER_SHAPE),
+        (p.inner_center, p.inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
     ):
         table[:, at_center : at_center + 3] = center
         Q = factor @ factor.transpose(0, 2, 1)
         table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
-    table[:, shapes.ROUNDING] = p.frames[:, 0]
-    table[:, shapes.FRAME_CENTER : shapes.FRAME_CENTER + 12] = p.frames[:, 1:]
+    table[:, columns.ROUNDING] = p.frames[:, 0]
+    table[:, columns.FRAME_CENTER : columns.FRAME_CENTER + 12] = p.frames[:, 1:]
     if len(table) == 0:
         return table
     outer = np.linalg.svd(p.outer_factor, compute_uv=False)
     inner = np.linalg.svd(p.inner_factor, compute_uv=False)
     slack, bend = SINGULAR_ROUNDINGS, BEND
-    table[:, shapes.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
-    table[:, shapes.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, shapes.INNER_SIGMA]
-    table[:, shapes.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
-    table[:, shapes.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
+    table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
+    table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
+    table[:, columns.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
+    table[:, columns.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.
-    table[:, shapes.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
-    reach = table[:, shapes.REACH]
+    table[:, columns.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
+    reach = table[:, columns.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
         raise _wrong_sizes(outer[:, 0], reach)
     return table
@@ -204,21 +210,21 @@ def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:
 def _single(hot: Floats) -> NDArray[np.float32]:
     """The kernels' hot columns in single precision, if all sizes suit it; otherwise no rows."""
     least, most = SINGLE_SIZES
-    if len(hot) == 0 or hot[:, shapes.OUTER_RADIUS].min() < least or hot[:, shapes.REACH].max() > most:
-        return np.empty((0, shapes.HOT), dtype=np.float32)
+    if len(hot) == 0 or hot[:, columns.OUTER_RADIUS].min() < least or hot[:, columns.REACH].max() > most:
+        return np.empty((0, columns.HOT), dtype=np.float32)
     rounded = hot.copy()
-    rounded[:, [shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= UP
+    rounded[:, [columns.OUTER_RADIUS, columns.REACH, columns.INVERSE_INNER_SIGMA]] *= UP
     return np.minimum(rounded, np.finfo(np.float32).max).astype(np.float32)
 
 
 def _trees(table: Floats, piece_start: Ints) -> tuple[Floats, Ints, Ints]:
     """Trees over the pieces of the bodies that have many."""
     n = len(piece_start) - 1
-    if np.diff(piece_start).max(initial=0) < piece_tree.FEW:
+    if np.diff(piece_start).max(initial=0) < columns.FEW:
         return np.empty(0), np.empty(0, dtype=np.int64), np.full(n, -1)
-    center = table[:, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    center = table[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     # The widths along the axes are the roots of the diagonal; all of it rounds outward.
-    half = np.sqrt(table[:, [shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]])
-    half += 2.0**-53 * 64 * table[:, shapes.REACH, None]
-    grown: tuple[Floats, Ints, Ints] = piece_tree.planted(piece_start, center - half, center + half)
+    half = np.sqrt(table[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]])
+    half += 2.0**-53 * 64 * table[:, columns.REACH, None]
+    grown: tuple[Floats, Ints, Ints] = entries.piece_trees(piece_start, center - half, center + half)
     return grown

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from loewner import _memory, _validate
-from loewner._kernels.pieces import shapes
+from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, starts
 from loewner.errors import GeometryError
@@ -114,13 +114,13 @@ def take(p: Packed, bodies: Ints) -> Packed:
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
     pieces = _ranges(first, last)
     layout = p.layout[pieces]
-    points = _ranges(layout[:, shapes.POINTS_FROM], layout[:, shapes.POINTS_TO])
-    planes = _ranges(layout[:, shapes.PLANES_FROM], layout[:, shapes.PLANES_TO])
+    points = _ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
+    planes = _ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
     triangles = _ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
-    point_start = starts(layout[:, shapes.POINTS_TO] - layout[:, shapes.POINTS_FROM])
-    plane_start = starts(layout[:, shapes.PLANES_TO] - layout[:, shapes.PLANES_FROM])
+    point_start = starts(layout[:, columns.POINTS_TO] - layout[:, columns.POINTS_FROM])
+    plane_start = starts(layout[:, columns.PLANES_TO] - layout[:, columns.PLANES_FROM])
     moved = np.column_stack(
-        [layout[:, shapes.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
+        [layout[:, columns.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
     ).astype(np.int64)
     taken = PieceArrays(
         layout=np.ascontiguousarray(moved),
@@ -148,19 +148,19 @@ def moved(p: Packed, T: Floats) -> Packed:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offsets = np.empty(len(normals))
     for row in p.layout:
-        faces = slice(row[shapes.PLANES_FROM], row[shapes.PLANES_TO])
-        if row[shapes.KIND] == shapes.POLYTOPE:
-            offsets[faces] = (normals[faces] @ points[row[shapes.POINTS_FROM] : row[shapes.POINTS_TO]].T).max(axis=1)
+        faces = slice(row[columns.PLANES_FROM], row[columns.PLANES_TO])
+        if row[columns.KIND] == columns.POLYTOPE:
+            offsets[faces] = (normals[faces] @ points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]].T).max(axis=1)
     frames = p.frames.copy()
-    curved = p.layout[:, shapes.KIND] != shapes.POLYTOPE
+    curved = p.layout[:, columns.KIND] != columns.POLYTOPE
     frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
     frames[:, 4:] = (R @ p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
     # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
     # center and factor likewise, and R stretches by its departure from orthonormality.
     table = p.kernel.table
-    shift = 2.0**-53 * 32 * (table[:, shapes.REACH] + np.abs(t).sum())
-    shrink = 1 - shift / table[:, shapes.INNER_SIGMA]
-    grow = 1 + shift / table[:, shapes.OUTER_SIGMA]
+    shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
+    shrink = 1 - shift / table[:, columns.INNER_SIGMA]
+    grow = 1 + shift / table[:, columns.OUTER_SIGMA]
     # A radius stays what it is while ellipsoids stretch with R. Scaled by the stretch about its center, a core and a
     # ball that stretched as well are back inside (or around) the core and the ball that did not.
     stretched = np.linalg.svd(R, compute_uv=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner._kernels.pieces import shapes
+from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed
@@ -14,9 +14,9 @@ CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
 # Semi-axes of the inner and the outer ellipsoid in the coordinates of the unit shape, and the height of their center.
 IN_UNITS = {
-    shapes.ELLIPSOID: ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0),
-    shapes.CYLINDER: ((1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0),
-    shapes.CONE: ((0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5),
+    columns.ELLIPSOID: ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0),
+    columns.CYLINDER: ((1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0),
+    columns.CONE: ((0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5),
 }
 
 
@@ -24,9 +24,9 @@ def primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer:
     """Bodies of one curved piece each; `frame`, `inner` and `outer` are semi-axes, one row per body."""
     n = len(frame)
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
-    slack = 0.0 if kind in (shapes.ELLIPSOID, shapes.POINT) else CLOSED_FORM_ROUNDING
+    slack = 0.0 if kind in (columns.ELLIPSOID, columns.POINT) else CLOSED_FORM_ROUNDING
     layout = np.zeros((n, 5), dtype=np.int64)
-    layout[:, shapes.KIND] = kind
+    layout[:, columns.KIND] = kind
     center = np.tile([0.0, 0.0, lift], (n, 1))
     pieces = PieceArrays(
         layout=layout,
@@ -80,7 +80,7 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
         these = kinds == kind
         inner[these], outer[these] = lengths[these] * smaller, lengths[these] * larger
         lift[these] = lengths[these, 2] * height
-    balls, capsules = kinds == shapes.POINT, kinds == shapes.SEGMENT
+    balls, capsules = kinds == columns.POINT, kinds == columns.SEGMENT
     inner[balls] = outer[balls] = rounding[balls, None]
     r, h = rounding[capsules], lengths[capsules, 2]
     inner[capsules] = np.column_stack([r, r, h + r])

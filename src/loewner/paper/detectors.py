@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
-from loewner._kernels.paper import detectors as _detectors
-from loewner._kernels.paper.estimates import PAPER_ANGLE
-from loewner._kernels.pieces import shapes
+from loewner._kernels import columns
+from loewner._kernels.tolerances import PAPER_ANGLE
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies
 from loewner.ellipsoid_pairs import contact_function
@@ -360,7 +360,7 @@ def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguou
         arguments += [f.normals, f.offsets, f.start, g.normals, g.offsets, g.start]
     if detector == 2:
         arguments += [angle]
-    kernel = getattr(_detectors, f"detector_{detector}")
+    kernel = getattr(entries, f"detector_{detector}")
     return lambda: kernel(*arguments, collides, ambiguous)
 
 
@@ -368,12 +368,12 @@ def _unpacked(bodies: Bodies) -> tuple[Faces, Floats]:
     """Faces of bodies of one polytope each, and the mean of each body's vertices."""
     packed = bodies._packed
     layout = packed.layout
-    single = (np.diff(packed.piece_start) == 1) & (layout[packed.piece_start[:-1], shapes.KIND] == shapes.POLYTOPE)
+    single = (np.diff(packed.piece_start) == 1) & (layout[packed.piece_start[:-1], columns.KIND] == columns.POLYTOPE)
     if not single.all():
         k = int(np.flatnonzero(~single)[0])
         raise InputError(f"bodies[{k}]: expected one convex polytope, found {bodies[k]!r}")
-    start = np.append(layout[:, shapes.PLANES_FROM], len(packed.planes))
-    vertices = np.diff(np.append(layout[:, shapes.POINTS_FROM], len(packed.points)))
-    mean = np.add.reduceat(packed.points, layout[:, shapes.POINTS_FROM], axis=0) / vertices[:, None]
+    start = np.append(layout[:, columns.PLANES_FROM], len(packed.planes))
+    vertices = np.diff(np.append(layout[:, columns.POINTS_FROM], len(packed.points)))
+    mean = np.add.reduceat(packed.points, layout[:, columns.POINTS_FROM], axis=0) / vertices[:, None]
     faces = Faces(np.ascontiguousarray(packed.planes[:, :3]), np.ascontiguousarray(packed.planes[:, 3]), start)
     return faces, mean

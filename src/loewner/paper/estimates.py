@@ -12,7 +12,7 @@ import numpy as np
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.paper import estimates as _estimates
+from loewner._native import entries
 from loewner._validate import Floats
 from loewner.ellipsoid_pairs import NEAR_POINT_METHODS
 from loewner.ellipsoids import Ellipsoids
@@ -82,7 +82,7 @@ def distance_estimate(
         for x, tail in ((E.center, (3,)), (E.factor, (3, 3)))
     ]
     f = np.empty(n)
-    _estimates.estimates_of_pairs(code, *arrays, f)
+    entries.estimates_of_pairs(code, *arrays, f)
     beyond = np.flatnonzero(~np.isfinite(f))
     if beyond.size:
         raise ConvergenceError(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner._kernels.paper.estimates import PAPER_ANGLE
+from loewner._kernels.tolerances import PAPER_ANGLE
 from loewner._validate import Floats
 from loewner.bodies import Piece
 from loewner.ellipsoid_pairs import near_points

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.fits import hulls, mvce, mvie
+from loewner._kernels import codes
+from loewner._native import entries
 from loewner._validate import Floats
 from loewner.fits import DEFAULT_TOLERANCE, Fit, certified_fit, checked_tolerance
 from loewner.polytopes import FLATNESS, check_enough, flat_error, writeable
@@ -60,12 +61,12 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
 def _lifted(points: Floats, tol: float) -> Fit:
     """The MVIE of {z : |(v, 1)·z| <= 1} in dimension n + 1, then its polar cut at height 1."""
     m, n = points.shape
-    code, _, _, _, origin, frame, local = hulls.to_unit_size(points, FLATNESS)
-    if code == mvce.FLAT:
+    code, _, _, _, origin, frame, local = entries.to_unit_size(points, FLATNESS)
+    if code == codes.FLAT:
         raise flat_error("points", points)
     lifted = np.column_stack([local, np.ones(m)])
     z, low, multipliers = np.empty(n + 1), np.empty((n + 1, n + 1)), np.empty(2 * m)
-    gap, iterations = mvie.solve_primal_dual(
+    gap, iterations = entries.solve_primal_dual(
         np.concatenate([lifted, -lifted]), 2 * m, n + 1, 0.25 * tol, z, low, multipliers
     )
     if not np.isfinite(gap):
@@ -80,6 +81,6 @@ def _lifted(points: Floats, tol: float) -> Fit:
     center = origin - frame @ (inverse.T @ r)
     # Each point's dual weight: the multipliers of its two half-spaces, which the MVIE's own duals are.
     weights = multipliers[:m] + multipliers[m:]
-    error = mvce.enclose(points, center, factor)
-    gap = mvce.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
+    error = entries.enclose(points, center, factor)
+    gap = entries.outer_gap(points, np.arange(m), weights, m, center, factor, error) if error >= 0 else np.inf
     return certified_fit("mvce_by_lifted_mvie", center, factor, gap, iterations, tol)

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
-from loewner._kernels.ellipsoids.contact import SHAPE_ROUNDINGS
-from loewner._kernels.pieces import pack, rigid, shapes
-from loewner._kernels.robots import configurations, kinematics, placement
+from loewner._kernels import columns, records, tolerances
+from loewner._native import entries
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
@@ -23,7 +22,7 @@ from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
 # An allowance for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
-STRETCH = 1 + 4 * rigid.ROTATION_TOLERANCE
+STRETCH = 1 + 4 * tolerances.ROTATION_TOLERANCE
 
 # Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
 MOST_PAIRS = 2**24
@@ -77,10 +76,10 @@ class CheckedPairs:
             *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order,
             self.standing, self.standing_rows, self.standing_poses,
         )  # fmt: skip
-        table = pack.table_of(arrays)
+        table = records.table_of(arrays)
         object.__setattr__(self, "_table", table)
         object.__setattr__(self, "handle", table.ctypes.data)
-        memory = configurations.memory_size(self.bodies._packed.handle, self.handle, self.robot.dof)
+        memory = entries.memory_size(self.bodies._packed.handle, self.handle, self.robot.dof)
         object.__setattr__(self, "memory", memory)
 
     def ordered(self) -> CheckedPairs:
@@ -150,8 +149,8 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
         pairs=pairs,
         margins=_margins(scene, names, pairs),
         order=np.arange(len(pairs)),
-        standing=np.zeros((count, placement.BOUNDS), dtype=np.float32),
-        standing_rows=np.zeros((start[-1] - start[0], shapes.HOT), dtype=np.float32),
+        standing=np.zeros((count, columns.BOUNDS), dtype=np.float32),
+        standing_rows=np.zeros((start[-1] - start[0], columns.HOT), dtype=np.float32),
         standing_poses=np.full((count, 16), np.nan),  # differs from every pose
         hits=np.zeros(len(pairs), dtype=np.int64),
     )  # fmt: skip
@@ -201,7 +200,7 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
     """Pairs of bodies, as places in `names`, the first of which moves."""
     # Links that are rigidly joined are one thing; its number is that of its first link.
     parent, kind = robot.tree.parent, robot.tree.kind
-    thing = np.where((kind == kinematics.FIXED), parent, np.arange(len(parent)))[link]
+    thing = np.where((kind == columns.FIXED), parent, np.arange(len(parent)))[link]
     moving, total = len(link), len(names)
     others = total - 1 - np.arange(moving)  # each with all that come after it
     if others.sum() > MOST_PAIRS:
@@ -252,7 +251,7 @@ def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
 def _ball(packed: Packed, k: int) -> tuple[float, ...]:
     """Center and radius of a ball about all pieces of a body, and the farthest it reaches from the origin."""
     first, last = packed.piece_start[k], packed.piece_start[k + 1]
-    centers = packed.kernel.table[first:last, shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
+    centers = packed.kernel.table[first:last, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     # The kernel takes the center of a single piece to be that of its outer ellipsoid.
     middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
     radius = max(_farthest(packed, p, np.eye(4), middle) for p in range(first, last)) * STRETCH
@@ -277,8 +276,8 @@ def _bounds(packed: Packed, first: int, placed: list[Floats], T: Floats) -> Floa
     for p, row in enumerate(placed, first):
         least, most = _box(packed, p, T, row)
         lower, upper = np.minimum(lower, least), np.maximum(upper, most)
-    reach = packed.kernel.table[first:last, shapes.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
-    off = 2 * placement.OFF * reach + placement.LEAST
+    reach = packed.kernel.table[first:last, columns.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
+    off = 2 * tolerances.OFF * reach + tolerances.LEAST
     center, half = (lower + upper) / 2, (upper - lower) / 2 + off
     ball = max((_farthest(packed, p, T, center) for p in range(first, last)), default=0.0)
     wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
@@ -289,12 +288,12 @@ def _placed_row(hot: Floats, T: Floats) -> Floats:
     """The ellipsoids of a piece in world coordinates, as a row of the certificate."""
     R, t = T[:3, :3], T[:3, 3]
     row = hot.copy()
-    for at in (shapes.OUTER_CENTER, shapes.INNER_CENTER):
+    for at in (columns.OUTER_CENTER, columns.INNER_CENTER):
         row[at : at + 3] = R @ hot[at : at + 3] + t
-    for at in (shapes.OUTER_SHAPE, shapes.INNER_SHAPE):
+    for at in (columns.OUTER_SHAPE, columns.INNER_SHAPE):
         row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
-    row[shapes.REACH] += np.abs(t).sum()
-    row[[shapes.OUTER_RADIUS, shapes.REACH, shapes.INVERSE_INNER_SIGMA]] *= placement.UP
+    row[columns.REACH] += np.abs(t).sum()
+    row[[columns.OUTER_RADIUS, columns.REACH, columns.INVERSE_INNER_SIGMA]] *= tolerances.UP
     return row
 
 
@@ -306,11 +305,11 @@ def _single(rows: Floats) -> NDArray[np.float32]:
 
 def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
     """Corners of a box along the axes of the world about a placed piece, up to rounding."""
-    center = row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3]
-    Q = row[[shapes.OUTER_SHAPE, shapes.OUTER_SHAPE + 3, shapes.OUTER_SHAPE + 5]]
-    half = np.sqrt(Q + SHAPE_ROUNDINGS * Q.sum())
+    center = row[columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
+    Q = row[[columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]
+    half = np.sqrt(Q + tolerances.SHAPE_ROUNDINGS * Q.sum())
     least, most = center - half, center + half
-    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
+    if packed.layout[p, columns.KIND] == columns.POLYTOPE:
         corners = _corners(packed, p, T)
         least, most = np.maximum(least, corners.min(axis=0)), np.minimum(most, corners.max(axis=0))
     return least, most
@@ -318,13 +317,13 @@ def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats
 
 def _farthest(packed: Packed, p: int, T: Floats, center: Floats) -> float:
     """Distance of the farthest point of a placed piece from a point of the world, or more; up to rounding."""
-    if packed.layout[p, shapes.KIND] == shapes.POLYTOPE:
+    if packed.layout[p, columns.KIND] == columns.POLYTOPE:
         return float(np.linalg.norm(_corners(packed, p, T) - center, axis=1).max())
     row = packed.kernel.table[p]
-    middle = T[:3, :3] @ row[shapes.OUTER_CENTER : shapes.OUTER_CENTER + 3] + T[:3, 3]
-    return float(np.linalg.norm(middle - center) + row[shapes.OUTER_RADIUS])
+    middle = T[:3, :3] @ row[columns.OUTER_CENTER : columns.OUTER_CENTER + 3] + T[:3, 3]
+    return float(np.linalg.norm(middle - center) + row[columns.OUTER_RADIUS])
 
 
 def _corners(packed: Packed, p: int, T: Floats) -> Floats:
-    points = packed.points[packed.layout[p, shapes.POINTS_FROM] : packed.layout[p, shapes.POINTS_TO]]
+    points = packed.points[packed.layout[p, columns.POINTS_FROM] : packed.layout[p, columns.POINTS_TO]]
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate, queries
 from loewner._guard import guarded
 from loewner._kernels import codes
-from loewner._kernels.robots import configurations
+from loewner._native import entries
 from loewner._settle import settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
@@ -486,7 +486,7 @@ class CollisionChecker:
         out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
 
         def run(first: int, last: int, hits: Ints) -> None:
-            configurations.check_configurations(
+            entries.check_configurations(
                 mode, first, last, flat, ready.bodies._packed.handle, ready.handle, out, tiers, hits,
                 workspace(ready.memory),
             )  # fmt: skip
@@ -513,7 +513,7 @@ class CollisionChecker:
         fractions = edges.coarse_first(edges.steps(self.robot._distances(a, b), step))
         total = len(fractions)
         out, pack = np.empty(total, dtype=np.int8), ready.bodies._packed.handle
-        verdict, settled = configurations.check_motion(
+        verdict, settled = entries.check_motion(
             a, b, fractions, pack, ready.handle, out, ready.hits, workspace(ready.memory)
         )
         self._learn(ready, settled)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-import loewner._kernels._jit as compiled
 from loewner import mesh_files, meshes
 from loewner._files import read_regular
-from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_RADIUS
+from loewner._kernels import _sources
+from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Progress
 from loewner.bodies import Body
@@ -25,7 +25,7 @@ from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots.urdf import Description, Shape
 
 # Next to the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
-CACHE_FOLDER = compiled.CACHE_FOLDER.parent / "bodies"
+CACHE_FOLDER = _sources.cache_folder() / "bodies"
 
 # glTF files may keep their points in other files, so that their own bytes do not tell their content.
 NOT_CACHED = (".gltf", ".glb")
@@ -167,7 +167,7 @@ def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
 @cache
 def _code() -> str:
     """Hash of the code that makes bodies: what another version made of a file, with a fault perhaps, is not used."""
-    digest = hashlib.sha256(compiled.CACHE_FOLDER.name.encode())
+    digest = hashlib.sha256(_sources.source_hash().encode())
     home = Path(meshes.__file__).parent
     for maker in _MAKERS:
         for path in sorted((home / maker).rglob("*.py")) or [home / maker]:

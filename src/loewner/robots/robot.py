@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
-from loewner._kernels.pieces.pack import Tree
-from loewner._kernels.robots import kinematics
+from loewner._kernels.records import Tree
+from loewner._native import entries
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
 from loewner._validate import Floats, OneOrMany, Pair, Progress
@@ -356,7 +356,7 @@ class Robot:
         _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
         flat = checked.reshape(count, self.dof)
         out = np.empty((count, links, 4, 4))
-        in_shares(lambda first, last: kinematics.forward(*self.tree, flat, first, last, out), count, LEAST_SHARE)
+        in_shares(lambda first, last: entries.link_poses(*self.tree, flat, first, last, out), count, LEAST_SHARE)
         return out.reshape(*batch, links, 4, 4)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:

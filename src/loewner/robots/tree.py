@@ -7,30 +7,30 @@ from itertools import combinations
 
 import numpy as np
 
-from loewner._kernels.pieces.pack import Tree
-from loewner._kernels.robots import kinematics
+from loewner._kernels import columns
+from loewner._kernels.records import Tree
 from loewner._validate import Floats, Pair
 from loewner.errors import InputError
 from loewner.robots.urdf import MOST_PAIRS, VALUES, Description, Joint
 
 # Kinds of joints: what kernels call those of URDF.
 KINDS = {
-    "fixed": kinematics.FIXED,
-    "revolute": kinematics.REVOLUTE,
-    "continuous": kinematics.REVOLUTE,
-    "prismatic": kinematics.PRISMATIC,
-    "planar": kinematics.PLANAR,
-    "floating": kinematics.FLOATING,
+    "fixed": columns.FIXED,
+    "revolute": columns.REVOLUTE,
+    "continuous": columns.REVOLUTE,
+    "prismatic": columns.PRISMATIC,
+    "planar": columns.PLANAR,
+    "floating": columns.FLOATING,
 }
 
 
 def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
     """Columns of each driven joint, and their number."""
-    columns, at = {}, 0
+    slices, at = {}, 0
     for name in robot.driven:
-        columns[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
-        at = columns[name].stop
-    return columns, at
+        slices[name] = slice(at, at + len(VALUES[robot.joints[name].kind]))
+        at = slices[name].stop
+    return slices, at
 
 
 def adjacent_pairs(robot: Description) -> frozenset[Pair]:
@@ -77,12 +77,12 @@ def adjacent_pairs(robot: Description) -> frozenset[Pair]:
     return frozenset(pairs)
 
 
-def tree_of(robot: Description, columns: dict[str, slice]) -> Tree:
+def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
     """Flatten the robot for kernels."""
     count = len(robot.shapes)
     parent, kind, column = np.full(count, -1), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
     multiplier, offset = np.ones(count), np.zeros(count)
-    constants = np.zeros((count, kinematics.CONSTANTS))
+    constants = np.zeros((count, columns.CONSTANTS))
     # For each link the first link of the rigid thing that it is part of, and its pose in there.
     frames: dict[str, tuple[int, Floats]] = {}
     for i, name in enumerate(robot.shapes):
@@ -94,12 +94,12 @@ def tree_of(robot: Description, columns: dict[str, slice]) -> Tree:
             T = T_above_parent @ joint.origin
         parent[i] = above
         if joint is None or joint.kind == "fixed":
-            constants[i, : kinematics.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
+            constants[i, : columns.SINE] = (*T[:3, :3].ravel(), *T[:3, 3])
             frames[name] = above, T
             continue
         mimic = joint.mimic
         kind[i] = KINDS[joint.kind]
-        column[i] = columns[mimic.joint if mimic else joint.name].start
+        column[i] = slices[mimic.joint if mimic else joint.name].start
         if mimic:
             multiplier[i], offset[i] = mimic.multiplier, mimic.offset
         constants[i] = _joint_constants(joint, T)
@@ -112,12 +112,12 @@ def placed_tree(tree: Tree, T: Floats) -> Tree:
     constants = tree.constants.copy()
     on_base = np.flatnonzero(tree.parent < 0)
     R, t = T[:3, :3], T[:3, 3]
-    for first in (kinematics.ROTATION, kinematics.SINE, kinematics.COSINE):
+    for first in (columns.ROTATION, columns.SINE, columns.COSINE):
         block = constants[on_base, first : first + 9].reshape(-1, 3, 3)
         constants[on_base, first : first + 9] = (R @ block).reshape(-1, 9)
-    for first in (kinematics.TRANSLATION, kinematics.ACROSS, kinematics.ALONG):
+    for first in (columns.TRANSLATION, columns.ACROSS, columns.ALONG):
         constants[on_base, first : first + 3] = constants[on_base, first : first + 3] @ R.T
-    constants[on_base, kinematics.TRANSLATION : kinematics.TRANSLATION + 3] += t
+    constants[on_base, columns.TRANSLATION : columns.TRANSLATION + 3] += t
     return tree._replace(constants=constants)
 
 

@@ -18,20 +18,9 @@ Perram and Wertheim (1985), J. Comput. Phys. 58(3), doi:10.1016/0021-9991(85)901
 """
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, adjugate, apply_symmetric, dot, mixed_adjugate, trace
+from loewner._kernels.linalg3 import adjugate, apply_symmetric, dot, mixed_adjugate, trace
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, sqrt
-
-# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated
-# and applied to a vector, in units of trace(Q) |n|². Of squared widths, and of P n in levels.
-SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
-# derived 24, certified.md B2
-
-# The same for positions (translation, rotated center, dot product), in units of the lengths that
-# were added. Of gaps between ellipsoids, of support planes of vertices, and of boxes of trees.
-POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
-# derived 32, certified.md B14
-# derived 11, certified.md B19
-POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
+from loewner._kernels.tolerances import POSITION_ERROR, SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 
 
 @inline

@@ -15,15 +15,8 @@ for the secular equation.
 import math
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import CENTER_LINE, LIN_HAN, OVERLAP, SEPARATE, UNCONVERGED
 from loewner._kernels.linalg3 import across, along, apply, apply_transposed, dot, matrix, minus
-
-SEPARATE = 0
-OVERLAP = 1
-UNCONVERGED = 2
-
-RIMON_BOYD = 0
-LIN_HAN = 1
-CENTER_LINE = 2
 
 # Lin-Han's own step converges linearly, at a rate set by the square of the axis ratio. Rounder
 # pairs are done in 5 to 30 steps; past this count a Newton iteration finishes the job.

@@ -27,9 +27,11 @@ Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its har
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, across, apply, dot, minus, plus, shape_matrix
+from loewner._kernels.columns import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
+from loewner._kernels.linalg3 import across, apply, dot, minus, plus, shape_matrix
 from loewner._kernels.pieces.pack import shift_between
-from loewner._kernels.pieces.shapes import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING, rotation_of
+from loewner._kernels.pieces.shapes import rotation_of
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
 MAX_STEPS = 80

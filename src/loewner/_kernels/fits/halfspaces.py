@@ -3,11 +3,11 @@
 import numpy as np
 
 from loewner._kernels._jit import njit
+from loewner._kernels.codes import STALLED, UNBOUNDED
 from loewner._kernels.fits.dense import householder_triangle, invert_lower, multiply_lower
-from loewner._kernels.fits.mvce import ROUNDING, STALLED
+from loewner._kernels.fits.mvce import ROUNDING
 from loewner._kernels.fits.mvie import inscribe, solve_primal_dual
 
-UNBOUNDED = 3
 MAX_CENTERING = 500
 
 

@@ -3,16 +3,13 @@
 import numpy as np
 
 from loewner._kernels._jit import njit
+from loewner._kernels.codes import FACE_OFF, INSIDE_OUT, NOT_CLOSED
 from loewner._kernels.fits.mvce import ROUNDING, spread_points, to_frame
 
 # A vertex may be this far inside the face it belongs to, relative to the width of the piece along the normal ...
 FACE_WIDTH = 1e-11
 # ... or within the rounding of the dot product itself, in units of its error bound.
 FACE_ROUNDING = 64.0
-
-OPEN = 11  # the simplices do not close up
-WIDE = 12  # a face does not pass through its own vertices
-INSIDE_OUT = 13  # the simplices cannot be oriented
 
 
 @njit()
@@ -123,7 +120,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
                 value += normals[f, j] * (points[simplices[i, k], j] - reference[j])
             worst = max(worst, bottoms[f] - value)
             if value < bottoms[f] and code == 0:
-                code = WIDE
+                code = FACE_OFF
     return code, worst, used, face_of, normals[:faces], offsets
 
 
@@ -162,7 +159,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
         for k in range(3):
             there = neighbors[here, k]
             if there < 0:
-                return OPEN
+                return NOT_CLOSED
             tail = simplices[here, (k + 1) % 3]
             head = simplices[here, (k + 2) % 3]
             # The neighbour must run along the shared edge the other way.
@@ -174,7 +171,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
                 forward = forward or (p == tail and q == head)
                 backward = backward or (p == head and q == tail)
             if not (forward or backward):
-                return OPEN
+                return NOT_CLOSED
             if not turned[there]:
                 if forward:
                     flip(simplices, neighbors, there)
@@ -184,7 +181,7 @@ def turn_outward(simplices, neighbors, equations, coordinates, stack):
                 seen += 1
             elif forward:
                 return INSIDE_OUT
-    return 0 if seen == count else OPEN
+    return 0 if seen == count else NOT_CLOSED
 
 
 @njit()

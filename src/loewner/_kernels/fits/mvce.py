@@ -14,6 +14,7 @@ points holds every point and log(volume / smallest volume) <= n/2 log(κ/n): Tod
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import FLAT, STALLED
 from loewner._kernels.fits.dense import (
     cholesky,
     householder_triangle,
@@ -38,10 +39,6 @@ DIRECT_LIMIT = 64
 LIGHT = 1e-6
 NEAR = 0.8
 SQRT2 = np.sqrt(2.0)
-
-# Codes returned to the caller (0 is success).
-FLAT = 1
-STALLED = 2
 
 
 @njit()

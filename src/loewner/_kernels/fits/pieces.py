@@ -3,9 +3,10 @@
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import FLAT, STALLED
 from loewner._kernels.fits.dense import multiply_lower
 from loewner._kernels.fits.hulls import FACE_ROUNDING, FACE_WIDTH
-from loewner._kernels.fits.mvce import FLAT, ROUNDING, STALLED, fit_outer
+from loewner._kernels.fits.mvce import ROUNDING, fit_outer
 from loewner._kernels.fits.mvie import inscribe, solve_primal_dual
 
 

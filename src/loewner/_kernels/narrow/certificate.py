@@ -27,35 +27,10 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN, UNSURE
-from loewner._kernels.ellipsoids.contact import (
-    SHAPE_ROUNDINGS,
-    maximize,
-    nearness,
-    normal_at,
-    position_error,
-    separation,
-)
-from loewner._kernels.linalg3 import (
-    UNIT_ROUNDOFF,
-    apply,
-    apply_symmetric,
-    dot,
-    minus,
-    plus,
-    rotated_shape,
-    selected,
-    trace,
-)
+from loewner._kernels.columns import HOT, INNER_CENTER, INNER_SHAPE, OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, REACH
+from loewner._kernels.ellipsoids.contact import maximize, nearness, normal_at, position_error, separation
+from loewner._kernels.linalg3 import apply, apply_symmetric, dot, minus, plus, rotated_shape, selected, trace
 from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
-from loewner._kernels.pieces.shapes import (
-    HOT,
-    INNER_CENTER,
-    INNER_SHAPE,
-    OUTER_CENTER,
-    OUTER_RADIUS,
-    OUTER_SHAPE,
-    REACH,
-)
 from loewner._kernels.simd.vectors import (
     ALL,
     LANES,
@@ -75,6 +50,7 @@ from loewner._kernels.simd.vectors import (
     share_of_roots,
     store,
 )
+from loewner._kernels.tolerances import SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
 BLOCK = 128  # piece pairs that are settled together
 
@@ -84,7 +60,6 @@ NEWTON_STEPS = 12
 # Of the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
 # derived 28, certified.md B5
-SINGLE_ROUNDOFF = 2.0**-24
 
 # How far F must be from 1, at least, before a pair is given up: a band that costs little and leaves room for what
 # rounding does to F (see `_doubt`), in either precision. No proof rests on them: such a pair is left OPEN.

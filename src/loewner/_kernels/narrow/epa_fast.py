@@ -18,13 +18,14 @@ from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
+from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
-from loewner._kernels.pieces.shapes import POINTS_FROM, POINTS_TO, rotation_of
+from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.vectors import broadcast, load, mask, maximum, minimum, movemask, select, store
+from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 SETTLED, UNSETTLED = 0, 1
 

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
+from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 # A polytope pair ends when it meets a true face of A - B, after tens of faces. The cap is for
 # curved pieces: 1,500 support points resolve a sphere's depth to about 1e-6 of its radius at the very

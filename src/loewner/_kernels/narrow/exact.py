@@ -2,14 +2,15 @@
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_PLANE, BY_SEARCH, COLLIDING, FREE, OPEN
+from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.linalg3 import dot
 from loewner._kernels.narrow.gjk_fast import ENTRIES, INSIDE, begin, decide, measure
 from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, rounding_error, swollen_radii
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
-from loewner._kernels.simd.memory import LINE, floats_at
+from loewner._kernels.simd.memory import floats_at
 
-SIZE = 8 * ENTRIES + 2 * LINE  # bytes of memory that `exact_piece_pair` writes to
+SIZE = 8 * ENTRIES + 2 * CACHE_LINE  # bytes of memory that `exact_piece_pair` writes to
 
 
 @inline

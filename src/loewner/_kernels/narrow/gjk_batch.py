@@ -19,30 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import CACHE_LINE, HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.ellipsoids.contact import position_error
-from loewner._kernels.linalg3 import (
-    UNIT_ROUNDOFF,
-    apply,
-    apply_transposed,
-    cross,
-    dot,
-    minus,
-    negated,
-    plus,
-    selected,
-)
+from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
 from loewner._kernels.narrow import pair_list
-from loewner._kernels.narrow.certificate import (
-    SINGLE_ROUNDOFF,
-    rounded_size,
-    single_pose_of,
-    turns,
-)
+from loewner._kernels.narrow.certificate import rounded_size, single_pose_of, turns
 from loewner._kernels.narrow.gjk_fast import KEPT
 from loewner._kernels.narrow.pair_list import fill, pair_list_at
-from loewner._kernels.pieces.shapes import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.simd import support
-from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, singles_at
+from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, singles_at
 from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
     SINGLE_ALL,
@@ -59,6 +44,7 @@ from loewner._kernels.simd.vectors import (
     sqrt,
     store_strided,
 )
+from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
 # What `settle` says of a pair.
 OPEN, APART, TOUCHING = 0, 1, 2
@@ -117,7 +103,7 @@ class Workspace(NamedTuple):
 _LIST, _NUMBERS = pair_list.size(SINGLE_LANES), 8 * SINGLE_LANES
 _VERTICES = 4 * 2 * MOST * VERTEX
 
-SIZE = _LIST + 8 * _NUMBERS + _VERTICES + LINE  # bytes of a workspace
+SIZE = _LIST + 8 * _NUMBERS + _VERTICES + CACHE_LINE  # bytes of a workspace
 
 
 @inline

@@ -12,11 +12,13 @@ Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083; Ericson, Real-Time Col
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, along, cross, dot, minus, negated, plus, scaled
+from loewner._kernels.columns import BLOCK, KIND, LARGE, POINTS_FROM, POINTS_TO, POLYTOPE
+from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import APART, DISTANCE_TOLERANCE, ERROR_SHARE, TOUCHING, UNSETTLED
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
-from loewner._kernels.pieces.shapes import KIND, LARGE, POINTS_FROM, POINTS_TO, POLYTOPE, placed_support
-from loewner._kernels.simd.support import BLOCK, aligned, entry_of, farthest, place_vertices
+from loewner._kernels.pieces.shapes import placed_support
+from loewner._kernels.simd.support import aligned, entry_of, farthest, place_vertices
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 NEAREST, INSIDE = 3, 4  # further answers of `measure`: the distance is final; the cores overlap for sure
 

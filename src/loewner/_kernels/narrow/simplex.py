@@ -13,7 +13,8 @@ always an upper bound on the distance; GJK proves the lower bound by itself.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, along, cross, dot, minus
+from loewner._kernels.linalg3 import along, cross, dot, minus
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Error of either volume that `_beyond` compares, in units of the roundoff times the third power of the largest sum of
 # coordinates.

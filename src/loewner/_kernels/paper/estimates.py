@@ -5,8 +5,7 @@ import math
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.linalg3 import dot, matrix, minus
-
-PAPER_ANGLE = 0.01  # rad; the paper's tolerance for Lin-Han
+from loewner._kernels.tolerances import PAPER_ANGLE
 
 
 @inline

@@ -17,12 +17,10 @@ last+1 column; an inner node's are the number of its first child and -1. Nodes 0
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
-from loewner._kernels.simd.support import BLOCK
+from loewner._kernels.columns import BLOCK, DEEPEST, GRID
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 LEAF = 32  # vertices that need no further division: four blocks
-DEEPEST = 14  # divisions at most; vertices of one flat face share the cells around its normal, however small
-GRID = 1 << DEEPEST
 
 # Leaves hold so many copies of a vertex on average before division stops; two or three are usual.
 MOST_COPIES = 8
@@ -124,7 +122,8 @@ def _grown(array, count):
     if count <= len(array):
         return array
     longer = np.empty(2 * count, array.dtype)
-    longer[: len(array)] = array
+    for n in range(len(array)):
+        longer[n] = array[n]
     return longer
 
 
@@ -139,10 +138,15 @@ def direction_map(vertices):
     nodes : ndarray, shape (n, 2)
     """
     count = len(vertices)
-    slack = CLEARANCE * np.abs(vertices).max()
+    largest = 0.0
+    for v in range(count):
+        for axis in range(3):
+            largest = max(largest, abs(vertices[v, axis]))
+    slack = CLEARANCE * largest
     # Lists of vertices, those of the current path from the root one after the other.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
-    pool[:count] = np.arange(count)
+    for v in range(count):
+        pool[v] = v
     heights = np.empty((count, 5))
     d = np.empty((5, 3))
     rivals = np.empty(5, np.int64)
@@ -184,4 +188,7 @@ def direction_map(vertices):
         path[depth, 0], path[depth, 1], path[depth, 2], path[depth, 3] = made, 0, face, level + 1
         path[depth, 4], path[depth, 5], path[depth, 6], path[depth, 7] = 2 * s, 2 * t, stop, end
         made += 4
-    return columns[:used].copy(), nodes[: 2 * made].copy().reshape(-1, 2)
+    table = np.empty((made, 2))
+    for node in range(made):
+        table[node, 0], table[node, 1] = nodes[2 * node], nodes[2 * node + 1]
+    return columns[:used].copy(), table

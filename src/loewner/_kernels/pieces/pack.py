@@ -1,48 +1,8 @@
-"""Packed pieces by one number: a call from Python costs 150 ns for every array it hands over, 20 ns for a number.
-
-A handle is the address of a small table: for each array of a packed set (see `shapes`) its address and its shape.
-"""
-
-from typing import Any, NamedTuple
-
-import numpy as np
+"""Packed pieces, and what to check, by one number: see `records`."""
 
 from loewner._kernels._jit import borrowed, inline
+from loewner._kernels.records import ENTRIES, Pieces, Placed, Problem, Tree
 from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
-
-ENTRIES = 3  # address, rows, columns (1 for a flat array)
-
-
-def table_of(arrays: Any) -> Any:
-    """What a handle points to; arrays and table must outlive the handle."""
-    rows = [(array.ctypes.data, array.shape[0], array.shape[1] if array.ndim == 2 else 1) for array in arrays]
-    return np.array(rows, dtype=np.int64)
-
-
-class Pieces(NamedTuple):
-    """Packed pieces of a set of bodies; the arrays are described in `shapes`."""
-
-    table: Any
-    layout: Any
-    points: Any
-    piece_start: Any
-    hot: Any
-    single: Any
-    groups: Any
-    children: Any
-    roots: Any
-    vertices: Any
-
-
-class Placed(NamedTuple):
-    """Row `piece` of packed pieces at pose `row` of an array of poses, shape (N, 4, 4)."""
-
-    table: Any
-    layout: Any
-    points: Any
-    piece: Any
-    poses: Any
-    row: Any
 
 
 @inline
@@ -77,48 +37,6 @@ def shift_between(A, B):
         B.poses[B.row, 1, 3] - A.poses[A.row, 1, 3],
         B.poses[B.row, 2, 3] - A.poses[A.row, 2, 3],
     )
-
-
-class Tree(NamedTuple):
-    """A robot as kernels see it: six arrays, described in `robots.kinematics`."""
-
-    parent: Any
-    kind: Any
-    column: Any
-    multiplier: Any
-    offset: Any
-    constants: Any
-
-
-class Problem(NamedTuple):
-    """What `robots.configurations` checks.
-
-    Attributes
-    ----------
-    tree : Tree
-    link : ndarray of int64, shape (moving bodies,)
-    ball : ndarray, shape (moving bodies, 5)
-        Center and radius of a ball about each, in its frame, and the reach: how far the ball goes from the origin.
-    pairs : ndarray of int64, shape (pairs, 2)
-        Bodies, the first of which moves.
-    margins : ndarray, shape (pairs,)
-    order : ndarray of int64, shape (pairs,)
-        In which pairs are taken.
-    standing : ndarray of float32, shape (standing bodies, BOUNDS)
-    standing_rows : ndarray of float32, shape (their pieces, HOT)
-        Ellipsoids in world coordinates.
-    standing_poses : ndarray, shape (standing bodies, 16)
-    """
-
-    tree: Any
-    link: Any
-    ball: Any
-    pairs: Any
-    margins: Any
-    order: Any
-    standing: Any
-    standing_rows: Any
-    standing_poses: Any
 
 
 @inline

@@ -3,17 +3,13 @@
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLECTION, RIGID
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
-
-# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
-# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
-ROTATION_TOLERANCE = 1e-6
+from loewner._kernels.tolerances import ROTATION_TOLERANCE
 
 # What eight poses are checked with at once, in another order of rounding. In the certificate a hair more, so that
 # whatever fails has a fault one by one too; in search of faults a hair less, so that none is missed.
 HAIR = 1e-9
-
-RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 
 
 @njit()

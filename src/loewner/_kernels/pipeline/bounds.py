@@ -9,19 +9,12 @@ import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
-from loewner._kernels.ellipsoids.contact import (
-    SHAPE_ROUNDINGS,
-    gap_bound,
-    nearness,
-    newton_step,
-    normal_at,
-    outward_width,
-    polynomials,
-)
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF, apply, dot, rotated_shape
+from loewner._kernels.columns import INNER_CENTER, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE, REACH
+from loewner._kernels.ellipsoids.contact import gap_bound, nearness, newton_step, normal_at, outward_width, polynomials
+from loewner._kernels.linalg3 import apply, dot, rotated_shape
 from loewner._kernels.pieces.pack import pieces_of
-from loewner._kernels.pieces.shapes import INNER_CENTER, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE, REACH
 from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that

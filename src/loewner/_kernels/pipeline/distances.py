@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.ellipsoids.contact import POSITION_ROUNDINGS, position_error
+from loewner._kernels.columns import KIND, POLYTOPE
+from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
@@ -21,7 +21,7 @@ from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure
 from loewner._kernels.narrow.gjk_fast import workspace as points_workspace
 from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run
 from loewner._kernels.pieces.pack import pieces_of, placed
-from loewner._kernels.pieces.shapes import KIND, POLYTOPE, prefetch_points, radius
+from loewner._kernels.pieces.shapes import prefetch_points, radius
 from loewner._kernels.pipeline.bounds import (
     ABOVE,
     BELOW,
@@ -48,6 +48,7 @@ from loewner._kernels.pipeline.bounds import (
     write_bounds,
 )
 from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
@@ -151,12 +152,14 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         if graze:
             # An expanding polytope that does not hold the origin need not hold the origin's foot in
             # its nearest face either; GJK's points may be the better ones.
-            normal, points = result[:3].copy(), result[3:].copy()
+            before = result.copy()
             missed = _miss(result, -deep)
             _write(G, k, weights, d, result)
-            result[:3] = normal
+            for c in range(3):
+                result[c] = before[c]
             if not _miss(result, -deep) < missed:
-                result[3:] = points
+                for c in range(3, len(result)):
+                    result[c] = before[c]
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
         # Cores that are apart after all: what GJK has, with the gap it has.
@@ -304,8 +307,12 @@ def _room(kept, left):
     if kept + LANES <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + LANES, LATE), np.int64), np.empty((2 * kept + LANES, 2 * KEPT)))
-    more.pieces[:kept] = left.pieces[:kept]
-    more.values[:kept] = left.values[:kept]
+    # By loops, here and elsewhere: should the shapes of two arrays differ, Numba would raise an error of Python's.
+    for n in range(kept):
+        for c in range(LATE):
+            more.pieces[n, c] = left.pieces[n, c]
+        for c in range(2 * KEPT):
+            more.values[n, c] = left.values[n, c]
     return more
 
 

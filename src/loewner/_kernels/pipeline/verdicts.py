@@ -20,15 +20,17 @@ from loewner._kernels.codes import (
     EXACT,
     FREE,
     OPEN,
+    RIGID,
     UNSURE,
 )
+from loewner._kernels.columns import LAYOUT
 from loewner._kernels.narrow import certificate, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.pieces.pack import pieces_of, placed
-from loewner._kernels.pieces.rigid import RIGID, fault
-from loewner._kernels.pieces.shapes import LAYOUT, prefetch_vertices, prefetch_vertices_far
+from loewner._kernels.pieces.rigid import fault
+from loewner._kernels.pieces.shapes import prefetch_vertices, prefetch_vertices_far
 from loewner._kernels.pipeline.workspace import (
     HALF,
     N_HELD,

@@ -4,11 +4,12 @@ Only the address goes from function to function. Each takes from it what it uses
 second of compiling for every call that hands it on.
 """
 
-from loewner._kernels._jit import inline
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.narrow import exact, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.pair_list import pair_list_at
-from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at
+from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at
 
 # Entries of `carried_of`: how many pairs are held for the search, and in which half of the list; how many wait for the
 # s at the maximum of the contact function, and how many for the batch GJK.
@@ -19,10 +20,16 @@ _HELD = 3 * _LIST
 _TIER = _HELD + 2 * _LIST
 _AT_NORMALS = _TIER + BLOCK
 _CARRIED = _AT_NORMALS + 3 * _NORMALS
-_WALK = _CARRIED + LINE
+_WALK = _CARRIED + CACHE_LINE
 _EXACT = _WALK + gjk_batch.SIZE
 
 SIZE = _EXACT + exact.SIZE  # bytes
+
+
+@njit()
+def workspace_size():
+    """Tell Python how many bytes a query's memory has to have."""
+    return SIZE
 
 
 @inline

@@ -21,17 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import (
-    AMBIGUOUS,
-    BY_INNER,
-    BY_OUTER,
-    BY_SPHERE,
-    COLLIDING,
-    EXACT,
-    FREE,
-    OPEN,
-    UNSURE,
-)
+from loewner._kernels.codes import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, UNSURE
+from loewner._kernels.columns import BOUNDS, CACHE_LINE
 from loewner._kernels.narrow import certificate, exact, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
@@ -40,9 +31,7 @@ from loewner._kernels.narrow.pair_list import fill, pair_list_at
 from loewner._kernels.pieces.pack import pieces_of, placed, problem_of, shift_between
 from loewner._kernels.pieces.shapes import reach
 from loewner._kernels.robots.placement import (
-    BOUNDS,
     MOST,
-    UP,
     Counts,
     bounds_at,
     bounds_standing,
@@ -52,8 +41,9 @@ from loewner._kernels.robots.placement import (
     placement_size,
     stand,
 )
-from loewner._kernels.simd.memory import LINE, bytes_at, floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines, whole_lines
 from loewner._kernels.simd.vectors import SINGLE_LANES, lowest_bit
+from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
 
 WAITING = 512  # piece pairs that may wait for the exact search
@@ -69,7 +59,7 @@ _NORMALS = _TIER + BLOCK
 _AT_WAITING = _NORMALS + 3 * _NUMBERS
 _DIRECTIONS = _AT_WAITING + _WAITING
 _LIVE = _DIRECTIONS + 3 * 8 * WAITING
-_VERDICTS = _LIVE + LINE
+_VERDICTS = _LIVE + CACHE_LINE
 _STEPS = _VERDICTS + 2 * MOST
 _TREE = _STEPS + whole_lines(8 * piece_tree.STEPS)
 _EXACT = _TREE + whole_lines(8 * piece_tree.NUMBERS)

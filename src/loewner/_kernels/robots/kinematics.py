@@ -24,16 +24,24 @@ W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the transl
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels.columns import (
+    ACROSS,
+    ALONG,
+    COSINE,
+    FLOATING,
+    PLANAR,
+    PRISMATIC,
+    REVOLUTE,
+    ROTATION,
+    SINE,
+    TRANSLATION,
+)
 from loewner._kernels.linalg3 import along, image, product
-from loewner._kernels.pieces.pack import Tree
+from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
-FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
-
 WIDTH = (0, 1, 1, 3, 7)  # columns of a configuration, by kind
-
-ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
 
 POSE = 12  # vectors a link in W
 
@@ -173,7 +181,7 @@ def place_links(tree, Q, rows, at, W):
 
 
 @njit()
-def forward(parent, kind, column, multiplier, offset, constants, Q, start, stop, out):
+def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, stop, out):
     """Write the poses of all links of the configurations start .. stop to out, shape (N, L, 4, 4).
 
     The tree comes in its six arrays: a record would cost each call from Python a microsecond.

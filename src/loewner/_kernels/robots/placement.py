@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.ellipsoids.contact import POSITION_ERROR, SHAPE_ROUNDINGS
-from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
-from loewner._kernels.narrow.certificate import SINGLE_ROUNDOFF
-from loewner._kernels.pieces.shapes import (
+from loewner._kernels.columns import (
+    BOUNDS,
     HOT,
     INNER_CENTER,
     INNER_SHAPE,
@@ -21,6 +19,7 @@ from loewner._kernels.pieces.shapes import (
     OUTER_SHAPE,
     REACH,
 )
+from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
 from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
 from loewner._kernels.simd.memory import floats_at, integers_at, lines, singles_at
 from loewner._kernels.simd.vectors import (
@@ -34,19 +33,12 @@ from loewner._kernels.simd.vectors import (
     sqrt,
     store_rounded,
 )
+from loewner._kernels.tolerances import LEAST, OFF, SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UP
 
 MOST = 64  # configurations in a block
 
 # What a body's row of bounds holds: center, how far a sphere about it must be from another one, half widths.
-X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z, BOUNDS = 0, 1, 2, 3, 4, 5, 6, 8
-
-# Lengths and bounds are rounded up by this factor before they go to single precision, and so are sums there.
-UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
-
-# What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
-OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
-
-LEAST = 1e-15  # a length far below all others that keeps squares from underflowing
+X, Y, Z, WIDE, HALF_X, HALF_Y, HALF_Z = 0, 1, 2, 3, 4, 5, 6
 
 
 class Placement(NamedTuple):

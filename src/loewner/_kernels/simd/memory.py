@@ -6,7 +6,6 @@ itself costs an allocation. So Python keeps the memory and hands over addresses.
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.typing.templates import signature
@@ -14,8 +13,7 @@ from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
 from loewner._kernels._jit import inline
-
-LINE = 64  # bytes of a cache line; everything in a `Memory` begins at one
+from loewner._kernels.columns import CACHE_LINE
 
 
 def _pointer_to(kind: Any, entry: Any) -> Any:
@@ -61,16 +59,7 @@ def bytes_at(address, shape):
 
 def whole_lines(size: int) -> int:
     """Bytes of whole cache lines that hold `size` bytes; for Python, and as `lines` for kernels."""
-    return (size + (LINE - 1)) // LINE * LINE
+    return (size + (CACHE_LINE - 1)) // CACHE_LINE * CACHE_LINE
 
 
 lines = inline(whole_lines)
-
-
-class Memory:
-    """A piece of memory for kernels to write to, which begins at a cache line; one thread uses it at a time."""
-
-    def __init__(self, size: int) -> None:
-        self._raw = np.empty(size + LINE, dtype=np.uint8)
-        self.size = size
-        self.address = -(-self._raw.ctypes.data // LINE) * LINE

@@ -13,10 +13,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import inline
+from loewner._kernels.columns import BLOCK, CACHE_LINE
 
-BLOCK = 8
-CACHE_LINE = 64  # bytes
 LINE = CACHE_LINE // 8  # the same in float64
 
 _HALF = ir.IntType(32)
@@ -31,11 +30,11 @@ def entry_of(column):
     return 3 * (column & ~(BLOCK - 1)) + (column & (BLOCK - 1))
 
 
-@njit()
-def aligned(count, kind=np.float64):
-    """Make an uninitialised flat array that starts at a cache line."""
-    raw = np.empty(count + CACHE_LINE, kind)
-    skip = -raw.ctypes.data % CACHE_LINE // raw.itemsize
+@inline
+def aligned(count):
+    """Make an uninitialised flat array of float64 that starts at a cache line."""
+    raw = np.empty(count + LINE)
+    skip = -raw.ctypes.data % CACHE_LINE // 8
     return raw[skip : skip + count]
 
 

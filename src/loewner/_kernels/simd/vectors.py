@@ -15,7 +15,7 @@ from numba.core import cgutils, errors, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from loewner._kernels.simd.support import CACHE_LINE
+from loewner._kernels.columns import CACHE_LINE
 
 LANES, SINGLE_LANES = 8, 16
 ALL, SINGLE_ALL = 2**LANES - 1, 2**SINGLE_LANES - 1  # the bits of a mask that holds everywhere

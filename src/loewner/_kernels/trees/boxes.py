@@ -18,13 +18,12 @@ from numba import types
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import OUTER_CENTER, OUTER_SHAPE, REACH, WIDE
 from loewner._kernels.ellipsoids.contact import outward_width, position_error
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
 from loewner._kernels.pieces.pack import pieces_of
-from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
 from loewner._kernels.simd.vectors import lowest_bit
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-WIDE = 8  # boxes in a group
 ROWS = 6 * WIDE  # numbers in a group
 LEVELS = 22  # 8^22 > 2^63: more levels than any index can need
 
@@ -128,7 +127,7 @@ def raised(bound, by):
 
 
 @njit()
-def bounds(first, last, body_step, pose_step, pack, T, lower, upper):
+def body_boxes(first, last, body_step, pose_step, pack, T, lower, upper):
     """Boxes around the outer ellipsoids of the bodies first .. last, in world coordinates.
 
     Parameters
@@ -187,7 +186,7 @@ def _extent(lower, upper, i):
 
 
 @njit()
-def ordered(lower, upper):
+def curve_order(lower, upper):
     """Order of the boxes in the tree: by size class, large ones first, then along a Morton curve through the middles.
 
     Large boxes among small ones would widen every group they are in. The order decides only how fast the search is.
@@ -239,7 +238,10 @@ def _sorted_by(keys):
     other = np.empty(n, np.int64)
     for p in range(PASSES):
         places = counts[p]
-        if places.max() == n:
+        fullest = 0
+        for b in range(buckets):
+            fullest = max(fullest, places[b])
+        if fullest == n:
             continue
         total = 0
         for b in range(buckets):
@@ -256,7 +258,7 @@ def _sorted_by(keys):
 
 
 @njit()
-def grown(lower, upper, order):
+def box_tree(lower, upper, order):
     """Build the tree over the boxes in their order.
 
     Returns
@@ -378,7 +380,7 @@ def _note(body, leaf, mask, order, rows_a, rows_b, count):
 
 
 @njit()
-def candidates(first, last, margin, boxes, level_start, order, rows_a, rows_b):
+def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b):
     """Pairs of boxes within `margin` of each other: one of a leaf group first .. last, the other at a later place.
 
     The tree is searched once for all eight boxes of a leaf group; each of them then goes through what that found.
@@ -387,7 +389,7 @@ def candidates(first, last, margin, boxes, level_start, order, rows_a, rows_b):
     ----------
     first, last : int
         Leaf groups.
-    boxes, level_start : as from `grown`
+    boxes, level_start : as from `box_tree`
     rows_a, rows_b : ndarray of int64
         Receive the pairs, the smaller number in `rows_a`; at least `WIDE` times as long as `order`.
 

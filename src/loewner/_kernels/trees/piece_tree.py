@@ -13,13 +13,11 @@ the world times at most the norm of R. `BEND` allows for both.
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import FEW, OUTER_CENTER, OUTER_SHAPE, REACH, WIDE
 from loewner._kernels.ellipsoids.contact import outward_width, position_error
-from loewner._kernels.linalg3 import UNIT_ROUNDOFF
-from loewner._kernels.pieces.shapes import OUTER_CENTER, OUTER_SHAPE, REACH
 from loewner._kernels.simd.vectors import lowest_bit
-from loewner._kernels.trees.boxes import LEVELS, ROWS, WIDE, grown, lowered, ordered, raised, within
-
-FEW = 8  # pieces; fewer than this are tried one by one
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
 # |RᵀR - 1| <= 1e-6 in every entry (`rigid.ROTATION_TOLERANCE`) moves each coordinate of a point by so much of the
 # point's distance from the body's origin, and stretches a length by less; the rest is far more than distances round.
@@ -37,7 +35,7 @@ NUMBERS = 27
 
 
 @njit()
-def planted(piece_start, lower, upper):
+def piece_trees(piece_start, lower, upper):
     """Trees of all bodies.
 
     Parameters
@@ -49,7 +47,7 @@ def planted(piece_start, lower, upper):
     Returns
     -------
     groups : ndarray
-        As `boxes.grown` lays them out, all bodies end to end.
+        As `boxes.box_tree` lays them out, all bodies end to end.
     children : ndarray of int64
         Eight for each group.
     roots : ndarray of int64, shape (n,)
@@ -72,9 +70,10 @@ def planted(piece_start, lower, upper):
         if roots[body] < 0:
             continue
         start, stop = piece_start[body], piece_start[body + 1]
-        order = ordered(lower[start:stop], upper[start:stop])
-        boxes, level_start = grown(lower[start:stop], upper[start:stop], order)
-        groups[first * ROWS : first * ROWS + boxes.shape[0]] = boxes
+        order = curve_order(lower[start:stop], upper[start:stop])
+        boxes, level_start = box_tree(lower[start:stop], upper[start:stop], order)
+        for entry in range(boxes.shape[0]):
+            groups[first * ROWS + entry] = boxes[entry]
         for place in range(stop - start):
             children[first * WIDE + place] = ~(start + order[place])
         for level in range(1, level_start.shape[0]):

@@ -1,0 +1,210 @@
+"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it.
+
+    python native/build.py                     for this machine's level, if it is not there already
+    python native/build.py --levels all        for all levels of this architecture, as a wheel has them
+
+It takes Numba, NumPy's headers and a C compiler. What is built goes beside `src/loewner/_native/library.py`.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.metadata import version
+from pathlib import Path
+
+HERE = Path(__file__).parent
+SOURCES = HERE.parent / "src"
+sys.path.insert(0, str(SOURCES))
+
+from loewner._kernels._sources import source_hash  # noqa: E402
+from loewner._native.entries import ENTRIES  # noqa: E402
+from loewner._native.library import HOME, LIST  # noqa: E402
+
+# By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
+# half the width for level 4.
+LEVELS = {
+    "x86_64": {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": ""},
+    "arm64": {"arm64": ""},
+}
+CPU_OF = {"arm64": "generic"}
+
+# Entries that one process compiles: those of a file share what they call, which is compiled once. The rest is another.
+FIRST = (
+    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "first_fault",
+    "body_boxes", "curve_order", "box_tree", "meeting_boxes",
+)  # fmt: skip
+
+
+class BuildError(Exception):
+    """Something that a build needs is missing, or failed; the text says what."""
+
+
+def architecture() -> str:
+    """Name of this machine's architecture."""
+    name = platform.machine().lower()
+    return {"amd64": "x86_64", "aarch64": "arm64"}.get(name, name)
+
+
+def recipe() -> str:
+    """Hash of all that decides what is built, but for the levels and the interpreter."""
+    digest = hashlib.sha256(source_hash().encode())
+    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
+    for path in sorted([*HERE.glob("*.py"), *HERE.glob("*.c"), SOURCES / "loewner" / "_native" / "entries.py"]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def is_built(levels: list[str], home: Path = HOME) -> bool:
+    """Tell whether the library is there for these levels and this interpreter."""
+    try:
+        built = json.loads((home / LIST).read_text(encoding="utf-8"))
+        wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}"]
+        return built["recipe"] == recipe() and all(name in built["files"] and (home / name).exists() for name in wanted)
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def machine_level() -> str:
+    """Level of this machine's processor, asked of the extension."""
+    with tempfile.TemporaryDirectory() as folder:
+        extension = Path(folder, f"_call{EXTENSION_SUFFIXES[0]}")
+        compile_extension(extension)
+        ask = f"import sys; sys.path.insert(0, {folder!r}); import _call; print(*_call.levels())"
+        found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
+    if not found:
+        raise BuildError("this processor is older than all levels that are built; Numba compiles for it")
+    return found[0]
+
+
+def build(levels: list[str], home: Path = HOME) -> list[Path]:
+    """Build for these levels; what was there is replaced only when all is done.
+
+    Returns
+    -------
+    list of Path
+        The files made, the list of them last.
+
+    Raises
+    ------
+    BuildError
+        If the compiler is missing, or something does not compile or link.
+    """
+    home.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
+        work = Path(folder)
+        compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
+        groups = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
+        jobs = [(level, group) for level in levels for group in groups]
+        emit_all([(level, groups[group], work / f"{level}-{group}.o") for level, group in jobs])
+        for level in levels:
+            link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
+        made = sorted(work.glob("*.so"))
+        files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in made}
+        listed = {
+            "recipe": recipe(),
+            "sources": source_hash(),
+            "numba": version("numba"),
+            "llvmlite": version("llvmlite"),
+            "files": files,
+        }
+        (work / LIST).write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")
+        for path in [home / LIST, *home.glob("*.so")]:
+            path.unlink(missing_ok=True)
+        for path in [*made, work / LIST]:
+            os.replace(path, home / path.name)
+        return [home / path.name for path in [*made, work / LIST]]
+
+
+def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
+    """Emit object files, each in a process of its own, as many at a time as there are processors."""
+    waiting, running = list(jobs), list[tuple[subprocess.Popen[bytes], Path]]()
+    try:
+        while waiting or running:
+            while waiting and len(running) < (os.cpu_count() or 1):
+                level, names, to = waiting.pop(0)
+                # A folder of their own: object code is only made of what one process numbered.
+                environment = os.environ | {
+                    "NUMBA_CPU_NAME": CPU_OF.get(level, level),
+                    "NUMBA_CPU_FEATURES": LEVELS[architecture()][level],
+                    "LOEWNER_CACHE_DIR": f"{to}.cache",
+                    "LOEWNER_QUIET": "1",
+                }
+                with to.with_suffix(".log").open("wb") as log:
+                    command = [sys.executable, str(HERE / "emit.py"), str(to), *names]
+                    running.append((subprocess.Popen(command, env=environment, stdout=log, stderr=log), to))
+            time.sleep(0.05)
+            for process, to in [one for one in running if one[0].poll() is not None]:
+                running.remove((process, to))
+                if process.returncode:
+                    said = to.with_suffix(".log").read_text(encoding="utf-8", errors="replace")
+                    raise BuildError(f"the kernels could not be compiled:\n{said.strip()[-4000:]}")
+    finally:
+        for process, _ in running:
+            process.kill()
+            process.wait()
+
+
+def compile_extension(to: Path) -> None:
+    """Compile the extension for this interpreter."""
+    import numpy
+
+    headers = Path(sysconfig.get_path("include"), "Python.h")
+    if not headers.exists():
+        raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
+    undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
+    compile_c([HERE / "call.c", f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"], to)
+
+
+def link(objects: list[Path], level: str, to: Path) -> None:
+    """Link object files and what they need of Numba's run time; nothing may be left to be found elsewhere but libm."""
+    strict = [] if sys.platform == "darwin" else ["-Wl,-z,defs", "-Wl,--gc-sections"]
+    compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict, "-lm"], to)
+
+
+def compile_c(what: list[Path | str], to: Path) -> None:
+    """Call the C compiler: that of the environment, or `cc`."""
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    command = [*compiler, "-O2", "-std=gnu11", "-Wall", "-fPIC", "-shared", "-s", "-o", str(to), *map(str, what)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        why = f"expected a C compiler, found no {compiler[0]} ({error.strerror}); install one, or set CC"
+        raise BuildError(why) from None
+    if done.returncode:
+        raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()[-4000:]}")
+
+
+def main() -> int:
+    """Build what is asked for, unless it is there."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
+    asked = parser.parse_args().levels
+    try:
+        known = LEVELS.get(architecture())
+        if known is None:
+            raise BuildError(f"expected one of {', '.join(LEVELS)}, found a processor of {architecture()}")
+        levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
+        if any(level not in known for level in levels):
+            raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
+        if not is_built(levels):
+            start = time.perf_counter()
+            made = build(levels)
+            size = sum(path.stat().st_size for path in made)
+            print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
+    except BuildError as error:
+        print(f"native library: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

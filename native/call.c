@@ -1,0 +1,317 @@
+/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it.
+
+   A function of the library is  int32 loewner_NAME(const int64 *arguments, int64 *results).  A number takes a slot; an
+   array takes its address, then its lengths. As a result an array is preceded by the address of the description of its
+   memory, which is given back by  loewner_release. Nothing here depends on Numba, and the library not on Python. */
+
+#define PY_SSIZE_T_CLEAN
+#define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
+#include <Python.h>
+#include <dlfcn.h>
+#include <numpy/arrayobject.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define MOST_WORDS 24 /* arguments of a kernel */
+#define MOST_SLOTS 96
+
+typedef int32_t (*Function)(const int64_t *, int64_t *);
+
+/* -- what a kernel takes and gives ------------------------------------------------------------------------------- */
+
+typedef struct {
+    char kind; /* i, f or b for a number; A for an array */
+    char constant;
+    int type, axes;
+} Word;
+
+/* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
+static int read_words(const char *text, Word *words, int most)
+{
+    int count = 0;
+    while (*text) {
+        if (count == most) {
+            PyErr_SetString(PyExc_ValueError, "expected fewer words in a signature");
+            return -1;
+        }
+        Word *word = &words[count++];
+        *word = (Word){.constant = *text == 'c'};
+        text += word->constant;
+        word->kind = *text;
+        switch (*text++) {
+        case 'i': case 'f': case 'b': break;
+        case 'F': word->type = NPY_DOUBLE; word->kind = 'A'; break;
+        case 'I': word->type = NPY_INT64; word->kind = 'A'; break;
+        case 'B': word->type = NPY_INT8; word->kind = 'A'; break;
+        case 'U': word->type = NPY_UINT8; word->kind = 'A'; break;
+        case 'T': word->type = NPY_BOOL; word->kind = 'A'; break;
+        default:
+            PyErr_SetString(PyExc_ValueError, "expected a signature as entries.py describes it");
+            return -1;
+        }
+        if (word->kind == 'A')
+            word->axes = *text++ - '0';
+        while (*text == ' ')
+            text++;
+    }
+    return count;
+}
+
+static int slots_of(const Word *words, int count, int extra)
+{
+    int slots = 0;
+    for (int n = 0; n < count; n++)
+        slots += words[n].kind == 'A' ? 1 + extra + words[n].axes : 1;
+    return slots;
+}
+
+/* -- Kernel -------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    PyObject_HEAD
+    vectorcallfunc vectorcall;
+    Function function;
+    void (*release)(void *);
+    PyObject *library, *name;
+    int arguments, results;
+    Word argument[MOST_WORDS], result[MOST_WORDS];
+} Kernel;
+
+static int put_array(Kernel *kernel, int n, PyObject *given, int64_t **slot)
+{
+    const Word *word = &kernel->argument[n];
+    if (PyArray_Check(given)) {
+        PyArrayObject *array = (PyArrayObject *)given;
+        int flags = word->constant ? NPY_ARRAY_CARRAY_RO : NPY_ARRAY_CARRAY;
+        if (PyArray_NDIM(array) == word->axes && PyArray_TYPE(array) == word->type &&
+            PyArray_CHKFLAGS(array, flags) && PyArray_ISNOTSWAPPED(array)) {
+            *(*slot)++ = (int64_t)PyArray_DATA(array);
+            for (int axis = 0; axis < word->axes; axis++)
+                *(*slot)++ = PyArray_DIM(array, axis);
+            return 0;
+        }
+    }
+    PyErr_Format(PyExc_TypeError, "%U: argument %d: expected a%s array in C order of type %d with %d axes, found %R",
+                 kernel->name, n + 1, word->constant ? "n" : " writeable", word->type, word->axes,
+                 PyArray_Check(given) ? (PyObject *)PyArray_DESCR((PyArrayObject *)given) : (PyObject *)Py_TYPE(given));
+    return -1;
+}
+
+static int put_number(char kind, PyObject *given, int64_t *slot)
+{
+    if (kind == 'f') {
+        double number = PyFloat_CheckExact(given) ? PyFloat_AS_DOUBLE(given) : PyFloat_AsDouble(given);
+        memcpy(slot, &number, sizeof number);
+        return number == -1.0 && PyErr_Occurred() ? -1 : 0;
+    }
+    if (kind == 'b') {
+        int truth = PyObject_IsTrue(given);
+        *slot = truth;
+        return truth < 0 ? -1 : 0;
+    }
+    if (!PyLong_Check(given)) { /* of NumPy */
+        PyObject *number = PyNumber_Index(given);
+        if (number == NULL)
+            return -1;
+        *slot = PyLong_AsLongLong(number);
+        Py_DECREF(number);
+    } else
+        *slot = PyLong_AsLongLong(given);
+    return *slot == -1 && PyErr_Occurred() ? -1 : 0;
+}
+
+/* One result from its slots, which are given back whatever happens. */
+static PyObject *taken(const Kernel *kernel, const Word *word, const int64_t **slot)
+{
+    if (word->kind == 'A') {
+        void *memory = (void *)*(*slot)++, *data = (void *)*(*slot)++;
+        npy_intp lengths[4];
+        for (int axis = 0; axis < word->axes; axis++)
+            lengths[axis] = *(*slot)++;
+        PyObject *array = PyErr_Occurred() ? NULL : PyArray_SimpleNew(word->axes, lengths, word->type);
+        if (array != NULL)
+            memcpy(PyArray_DATA((PyArrayObject *)array), data, PyArray_NBYTES((PyArrayObject *)array));
+        kernel->release(memory);
+        return array;
+    }
+    int64_t number = *(*slot)++;
+    if (PyErr_Occurred())
+        return NULL;
+    if (word->kind == 'f') {
+        double value;
+        memcpy(&value, &number, sizeof value);
+        return PyFloat_FromDouble(value);
+    }
+    return word->kind == 'b' ? PyBool_FromLong(number & 1) : PyLong_FromLongLong(number);
+}
+
+static PyObject *kernel_call(PyObject *self, PyObject *const *given, size_t flags, PyObject *names)
+{
+    Kernel *kernel = (Kernel *)self;
+    int64_t arguments[MOST_SLOTS], results[MOST_SLOTS], *slot = arguments;
+    if (PyVectorcall_NARGS(flags) != kernel->arguments || names != NULL)
+        return PyErr_Format(PyExc_TypeError, "%U: expected %d arguments by position", kernel->name, kernel->arguments);
+    for (int n = 0; n < kernel->arguments; n++) {
+        char kind = kernel->argument[n].kind;
+        if (kind == 'A' ? put_array(kernel, n, given[n], &slot) : put_number(kind, given[n], slot++))
+            return NULL;
+    }
+    int32_t code;
+    Py_BEGIN_ALLOW_THREADS
+    code = kernel->function(arguments, results);
+    Py_END_ALLOW_THREADS
+    if (code != 0) /* kernels raise nothing else */
+        return PyErr_Format(PyExc_MemoryError, "an allocation failed in %U", kernel->name);
+    if (kernel->results == 0)
+        Py_RETURN_NONE;
+    const int64_t *from = results;
+    if (kernel->results == 1)
+        return taken(kernel, &kernel->result[0], &from);
+    PyObject *tuple = PyTuple_New(kernel->results);
+    for (int n = 0; n < kernel->results; n++) {
+        PyObject *one = taken(kernel, &kernel->result[n], &from);
+        if (tuple != NULL)
+            PyTuple_SET_ITEM(tuple, n, one);
+        else
+            Py_XDECREF(one);
+    }
+    if (PyErr_Occurred())
+        Py_CLEAR(tuple);
+    return tuple;
+}
+
+static void kernel_free(Kernel *kernel)
+{
+    Py_XDECREF(kernel->library);
+    Py_XDECREF(kernel->name);
+    Py_TYPE(kernel)->tp_free((PyObject *)kernel);
+}
+
+static PyObject *kernel_repr(Kernel *kernel)
+{
+    return PyUnicode_FromFormat("<native kernel %U>", kernel->name);
+}
+
+static PyTypeObject KernelType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Kernel",
+    .tp_doc = "A function of the native library; arguments are checked, the interpreter lock is let go.",
+    .tp_basicsize = sizeof(Kernel),
+    .tp_dealloc = (destructor)kernel_free,
+    .tp_repr = (reprfunc)kernel_repr,
+    .tp_call = PyVectorcall_Call,
+    .tp_vectorcall_offset = offsetof(Kernel, vectorcall),
+    .tp_flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_VECTORCALL | Py_TPFLAGS_DISALLOW_INSTANTIATION,
+};
+
+/* -- Library ------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    PyObject_HEAD
+    void *handle;
+} Library;
+
+static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
+{
+    PyObject *path;
+    const char *build;
+    static char *known[] = {"path", "build", NULL};
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "O&s", known, PyUnicode_FSConverter, &path, &build))
+        return NULL;
+    void *handle = dlopen(PyBytes_AS_STRING(path), RTLD_NOW | RTLD_LOCAL);
+    Py_DECREF(path);
+    if (handle == NULL)
+        return PyErr_Format(PyExc_OSError, "%s", dlerror());
+    const char *found = dlsym(handle, "loewner_build");
+    if (found == NULL || strcmp(found, build) != 0) {
+        dlclose(handle);
+        return PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
+    }
+    Library *library = (Library *)type->tp_alloc(type, 0);
+    if (library == NULL)
+        return NULL;
+    library->handle = handle; /* stays open until the process ends: threads may be in it */
+    return (PyObject *)library;
+}
+
+static PyObject *library_kernel(Library *library, PyObject *arguments)
+{
+    const char *name, *takes, *gives;
+    if (!PyArg_ParseTuple(arguments, "sss", &name, &takes, &gives))
+        return NULL;
+    char symbol[128];
+    PyOS_snprintf(symbol, sizeof symbol, "loewner_%s", name);
+    Kernel *kernel = PyObject_New(Kernel, &KernelType);
+    if (kernel == NULL)
+        return NULL;
+    kernel->vectorcall = kernel_call;
+    kernel->library = Py_NewRef(library);
+    kernel->name = PyUnicode_FromString(name);
+    kernel->function = (Function)dlsym(library->handle, symbol);
+    kernel->release = (void (*)(void *))dlsym(library->handle, "loewner_release");
+    kernel->arguments = read_words(takes, kernel->argument, MOST_WORDS);
+    kernel->results = kernel->arguments < 0 ? -1 : read_words(gives, kernel->result, MOST_WORDS);
+    if (kernel->results >= 0 && (kernel->function == NULL || kernel->release == NULL))
+        PyErr_Format(PyExc_OSError, "expected a function %s, found none", symbol);
+    else if (kernel->results >= 0 && (slots_of(kernel->argument, kernel->arguments, 0) > MOST_SLOTS ||
+                                      slots_of(kernel->result, kernel->results, 1) > MOST_SLOTS))
+        PyErr_Format(PyExc_ValueError, "%s: expected fewer arguments", name);
+    if (kernel->name == NULL || PyErr_Occurred()) {
+        Py_DECREF(kernel);
+        return NULL;
+    }
+    return (PyObject *)kernel;
+}
+
+static PyMethodDef library_methods[] = {
+    {"kernel", (PyCFunction)library_kernel, METH_VARARGS, "kernel(name, arguments, results): see `entries.py`."},
+    {NULL},
+};
+
+static PyTypeObject LibraryType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Library",
+    .tp_doc = "Library(path, build): open a native library that was built from certain sources.",
+    .tp_basicsize = sizeof(Library),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_new = library_new,
+    .tp_methods = library_methods,
+};
+
+/* -- levels of processors ------------------------------------------------------------------------------------------ */
+
+static PyObject *levels(PyObject *module, PyObject *nothing)
+{
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    int v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+             __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("f16c") &&
+             __builtin_cpu_supports("lzcnt") && __builtin_cpu_supports("movbe");
+    int v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+             __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+             __builtin_cpu_supports("avx512vl");
+    return v4 ? Py_BuildValue("(ss)", "x86-64-v4", "x86-64-v3") : v3 ? Py_BuildValue("(s)", "x86-64-v3") : PyTuple_New(0);
+#elif defined(__aarch64__)
+    return Py_BuildValue("(s)", "arm64");
+#else
+    return PyTuple_New(0);
+#endif
+}
+
+static PyMethodDef functions[] = {
+    {"levels", levels, METH_NOARGS, "Levels whose code this processor runs, the best first."},
+    {NULL},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, .m_name = "_call", .m_doc = "Calls into the native library.", .m_size = -1,
+    .m_methods = functions,
+};
+
+PyMODINIT_FUNC PyInit__call(void)
+{
+    import_array();
+    PyObject *module = PyModule_Create(&definition);
+    if (module == NULL || PyModule_AddType(module, &KernelType) < 0 || PyModule_AddType(module, &LibraryType) < 0)
+        Py_CLEAR(module);
+    return module;
+}

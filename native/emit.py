@@ -1,0 +1,181 @@
+"""Kernels as one object file: what Numba makes of them, without Numba, Python or NumPy.
+
+Run by `build.py`, in a process of its own, for one level of processors: Numba reads the level from the environment when
+it is imported. All kernels of a file come from one process, since Numba numbers functions, and two processes give the
+same name to different ones.
+"""
+
+import gc
+import importlib
+import sys
+from pathlib import Path
+
+import llvmlite.binding as llvm
+from llvmlite import ir
+from numba.core import config, types
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.registry import CPUDispatcher, cpu_target
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
+
+from loewner._kernels import _parts
+from loewner._native.entries import ENTRIES, Entry
+
+SLOT = ir.IntType(64)
+PREFIX = "loewner_"
+
+
+class _UnoptimisedLibrary(_parts._PartLibrary):
+    """Intermediate code of an entry: it is optimised once, together with all others."""
+
+    def _optimize_final_module(self):
+        pass
+
+
+class _EntryCompiler(_parts.PartCompiler):
+    library_class = _UnoptimisedLibrary
+
+
+KINDS = {"F": types.float64, "I": types.int64, "B": types.int8, "U": types.uint8, "T": types.boolean}
+NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean}
+
+
+def types_of(words: str) -> list[types.Type]:
+    """Numba's types of a signature's words, see `entries`."""
+    found = []
+    for word in words.split():
+        kind = word.removeprefix("c")
+        found.append(
+            NUMBERS[kind] if kind in NUMBERS else types.Array(KINDS[kind[0]], int(kind[1:]), "C", readonly=kind != word)
+        )
+    return found
+
+
+def compiled(entry: Entry):
+    """Compile an entry down to intermediate code."""
+    kernel = getattr(importlib.import_module(f"loewner._kernels.{entry.module}"), entry.name)
+    options = {**kernel.targetoptions, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    dispatcher = CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_EntryCompiler)
+    result = dispatcher._compiler.compile(tuple(types_of(entry.arguments)), None)
+    expected = types_of(entry.results)
+    found = result.signature.return_type
+    listed = [] if found == types.none else list(found) if isinstance(found, types.BaseTuple) else [found]
+    if [types.unliteral(kind) for kind in listed] != expected:
+        raise SystemExit(f"{entry.name}: expected results {expected}, found {listed}")
+    return result
+
+
+def shim(module: ir.Module, entry: Entry, result) -> None:
+    """Add ``int32 loewner_NAME(int64 *arguments, int64 *results)``, which calls an entry as Numba does.
+
+    A number takes a slot. An array takes its address, then its lengths; as a result also, before these, the address of
+    its memory's description, which the caller has to release.
+    """
+    context, signature = result.target_context, result.signature
+    pointer = SLOT.as_pointer()
+    outer = ir.Function(module, ir.FunctionType(ir.IntType(32), [pointer, pointer]), PREFIX + entry.name)
+    builder = ir.IRBuilder(outer.append_basic_block())
+    inner = context.declare_function(module, result.fndesc)
+    at = iter(range(1000))
+
+    def load():
+        return builder.load(builder.gep(outer.args[0], [ir.Constant(SLOT, next(at))]))
+
+    arguments = [_loaded(context, builder, kind, load) for kind in signature.args]
+    status, value = context.call_conv.call_function(builder, inner, signature.return_type, signature.args, arguments)
+    with builder.if_then(status.is_ok):
+        to = iter(range(1000))
+
+        def store(number):
+            builder.store(number, builder.gep(outer.args[1], [ir.Constant(SLOT, next(to))]))
+
+        kind = signature.return_type
+        if isinstance(kind, types.BaseTuple):
+            for n, part in enumerate(kind):
+                _stored(context, builder, part, builder.extract_value(value, n), store)
+        elif kind != types.none:
+            _stored(context, builder, kind, value, store)
+    builder.ret(status.code)
+
+
+def _loaded(context, builder, kind, load):
+    """One argument, from slots."""
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder)
+        itemsize = context.get_abi_sizeof(context.get_data_type(kind.dtype))
+        array.data = builder.inttoptr(load(), array.data.type)
+        lengths = [load() for _ in range(kind.ndim)]
+        strides, step = [], ir.Constant(SLOT, itemsize)
+        for length in reversed(lengths):
+            strides.insert(0, step)
+            step = builder.mul(step, length)
+        array.shape, array.strides = _tuple_of(builder, lengths), _tuple_of(builder, strides)
+        array.itemsize = ir.Constant(SLOT, itemsize)
+        array.nitems = builder.udiv(step, array.itemsize)
+        array.meminfo, array.parent = array.meminfo.type(None), array.parent.type(None)
+        return array._getvalue()
+    number = load()
+    if isinstance(kind, types.Float):
+        return builder.bitcast(number, ir.DoubleType())
+    if kind == types.boolean:
+        return builder.trunc(number, ir.IntType(1))
+    return number
+
+
+def _stored(context, builder, kind, value, store):
+    """One result, to slots."""
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        store(builder.ptrtoint(array.meminfo, SLOT))
+        store(builder.ptrtoint(array.data, SLOT))
+        for axis in range(kind.ndim):
+            store(builder.extract_value(array.shape, axis))
+    elif isinstance(kind, types.Float):
+        store(builder.bitcast(value, SLOT))
+    elif kind == types.boolean:
+        store(builder.zext(value, SLOT))
+    else:
+        store(value)
+
+
+def _tuple_of(builder, values):
+    result = ir.Constant(ir.ArrayType(SLOT, len(values)), ir.Undefined)
+    for n, value in enumerate(values):
+        result = builder.insert_value(result, value, n)
+    return result
+
+
+def emit(entries: list[Entry]) -> bytes:
+    """Object code of entries, position-independent, for the processor that the environment names."""
+    codegen = cpu_target.target_context.codegen()
+    library = codegen.create_library("loewner")
+    shims = ir.Module("shims")
+    results = [compiled(entry) for entry in entries]
+    for entry, result in zip(entries, results, strict=True):
+        shim(shims, entry, result)
+        library._final_module.link_in(result.library._final_module, preserve=True)
+    library._final_module.link_in(llvm.parse_assembly(str(shims)))
+    # The same passes that Numba runs over what Python calls, with everything linked in.
+    CPUCodeLibrary._optimize_final_module(library)
+    module = library._final_module
+    for function in module.functions:
+        if not function.is_declaration and not function.name.startswith(PREFIX):
+            function.linkage = "internal"
+    for variable in module.global_variables:
+        if not variable.is_declaration:
+            variable.linkage = "internal"
+    module.verify()
+    machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
+        cpu=codegen._get_host_cpu_name(), features=codegen._tm_features, opt=config.OPT, reloc="pic"
+    )
+    return machine.emit_object(module)
+
+
+def main(to: str, names: list[str]) -> None:
+    """Write the object code of entries to a file."""
+    gc.set_threshold(200_000, 50, 100)  # Numba makes millions of small objects that stay
+    Path(to).write_bytes(emit([ENTRIES[name] for name in names]))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])

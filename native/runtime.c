@@ -1,0 +1,44 @@
+/* All of Numba's run time that the kernels need: memory that counts who uses it.
+
+   The layout of a description is Numba's (numba/core/runtime/nrt.cpp); compiled code counts in it by itself, and calls
+   NRT_MemInfo_call_dtor when nobody is left. `tests/test_native.py` compares both with the Numba that is installed. */
+
+#include <stddef.h>
+#include <stdlib.h>
+
+typedef struct {
+    size_t references;
+    void (*destructor)(void *, size_t, void *);
+    void *destructor_information, *data;
+    size_t size;
+    void *allocator;
+} Description;
+
+const char loewner_build[] = LOEWNER_BUILD;
+
+void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
+{
+    size_t step = alignment < 64 ? 64 : alignment;
+    size_t head = (sizeof(Description) + step - 1) / step * step;
+    if (size > (size_t)-1 - head - step)
+        return NULL;
+    void *memory = aligned_alloc(step, (head + size + step - 1) / step * step);
+    if (memory == NULL)
+        return NULL;
+    Description *made = memory;
+    *made = (Description){.references = 1, .data = (char *)memory + head, .size = size};
+    return made;
+}
+
+void NRT_MemInfo_call_dtor(void *memory)
+{
+    free(memory); /* no kernel makes an array with a destructor */
+}
+
+/* What Python received and copied. */
+void loewner_release(void *memory)
+{
+    Description *description = memory;
+    if (description != NULL && __atomic_sub_fetch(&description->references, 1, __ATOMIC_ACQ_REL) == 0)
+        free(description);
+}

@@ -1,0 +1,42 @@
+"""Columns of the tables that Python fills and kernels read: pieces and joints; and the sizes that both go by."""
+
+# -- pieces, described in `pieces.shapes` ----------------------------------------------------------
+
+# The polytopes come first: a kind above POLYTOPE is curved.
+MAPPED, POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = -1, 0, 1, 2, 3, 4, 5
+
+# The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
+OUTER_CENTER = 0
+OUTER_RADIUS = 3  # upper bound on the largest semi-axis of the outer ellipsoid
+INNER_CENTER = 4
+REACH = 7  # upper bound on the distance of any point of the piece or its ellipsoids from the body's origin
+OUTER_SHAPE = 8
+INNER_SIGMA = 14  # lower bound on the smallest semi-axis of the inner ellipsoid
+OUTER_SIGMA = 15  # the same of the outer ellipsoid
+INNER_SHAPE = 16
+INVERSE_INNER_SIGMA = 22  # upper bound on 1 / INNER_SIGMA
+HOT = 24  # the columns up to here are all that the vectorised stages read
+ROUNDING = 24  # radius of the ball added to the core
+FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
+COLUMNS = 37
+
+KIND, POINTS_FROM, POINTS_TO, LAYOUT = 0, 1, 2, 3
+PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
+
+BLOCK = 8  # points in a block, see `simd.support`
+CACHE_LINE = 64  # bytes
+
+# A polytope of more vertices is MAPPED. Up to here a search through all of them is as fast.
+LARGE = 128
+DEEPEST = 14  # divisions at most; vertices of one flat face share the cells around its normal, however small
+GRID = 1 << DEEPEST
+
+WIDE = 8  # boxes in a group of a tree
+FEW = 8  # pieces; fewer than this are tried one by one
+
+# -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
+
+FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
+ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
+
+BOUNDS = 8  # of a row of bounds

@@ -1,0 +1,30 @@
+"""Bounds on rounding, and tolerances, that kernels and Python share; those with a number are of docs/certified.md."""
+
+UNIT_ROUNDOFF = 2.0**-53
+SINGLE_ROUNDOFF = 2.0**-24
+
+# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated
+# and applied to a vector, in units of trace(Q) |n|². Of squared widths, and of P n in levels.
+SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
+# derived 24, certified.md B2
+
+# The same for positions (translation, rotated center, dot product), in units of the lengths that
+# were added. Of gaps between ellipsoids, of support planes of vertices, and of boxes of trees.
+POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
+# derived 32, certified.md B14
+# derived 11, certified.md B19
+POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
+
+# How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
+# float32 (about 1e-7 a product), far too narrow for a scale or a shear that anybody meant.
+ROTATION_TOLERANCE = 1e-6
+
+# Lengths and bounds are rounded up by this factor before they go to single precision, and so are sums there.
+UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
+
+# What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
+OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
+
+LEAST = 1e-15  # a length far below all others that keeps squares from underflowing
+
+PAPER_ANGLE = 0.01  # rad; the paper's tolerance for Lin-Han

@@ -1,0 +1,82 @@
+"""What Python calls of the kernels: each by its name, with its one signature.
+
+``entries.NAME`` is the kernel: of the native library where there is one for this machine (`library`), otherwise
+compiled by Numba when it is first called.
+
+A signature is written in words of a letter and, for an array, its number of axes: ``i`` int64, ``f`` float64, ``b``
+bool; ``I1`` an array of int64, ``F2`` one of float64 with two axes, ``B`` int8, ``U`` uint8, ``T`` bool. Arrays are in
+C order; one marked ``c`` may be read-only.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from loewner._native import library
+from loewner._native.library import Entry
+from loewner.errors import MissingExtraError
+
+ENTRIES = {
+    entry.name: entry
+    for entry in (
+        # -- verdicts of pairs, configurations and motions
+        Entry("pipeline.verdicts", "settle_range", "i f i i I2 I2 i F3 i F3 B1 I1 i", "b"),
+        Entry("pipeline.fallback", "settle_open", "f i i I2 I2 i F3 i F3 B1", ""),
+        Entry("pipeline.workspace", "workspace_size", "", "i"),
+        Entry("pipeline.bounds", "estimate_range", "f i i I2 i F3 i F3 B1", ""),
+        Entry("robots.configurations", "check_configurations", "i i i F2 i i B1 B1 I1 i", ""),
+        Entry("robots.configurations", "check_motion", "F1 F1 F1 i i B1 I1 i", "i i"),
+        Entry("robots.configurations", "memory_size", "i i i", "i"),
+        Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
+        # -- distances
+        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
+        # -- ellipsoids
+        Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
+        Entry("ellipsoids.near_points", "near_points_of_pairs", "i F2 F3 F3 f F2 F2 F1 I1 I1", ""),
+        # -- poses, crowds, trees
+        Entry("pieces.rigid", "first_fault", "F3", "i i f"),
+        Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
+        Entry("trees.piece_tree", "piece_trees", "I1 F2 F2", "F1 I1 I1"),
+        Entry("trees.boxes", "body_boxes", "i i i i i F3 F2 F2", ""),
+        Entry("trees.boxes", "curve_order", "F2 F2", "I1"),
+        Entry("trees.boxes", "box_tree", "F2 F2 I1", "F1 I1"),
+        Entry("trees.boxes", "meeting_boxes", "i i f F1 I1 I1 I1 I1", "i i"),
+        # -- fits
+        Entry("fits.pieces", "fit_range", "i i I1 F2 I1 F2 f f F2 F3 F2 F3 F2", ""),
+        Entry("fits.halfspaces", "center_in", "F2 F1 F1 F2 F1 f", "i"),
+        Entry("fits.halfspaces", "fit_halfspaces", "F2 F1 F1 f f F1 F2 F1", "i f i"),
+        Entry("fits.hulls", "to_unit_size", "F2 f", "i i f f F1 F2 F2"),
+        Entry("fits.hulls", "finish_hull", "F2 F2 F2 I2 I2 F2", "i f T1 I1 F2 F1"),
+        Entry("fits.mvce", "fit_outer", "F2 f f F1 F2", "i f i i f f"),
+        Entry("fits.mvce", "enclose", "F2 F1 F2", "f"),
+        Entry("fits.mvce", "outer_gap", "F2 I1 F1 i F1 F2 f", "f"),
+        Entry("fits.mvie", "solve_primal_dual", "F2 i i f F1 F2 F1", "f i"),
+        # -- the paper
+        Entry("paper.detectors", "detector_1", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 F2 F1 I1 F2 F1 I1 U1 U1", ""),
+        Entry("paper.detectors", "detector_2", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 f U1 U1", ""),
+        Entry("paper.detectors", "detector_3", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 U1 U1", ""),
+        Entry("paper.detectors", "detector_4", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 U1 U1", ""),
+        Entry("paper.estimates", "estimates_of_pairs", "i cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 F1", ""),
+    )
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Look a kernel up at its first use; from then on it is an ordinary name of this module."""
+    if name not in ENTRIES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    kernel = library.kernel(ENTRIES[name]) or _compiled(ENTRIES[name])
+    globals()[name] = kernel
+    return kernel
+
+
+def _compiled(entry: Entry) -> Any:
+    """Return the kernel that Numba compiles on this machine."""
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        raise MissingExtraError(
+            f"expected loewner's native library, or Numba to compile its kernels; found no library to use "
+            f"({library.why_not()}) and no Numba: pip install 'loewner[jit]'"
+        ) from None
+    return getattr(import_module(f"loewner._kernels.{entry.module}"), entry.name)

@@ -1,0 +1,126 @@
+"""The native library: which there is for this machine, and is it whole.
+
+The library holds the kernels as machine code, made from the same sources by the same compiler as what Numba makes on a
+user's machine (`native/`). It lies beside this file with a list of what was made from what. One that was made from
+other sources, or was altered since, is not loaded.
+"""
+
+import hashlib
+import json
+import os
+import sys
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from loewner._kernels._sources import source_hash
+
+HOME = Path(__file__).parent
+LIST = "built.json"
+
+
+class Entry(NamedTuple):
+    """A kernel that Python calls: its module below `loewner._kernels`, its name, its arguments and its results."""
+
+    module: str
+    name: str
+    arguments: str
+    results: str
+
+
+class _Refused(Exception):
+    """There is no library that may be used; the text says why."""
+
+
+def kernel(entry: Entry) -> Any:
+    """Return a kernel of the library; None if there is no library."""
+    library, _ = _opened()
+    return None if library is None else library.kernel(entry.name, entry.arguments, entry.results)
+
+
+def level() -> str | None:
+    """Level of processors that the library in use was compiled for; None if there is none."""
+    library, text = _opened()
+    return None if library is None else text
+
+
+def why_not() -> str:
+    """Why there is no library in use; empty if there is one."""
+    library, text = _opened()
+    return "" if library is not None else text
+
+
+def call_module() -> Any:
+    """Return the extension that calls the library; None if there is no library in use."""
+    return None if _opened()[0] is None else _extension(_listed())
+
+
+@cache
+def _opened() -> tuple[Any, str]:
+    """Return the library and its level, or None and why there is none."""
+    try:
+        if forced := os.environ.get("LOEWNER_JIT", "0"):
+            if forced not in ("0", "1"):
+                raise _Refused(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
+            if forced == "1":
+                raise _Refused("LOEWNER_JIT=1")
+        built = _listed()
+        call = _extension(built)
+        name = _best(call.levels(), built)
+        path = _checked(f"kernels-{name}.so", built)
+        return call.Library(path=path, build=f"{built['sources']} {name}"), name
+    except (_Refused, OSError, ImportError) as error:
+        return None, str(error)
+
+
+def _listed() -> dict[str, Any]:
+    """Read what was built, if it was built from the sources that are here."""
+    try:
+        built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
+        sources, files = built["sources"], built["files"]
+    except FileNotFoundError:
+        raise _Refused("it was not built") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise _Refused(f"{HOME / LIST} cannot be read ({error})") from None
+    if sources != source_hash():
+        raise _Refused("it was built from other sources")
+    return {"sources": sources, "files": files}
+
+
+def _checked(name: str, built: dict[str, Any]) -> Path:
+    """Path of a file that is as it was built."""
+    path = HOME / name
+    if name not in built["files"]:
+        raise _Refused(f"it was built without {name}")
+    if hashlib.sha256(path.read_bytes()).hexdigest() != built["files"][name]:
+        raise _Refused(f"{path} is damaged")
+    return path
+
+
+def _extension(built: dict[str, Any]) -> Any:
+    """Import the extension, once it is known to be whole."""
+    name = f"{__package__}._call"
+    if name not in sys.modules:
+        loader = ExtensionFileLoader(name, str(_checked(f"_call{EXTENSION_SUFFIXES[0]}", built)))
+        spec = spec_from_loader(name, loader)
+        assert spec is not None
+        module = module_from_spec(spec)
+        loader.exec_module(module)
+        sys.modules[name] = module
+    return sys.modules[name]
+
+
+def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
+    """Choose the best level of those that the processor runs and that were built."""
+    most = os.environ.get("LOEWNER_LEVEL")
+    if most is not None:
+        if most not in levels:
+            raise _Refused(f"LOEWNER_LEVEL={most}: this processor runs {', '.join(levels) or 'no level that is built'}")
+        levels = levels[levels.index(most) :]
+    for name in levels:
+        if f"kernels-{name}.so" in built["files"]:
+            return name
+    made = sorted(file for file in built["files"] if file.startswith("kernels-"))
+    raise _Refused(f"this processor runs {', '.join(levels) or 'none of its levels'}, and {', '.join(made)} was built")
