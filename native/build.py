@@ -2,8 +2,9 @@
 
     python native/build.py                     for this machine's level, if it is not there already
     python native/build.py --levels all        for all levels of this architecture, as a wheel has them
+    python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
 
-It takes Numba, NumPy's headers and a C compiler. What is built goes beside `src/loewner/_native/library.py`.
+It takes Numba, NumPy's headers and a C compiler.
 """
 
 import argparse
@@ -37,10 +38,13 @@ LEVELS = {
 }
 CPU_OF = {"arm64": "generic"}
 
-# Entries that one process compiles: those of a file share what they call, which is compiled once. The rest is another.
+# Entries that one process compiles; another has the rest, which takes it as long. Those of a file stay together, since
+# what they call is compiled once.
 FIRST = (
-    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "first_fault",
-    "body_boxes", "curve_order", "box_tree", "meeting_boxes",
+    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "link_poses",
+    "first_fault", "body_boxes", "curve_order", "box_tree", "meeting_boxes", "piece_trees", "direction_map",
+    "contact_of_pairs", "near_points_of_pairs",
+    "detector_1", "detector_2", "detector_3", "detector_4", "estimates_of_pairs",
 )  # fmt: skip
 
 
@@ -187,7 +191,9 @@ def main() -> int:
     """Build what is asked for, unless it is there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
-    asked = parser.parse_args().levels
+    parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
+    arguments = parser.parse_args()
+    asked, home = arguments.levels, arguments.to
     try:
         known = LEVELS.get(architecture())
         if known is None:
@@ -195,9 +201,9 @@ def main() -> int:
         levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
         if any(level not in known for level in levels):
             raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
-        if not is_built(levels):
+        if not is_built(levels, home):
             start = time.perf_counter()
-            made = build(levels)
+            made = build(levels, home)
             size = sum(path.stat().st_size for path in made)
             print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
     except BuildError as error:
