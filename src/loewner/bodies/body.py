@@ -21,7 +21,7 @@ from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, pri
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-from loewner.polytopes import Hulls, hulls
+from loewner.polytopes import Hulls, box_hull, hulls
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,6 +278,8 @@ class Body(_Bodies):
         ------
         InputError
             If a length is not positive and finite.
+        GeometryError
+            If a length is lost beside another one (about 1e-12 of it), or beyond 1e-30 to 1e30 m.
 
         Examples
         --------
@@ -285,13 +287,11 @@ class Body(_Bodies):
         array([5.19615242])
         """
         half = _validate.positive_vector(size, "size", 3) / 2
-        signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-        hull = hulls([signs * half])
-        # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
+        # The fits of a box are known; only containment after rounding is to be seen to (docs/containment.md).
         F = np.diag(half)
         return cls(
             _assemble_polytopes(
-                hull,
+                box_hull(half, "size"),
                 np.array([0, 1]),
                 np.zeros((1, 3)),
                 F[None] * (1 - CLOSED_FORM_ROUNDING),
