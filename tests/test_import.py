@@ -56,9 +56,31 @@ def test_scipy_waits_for_a_hull(tmp_path):
     code = f"FOLDER = {str(tmp_path)!r}{WITHOUT_HULLS}"
     blocked = f"import sys; sys.modules['scipy'] = None\n{code}"
     assert "loewner" in modules_after(f"exec({blocked!r}); del sys.modules['scipy']")
-    assert modules_after(f"exec({code!r})").isdisjoint(
-        {"scipy"} if "numba" not in modules_after("import loewner") else ()
-    )
+    if "numba" not in modules_after("import loewner"):
+        assert "scipy" not in modules_after(f"exec({code!r})")
+
+
+# Of loewner itself: for one purpose each, or for files only.
+LATE = (
+    "cli",
+    "compilation",
+    "paper",
+    "planners",
+    "plots",
+    "viewer",
+    "bodies.files",
+    "mesh_files.gltf",
+    "mesh_files.dae",
+)
+
+
+def test_import_leaves_modules_of_one_purpose():
+    """They wait for their use, with what they need of the standard library."""
+    ask = "import sys, loewner; print(*(name for name in sys.modules if name.startswith('loewner.')))"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    loaded = {name.removeprefix("loewner.") for name in done.stdout.split()}
+    assert {"bodies", "robots", "mesh_files"} <= loaded
+    assert loaded.isdisjoint(LATE)
 
 
 def test_checking_saved_bodies_needs_no_optional_package(tmp_path):

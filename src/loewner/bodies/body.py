@@ -14,7 +14,6 @@ from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels.pieces import shapes
 from loewner._validate import Floats, Ints, Progress
-from loewner.bodies import files
 from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
@@ -116,6 +115,10 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
+        from loewner.bodies import (
+            files,
+        )  # late: with archives and checksums it takes a fifth of the time of `import loewner`
+
         files.save(self._packed, path, self._covering)
 
 
@@ -498,6 +501,8 @@ class Body(_Bodies):
             ...
         loewner.errors.FileError: none.npz: expected a file, found none
         """
+        from loewner.bodies import files
+
         packed, covering = files.load(path)
         if len(packed.piece_start) != 2:
             raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
@@ -641,6 +646,8 @@ class Bodies(_Bodies):
         FileError
             If the file is missing, broken, altered or newer.
         """
+        from loewner.bodies import files
+
         return cls._wrap(files.load(path)[0])
 
 
