@@ -548,6 +548,42 @@ def test_installed_program(saved):
     assert done.stdout.startswith("FREE")
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "cube.stl", "-o", "out"],
+        ["robot", "info", "gantry.urdf"],
+        ["robot", "check", "gantry.urdf", "--random", "5"],
+        ["paper", "--pairs", "5", "--json", "out"],
+    ],
+    ids=" ".join,
+)
+def test_without_rich_a_line_says_what_to_install(saved, arguments):
+    """Commands that print tables end with status 2 before their work; nothing but that line is printed."""
+    gantry(saved)
+    code = f"import sys; sys.modules['rich'] = None; from loewner import cli; sys.exit(cli.main({arguments}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    hint = 'pip install "loewner[cli]", or pip install ".[cli]" in a clone'
+    assert done.stderr == f"loewner: error: tables and progress need Rich: {hint}\n"
+    assert not (saved / "out").exists()
+
+
+@pytest.mark.parametrize("arguments", [["check", "a.npz", "b.npz"], ["check", "cube.stl", "a.npz"], ["--help"]])
+def test_what_prints_no_table_needs_no_rich(saved, arguments):
+    """Status and output are those with Rich."""
+    blocked = "import sys; sys.modules['rich'] = None; "
+    found = []
+    for before in ("import sys; ", blocked):
+        code = f"{before}from loewner import cli; sys.exit(cli.main({arguments}))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        found.append((done.returncode, done.stdout))
+    assert found[0] == found[1]
+    assert found[0][0] in (0, 1)
+    assert found[0][1]
+
+
 def test_an_interrupt_is_told_in_a_line(monkeypatch, capsys):
     """Ctrl+C ends a command with the status of an error and without a traceback."""
 

@@ -5,7 +5,6 @@ user's machine (`native/`). It lies beside this file with a list of what was mad
 other sources, or was altered since, is not loaded.
 """
 
-import hashlib
 import json
 import os
 import sys
@@ -100,6 +99,8 @@ def _listed() -> dict[str, Any]:
 
 def _checked(name: str, built: dict[str, Any]) -> Path:
     """Path of a file that is as it was built."""
+    import hashlib  # takes as long as the rest of this module
+
     path = HOME / name
     if name not in built["files"]:
         raise _Refused(f"it was built without {name}")

@@ -10,7 +10,7 @@ from typing import Any
 import loewner
 from loewner._kernels._sources import cache_folder
 from loewner._native import library
-from loewner._threads import usable
+from loewner._threads import get_num_threads
 
 # What each extra installs.
 EXTRAS = {
@@ -45,7 +45,7 @@ def _lines() -> list[tuple[str, str]]:
             "processor",
             f"{platform.machine()}; levels of the library that it runs: {', '.join(library.levels()) or 'none'}",
         ),
-        ("threads", str(usable())),
+        ("threads", str(get_num_threads())),
         ("python", f"{platform.python_version()}, numpy {_version('numpy')}, scipy {_version('scipy')}"),
         ("cache", str(cache_folder())),
         *((f"[{extra}]", ", ".join(f"{name} {_version(name)}" for name in names)) for extra, names in EXTRAS.items()),
