@@ -5,6 +5,8 @@
 #   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
 #   make docs     the documentation, as pages in docs/_build/html
+#   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
+#   make test-wheel    the quick suite against that wheel, installed
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
 PYTHON ?= python3
@@ -15,33 +17,45 @@ PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 
-.PHONY: help demo test verify fuzz bounds bench check docs clean
+# The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
+# now; beside a library that does nothing.
+BUILD := $(BIN)/python native/build.py || true
+COMPILE := $(BIN)/python -m loewner compile
+
+.PHONY: help demo test verify fuzz bounds bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 10
 
 # What compiling does not need is installed beside it.
-demo: $(VENV)/.core
-	@$(BIN)/python -m loewner compile --only verdicts robots fits paper & compiling=$$!; \
-	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$compiling && exit $$installed
+demo: $(VENV)/.compiler
+	@{ $(BUILD); } & building=$$!; \
+	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$building; exit $$installed
+	$(COMPILE) --only verdicts robots fits paper
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 verify: $(VENV)/.dev
+	$(BUILD)
 	$(PYTEST) -s -m verify tests
 
 fuzz: $(VENV)/.dev
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
 
 # Compiled code of its own: Numba puts a check before every access to an array.
+bounds: export LOEWNER_JIT := 1
+bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m loewner compile
-	NUMBA_BOUNDSCHECK=1 $(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+	$(COMPILE)
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 bench: $(VENV)/.bench
+	$(BUILD)
 	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/run.py
 
@@ -50,7 +64,8 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -q src
 
 # Every warning is an error, a link that leads nowhere among them. Nothing is downloaded.
@@ -66,9 +81,14 @@ $(BIN)/python:
 	  { echo "loewner needs Python >= 3.11; try make PYTHON=python3.13 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.core: requirements/core.txt pyproject.toml | $(BIN)/python
+# What builds the native library; the rest can be installed meanwhile.
+$(VENV)/.compiler: requirements/core.txt | $(BIN)/python
+	$(PIP) --constraint requirements/core.txt numba
+	@touch $@
+
+$(VENV)/.core: requirements/core.txt pyproject.toml $(VENV)/.compiler
 	$(PIP) -r requirements/core.txt
-	$(PIP) --no-deps --editable .
+	LOEWNER_BUILD=pure $(PIP) --no-deps --editable .
 	@touch $@
 
 $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
