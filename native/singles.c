@@ -1,0 +1,464 @@
+/* Queries of one pair of bodies, each as one call from Python: the usual case from the arguments to the answer.
+
+   A function here answers, or returns None: an argument is not of the usual kind, or the answer takes more than one call
+   of a kernel. Python then goes the long way, with all its checks, and raises what there is to raise. Nothing is raised
+   here, so that no error has two texts.
+
+   Kernels write to memory of the thread's own (see "memory of a thread"). No Python code runs between the call of a
+   kernel and the last look at what it wrote: a signal's handler waits until the interpreter goes on, and nothing is
+   allocated of Python's until then. So nobody asks for that memory twice at a time. */
+
+#include "call.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+
+_Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
+
+/* -- arguments of kernels, slot by slot: see `call.c` ---------------------------------------------------------------- */
+
+typedef struct {
+    const void *data;
+    int64_t length;
+} Array1;
+
+typedef struct {
+    const void *data;
+    int64_t rows, columns;
+} Array2;
+
+typedef struct {
+    const double *data;
+    int64_t count, rows, columns;
+} Poses;
+
+#define SETTLE_TAKES "i f i i I2 I2 i F3 i F3 B1 I1 i"
+typedef struct {
+    int64_t mode;
+    double margin;
+    int64_t first, last;
+    Array2 plan, rows;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    Array1 out, tally;
+    void *memory;
+} SettleArguments;
+
+#define DISTANCE_TAKES "b i i I2 i F3 i F3 F1 F1 F1 F1 F2 F2 F2 B1"
+typedef struct {
+    int64_t wanted, first, last;
+    Array2 plan;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    Array1 lower, upper, estimate, distance;
+    Array2 witness_a, witness_b, normal;
+    Array1 status;
+} DistanceArguments;
+
+typedef struct {
+    void *memory; /* its description, to be released */
+    Array2 array;
+} Given2;
+
+#define DISTANCE_GIVES "I2 F2"
+typedef struct {
+    Given2 pieces, values;
+} DistanceResults;
+
+#define LEFT_TAKES "I2 F2 i F3 i F3 F1 F2 F2 F2 B1"
+typedef struct {
+    Array2 pieces, values;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    Array1 distance;
+    Array2 witness_a, witness_b, normal;
+    Array1 status;
+} LeftArguments;
+
+#define FAULT_TAKES "F3"
+#define FAULT_GIVES "i i f"
+typedef struct {
+    int64_t row, kind;
+    double size;
+} FaultResults;
+
+/* `loewner/_kernels/codes.py` */
+enum { FREE, COLLIDING, AMBIGUOUS };
+enum { CERTIFY, EXACT };
+enum { OPEN = 5, TIERS };
+
+/* What `_settle.py` calls ONE_PAIR and NO_ROWS, and a pose that does nothing. */
+static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
+static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+
+#define ONE_PAIR ((Array2){one_pair, 5, 1})
+#define NO_ROWS ((Array2){no_rows, 2, 0})
+
+/* -- memory of a thread ------------------------------------------------------------------------------------------------ */
+
+#define CACHE_LINE 64
+
+static pthread_key_t memory_key; /* of a `Memory`, which is freed when its thread ends; a fork keeps the thread's own */
+
+typedef struct {
+    size_t size;
+    char head[CACHE_LINE - sizeof(size_t)]; /* what follows begins at a cache line */
+    char bytes[];
+} Memory;
+
+/* At least `size` bytes that belong to this thread; NULL if there are none. The next caller overwrites them. */
+static void *thread_memory(size_t size)
+{
+    Memory *memory = pthread_getspecific(memory_key);
+    if (memory != NULL && memory->size >= size)
+        return memory->bytes;
+    size = (size + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
+    Memory *larger = aligned_alloc(CACHE_LINE, sizeof(Memory) + size);
+    if (larger == NULL)
+        return NULL;
+    if (pthread_setspecific(memory_key, larger) != 0) {
+        free(larger);
+        return NULL;
+    }
+    free(memory);
+    larger->size = size;
+    return larger->bytes;
+}
+
+/* -- Pairs --------------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *kernels; /* a tuple that keeps the library */
+    Function settle_range, distance_range, measure_left, first_fault;
+    void (*release)(void *);
+    int64_t workspace; /* bytes that `settle_range` writes to */
+} Pairs;
+
+/* Pairs of pieces above which other threads may run meanwhile: below, letting them costs more than it gains. */
+#define MANY 64
+
+static PyObject *word_exact, *name_packed, *name_handle;
+
+/* One side of a query: a body and where it is. */
+typedef struct {
+    PyObject *packed; /* held, whatever else happens to the body */
+    int64_t handle;
+    Poses poses;
+} Side;
+
+static int take_pose(PyObject *given, Poses *poses)
+{
+    *poses = (Poses){identity, 1, 4, 4};
+    if (given == Py_None)
+        return 1;
+    if (!PyArray_CheckExact(given))
+        return 0;
+    PyArrayObject *array = (PyArrayObject *)given;
+    poses->data = PyArray_DATA(array);
+    return PyArray_NDIM(array) == 2 && PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4 &&
+           PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, NPY_ARRAY_CARRAY_RO) &&
+           PyArray_ISNOTSWAPPED(array);
+}
+
+/* Take a body, exactly of the class Body, and its pose; false if they are unusual. */
+static int take_side(PyObject *class, PyObject *body, PyObject *pose, Side *side)
+{
+    side->packed = NULL;
+    if ((PyObject *)Py_TYPE(body) != class || !take_pose(pose, &side->poses))
+        return 0;
+    side->packed = PyObject_GetAttr(body, name_packed);
+    PyObject *handle = side->packed == NULL ? NULL : PyObject_GetAttr(side->packed, name_handle);
+    side->handle = handle == NULL ? -1 : PyLong_AsLongLong(handle);
+    Py_XDECREF(handle);
+    if (side->handle != -1)
+        return 1;
+    PyErr_Clear();
+    return 0;
+}
+
+static int take_sides(PyObject *class, PyObject *const *given, Side *a, Side *b)
+{
+    b->packed = NULL;
+    return take_side(class, given[0], given[1], a) && take_side(class, given[2], given[3], b);
+}
+
+static void leave_sides(Side *a, Side *b)
+{
+    Py_XDECREF(a->packed);
+    Py_XDECREF(b->packed);
+}
+
+static int take_margin(PyObject *given, double *margin)
+{
+    if (!PyFloat_CheckExact(given))
+        return 0;
+    *margin = PyFloat_AS_DOUBLE(given);
+    return *margin >= 0 && *margin < INFINITY;
+}
+
+/* How many pieces a body has: the rows of the first array behind its handle, see `records.py`. */
+static int64_t piece_count(const Side *side)
+{
+    return ((const int64_t *)side->handle)[1];
+}
+
+/* Call a kernel, and let other threads run meanwhile if that takes long. */
+static int32_t called(Function function, const void *arguments, void *results, int is_long)
+{
+    PyThreadState *state = is_long ? PyEval_SaveThread() : NULL;
+    int32_t code = function(arguments, results);
+    if (is_long)
+        PyEval_RestoreThread(state);
+    return code;
+}
+
+static int is_long(const Side *a, const Side *b)
+{
+    return piece_count(a) * piece_count(b) > MANY;
+}
+
+/* The verdict of two bodies; -1 if that takes the long way. */
+static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
+{
+    int8_t verdict = AMBIGUOUS;
+    int64_t tally[TIERS] = {0}, are_rigid = 0;
+    SettleArguments arguments = {
+        mode, margin, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses,
+        {&verdict, 1}, {tally, TIERS}, thread_memory(self->workspace),
+    };
+    if (arguments.memory == NULL || called(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
+        !(are_rigid & 1))
+        return -1;
+    /* What the fast searches left open is for the fallback. */
+    return mode == EXACT && (tally[OPEN] != 0 || verdict == AMBIGUOUS) ? -1 : verdict;
+}
+
+/* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs): a bool, or None. */
+static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    double margin;
+    if (count != 8 || given[7] != Py_None || !take_margin(given[6], &margin))
+        Py_RETURN_NONE;
+    if (given[5] != word_exact && !(PyUnicode_CheckExact(given[5]) && PyUnicode_Compare(given[5], word_exact) == 0))
+        Py_RETURN_NONE;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, EXACT, margin, &a, &b) : -1;
+    leave_sides(&a, &b);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyBool_FromLong(verdict == COLLIDING);
+}
+
+/* classify(Body, a, T_world_a, b, T_world_b, margin, pairs): the number of a verdict, or None. */
+static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    double margin;
+    if (count != 7 || given[6] != Py_None || !take_margin(given[5], &margin))
+        Py_RETURN_NONE;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CERTIFY, margin, &a, &b) : -1;
+    leave_sides(&a, &b);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyLong_FromLong(verdict);
+}
+
+/* -- distances ----------------------------------------------------------------------------------------------------------- */
+
+/* Numbers and vectors of a `loewner.Distance`, in its order. */
+enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
+enum { WITNESS_A, WITNESS_B, NORMAL, VECTORS };
+static const char *const field_texts[NUMBERS + VECTORS] = {
+    "lower", "upper", "estimate", "distance", "witness_a", "witness_b", "normal",
+};
+static PyObject *field_names[NUMBERS + VECTORS], *no_arguments;
+
+typedef struct {
+    double number[NUMBERS], vector[VECTORS][3];
+} Found;
+
+static int is_rigid(const Pairs *self, const Poses *poses)
+{
+    FaultResults fault;
+    return poses->data == identity ||
+           (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.row == poses->count);
+}
+
+/* Measure the piece pairs that the fast searches left. */
+static int finished(const Pairs *self, const DistanceArguments *asked, const DistanceResults *left)
+{
+    LeftArguments arguments = {
+        left->pieces.array, left->values.array, asked->a, asked->poses_a, asked->b, asked->poses_b,
+        asked->distance, asked->witness_a, asked->witness_b, asked->normal, asked->status,
+    };
+    int64_t nothing;
+    return left->pieces.array.rows == 0 || called(self->measure_left, &arguments, &nothing, 1) == 0;
+}
+
+/* Measure two bodies at poses that are rigid motions; false if that takes the long way. */
+static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
+{
+    int8_t status = 0;
+    DistanceResults left;
+    double *number = found->number;
+    DistanceArguments arguments = {
+        wanted, 0, 1, ONE_PAIR, a->handle, a->poses, b->handle, b->poses,
+        {&number[LOWER], 1}, {&number[UPPER], 1}, {&number[ESTIMATE], 1}, {&number[VALUE], wanted},
+        {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
+        {&status, wanted},
+    };
+    if (called(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
+        return 0;
+    int is_whole = finished(self, &arguments, &left) && status == 0;
+    self->release(left.pieces.memory);
+    self->release(left.values.memory);
+    if (!is_whole || !isfinite(number[LOWER]) || !isfinite(number[UPPER]) || !isfinite(number[ESTIMATE]))
+        return 0;
+    if (!wanted)
+        return 1;
+    if (!isfinite(number[VALUE]))
+        return 0;
+    /* The bounds are proven, the value is computed: where rounding puts it outside, they know better. */
+    number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
+    return number[VALUE] != 0; /* which of two zeros is taken, where their signs differ, is for NumPy to say */
+}
+
+static PyObject *vector_of(const double *entries)
+{
+    npy_intp length = 3;
+    PyObject *array = PyArray_SimpleNew(1, &length, NPY_DOUBLE);
+    if (array != NULL)
+        memcpy(PyArray_DATA((PyArrayObject *)array), entries, 3 * sizeof *entries);
+    return array;
+}
+
+/* A field of a Distance, by its place; what was not asked for is None. */
+static PyObject *field_of(const Found *found, int place, int wanted)
+{
+    if (place >= VALUE && !wanted)
+        return Py_NewRef(Py_None);
+    return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
+}
+
+/* What the class would make of the fields, which it guards against change, not against being made. */
+static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
+{
+    PyObject *made = PyBaseObject_Type.tp_new((PyTypeObject *)class, no_arguments, NULL);
+    for (int place = 0; made != NULL && place < NUMBERS + VECTORS; place++) {
+        PyObject *field = field_of(found, place, wanted);
+        if (field == NULL || PyObject_GenericSetAttr(made, field_names[place], field) < 0)
+            Py_CLEAR(made);
+        Py_XDECREF(field);
+    }
+    return made;
+}
+
+/* distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs): a Distance, or None. */
+static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    Found found;
+    if (count != 8 || given[7] != Py_None || !PyBool_Check(given[6]) || !PyType_Check(given[1]))
+        Py_RETURN_NONE;
+    int wanted = given[6] == Py_True;
+    int is_found = take_sides(given[0], given + 2, &a, &b) && is_rigid(self, &a.poses) && is_rigid(self, &b.poses) &&
+                   measured(self, wanted, &a, &b, &found);
+    leave_sides(&a, &b);
+    PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
+    if (made != NULL)
+        return made;
+    PyErr_Clear(); /* out of memory: so will the long way be, or not */
+    Py_RETURN_NONE;
+}
+
+/* -- types --------------------------------------------------------------------------------------------------------------- */
+
+/* Tell whether an object is a kernel that takes and gives these words. */
+static int is_kernel(PyObject *given, const char *takes, const char *gives)
+{
+    Word argument[MOST_WORDS] = {0}, result[MOST_WORDS] = {0};
+    if (Py_TYPE(given) != &KernelType) {
+        PyErr_SetString(PyExc_TypeError, "expected kernels of the library");
+        return 0;
+    }
+    const Kernel *kernel = (Kernel *)given;
+    int arguments = read_words(takes, argument, MOST_WORDS), results = read_words(gives, result, MOST_WORDS);
+    if (kernel->arguments == arguments && memcmp(kernel->argument, argument, arguments * sizeof(Word)) == 0 &&
+        kernel->results == results && memcmp(kernel->result, result, results * sizeof(Word)) == 0)
+        return 1;
+    PyErr_Format(PyExc_TypeError, "%U: expected arguments %s and results %s", kernel->name, takes, gives);
+    return 0;
+}
+
+static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
+{
+    PyObject *settle, *distance, *left, *fault;
+    Py_ssize_t workspace;
+    static char *known[] = {"settle_range", "distance_range", "measure_left", "first_fault", "workspace", NULL};
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOn", known, &settle, &distance, &left, &fault, &workspace) ||
+        !is_kernel(settle, SETTLE_TAKES, "b") || !is_kernel(distance, DISTANCE_TAKES, DISTANCE_GIVES) ||
+        !is_kernel(left, LEFT_TAKES, "") || !is_kernel(fault, FAULT_TAKES, FAULT_GIVES))
+        return NULL;
+    Pairs *made = (Pairs *)type->tp_alloc(type, 0);
+    if (made == NULL)
+        return NULL;
+    made->kernels = PyTuple_Pack(4, settle, distance, left, fault);
+    made->settle_range = ((Kernel *)settle)->function;
+    made->distance_range = ((Kernel *)distance)->function;
+    made->measure_left = ((Kernel *)left)->function;
+    made->first_fault = ((Kernel *)fault)->function;
+    made->release = ((Kernel *)distance)->release;
+    made->workspace = workspace;
+    if (made->kernels == NULL)
+        Py_CLEAR(made);
+    return (PyObject *)made;
+}
+
+static void pairs_free(PyObject *self)
+{
+    Py_XDECREF(((Pairs *)self)->kernels);
+    Py_TYPE(self)->tp_free(self);
+}
+
+#define FAST_METHOD(name, function, text) {name, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, text}
+
+static PyMethodDef pairs_methods[] = {
+    FAST_METHOD("collide", pairs_collide, "collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)"),
+    FAST_METHOD("classify", pairs_classify, "classify(Body, a, T_world_a, b, T_world_b, margin, pairs)"),
+    FAST_METHOD("distance", pairs_distance, "distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)"),
+    {NULL, NULL, 0, NULL},
+};
+
+static PyTypeObject PairsType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Pairs",
+    .tp_doc = "Pairs(settle_range, distance_range, measure_left, first_fault, workspace): queries of one pair.",
+    .tp_basicsize = sizeof(Pairs),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_new = pairs_new,
+    .tp_dealloc = pairs_free,
+    .tp_methods = pairs_methods,
+};
+
+int add_singles(PyObject *module)
+{
+    if (pthread_key_create(&memory_key, free) != 0) {
+        PyErr_SetString(PyExc_OSError, "expected a key for the memory of threads, found none left");
+        return -1;
+    }
+    word_exact = PyUnicode_InternFromString("exact");
+    name_packed = PyUnicode_InternFromString("_packed");
+    name_handle = PyUnicode_InternFromString("handle");
+    no_arguments = PyTuple_New(0);
+    for (int place = 0; place < NUMBERS + VECTORS; place++)
+        field_names[place] = PyUnicode_InternFromString(field_texts[place]);
+    return PyErr_Occurred() ? -1 : PyModule_AddType(module, &PairsType);
+}
