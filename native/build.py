@@ -44,6 +44,9 @@ FIRST = (
 )  # fmt: skip
 
 
+EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
+
+
 class BuildError(Exception):
     """Something that a build needs is missing, or failed; the text says what."""
 
@@ -162,8 +165,10 @@ def compile_extension(to: Path) -> None:
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    sources = [HERE / "call.c", HERE / "singles.c"]
-    compile_c([*sources, f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"], to)
+    compile_c(
+        [*(HERE / name for name in EXTENSION), f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"],
+        to,
+    )
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

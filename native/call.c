@@ -1,12 +1,12 @@
-/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it. `singles.c` has whole
-   queries that are one call.
+/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it. `pairs.c` and
+   `configurations.c` have queries that are one call from the arguments to the answer.
 
    A function of the library is  int32 loewner_NAME(const int64 *arguments, int64 *results).  A number takes a slot; an
    array takes its address, then its lengths. As a result an array is preceded by the address of the description of its
    memory, which is given back by  loewner_release. Nothing here depends on Numba, and the library not on Python. */
 
 #define HOLDS_ARRAY_API
-#include "call.h"
+#include "single.h"
 
 #include <dlfcn.h>
 #include <stddef.h>
@@ -293,7 +293,7 @@ PyMODINIT_FUNC PyInit__call(void)
     import_array();
     PyObject *module = PyModule_Create(&definition);
     if (module == NULL || PyModule_AddType(module, &KernelType) < 0 || PyModule_AddType(module, &LibraryType) < 0 ||
-        add_singles(module) < 0)
+        prepare_single() < 0 || add_pairs(module) < 0 || add_configurations(module) < 0)
         Py_CLEAR(module);
     return module;
 }

@@ -1,4 +1,4 @@
-/* What both files of the extension know: the functions of the native library, see `call.c`. */
+/* What all files of the extension know: the functions of the native library, see `call.c`. */
 
 #ifndef LOEWNER_CALL_H
 #define LOEWNER_CALL_H
@@ -6,7 +6,7 @@
 #define PY_SSIZE_T_CLEAN
 #define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
 #define PY_ARRAY_UNIQUE_SYMBOL loewner_array_api
-#ifndef HOLDS_ARRAY_API /* one file imports NumPy for both */
+#ifndef HOLDS_ARRAY_API /* one file imports NumPy for all */
 #define NO_IMPORT_ARRAY
 #endif
 #include <Python.h>
@@ -37,8 +37,5 @@ extern PyTypeObject KernelType;
 
 /* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
 int read_words(const char *text, Word *words, int most);
-
-/* Add the types of `singles.c` to the module. */
-int add_singles(PyObject *module);
 
 #endif

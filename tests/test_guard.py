@@ -84,7 +84,7 @@ def test_queries_guard_their_quick_way_too(query, count, monkeypatch):
     def interrupted(*_):
         raise chained(KeyboardInterrupt(), 2)
 
-    monkeypatch.setattr(singles, query.__name__, singles._none)
+    monkeypatch.setattr(singles, query.__name__, singles.none)
     monkeypatch.setattr(entries, "settle_range", interrupted)
     ball, T = Body.sphere(1.0), np.eye(4) if count == 1 else np.tile(np.eye(4), (count, 1, 1))
     with pytest.raises(KeyboardInterrupt):

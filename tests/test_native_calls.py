@@ -1,5 +1,6 @@
-"""Queries of one pair in one call of the extension: the same answers and the same errors as the long way has."""
+"""Queries that are one call of the extension: the same answers and the same errors as the long way has."""
 
+import contextlib
 import copy
 import dataclasses
 import gc
@@ -13,8 +14,9 @@ import numpy as np
 import pytest
 
 import loewner
-from families import FAMILIES, pieces, random_poses
-from loewner import Bodies, Body, Distance, LoewnerError
+from checker_oracle import composed_bodies, pose, random_robot, random_scene, robot_of, simple_bodies
+from families import FAMILIES, pieces, random_poses, translation
+from loewner import Bodies, Body, CollisionChecker, Distance, LoewnerError, Scene
 from loewner._kernels import records
 from loewner._native import entries, library, singles
 
@@ -32,8 +34,9 @@ def long_way(monkeypatch):
 
     def call(function, *args, **options):
         with monkeypatch.context() as patch:
-            for name in singles.NAMES:
-                patch.setattr(singles, name, singles._none)
+            for name in singles.PAIRS:
+                patch.setattr(singles, name, singles.none)
+            patch.setattr(singles, "configurations", lambda *_: singles.LongWay())
             return function(*args, **options)
 
     return call
@@ -81,6 +84,7 @@ def unions(rng, count):
 
 
 def bodies_of(kind, rng):
+    """Bodies of a family, or of all kinds."""
     if kind == "curved":
         return CURVED
     if kind == "unions":
@@ -157,6 +161,7 @@ def test_unusual_poses(name, side, rng, long_way):
 
 
 def same_outcome(query, args, options, long_way):
+    """Tell whether a query answers, or raises, what it does the long way."""
     one, other = outcome(query, *args, **options), long_way(outcome, query, *args, **options)
     return same(one, other)
 
@@ -322,3 +327,205 @@ def test_pieces_are_counted_by_the_first_array(rng):
     assert records.Pieces._fields[0] == "table"
     for body in (*CURVED, *unions(rng, 2)):
         assert body._packed.kernel_arrays.table[0, 1] == len(body.pieces)
+
+
+# -- configurations and motions ------------------------------------------------------------------
+
+
+def two_checkers(rng, folder):
+    """A checker, and another one of the same robot and scene to ask the long way."""
+    pool = [*simple_bodies(rng), *composed_bodies(rng)]
+    robot = random_robot(rng, folder, int(rng.integers(2, 7)), pool)
+    scene = random_scene(rng, robot, int(rng.choice([0, 1, 4, 9])), pool)
+    return CollisionChecker(robot, scene), CollisionChecker(robot, scene)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_configurations_are_answered_as_the_long_way_has_them(seed, tmp_path, long_way):
+    """Of any robot and scene, while bodies move and are grasped, and pairs take another order."""
+    rng = np.random.default_rng(seed)
+    checker, other = two_checkers(rng, tmp_path)
+    scene = checker.scene
+    for k, q in enumerate(checker.robot.random_configurations(300, seed)):
+        if k % 40 == 13 and scene.static_names:
+            scene.move(scene.static_names[0], pose(rng, 0.6))
+        if k == 150:
+            scene.add("new", Body.sphere(0.1), pose(rng, 0.4))
+            scene.attach("new", checker.robot.link_names[-1])
+        assert same(checker.collide(q), long_way(other.collide, q))
+        assert same(checker.classify(q), long_way(other.classify, q))
+    assert same(checker._seen, other._seen)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_motions_are_answered_as_the_long_way_has_them(seed, tmp_path, long_way):
+    """Also those of no length, and those whose length is a whole number of steps, or all but."""
+    rng = np.random.default_rng(seed)
+    checker, other = two_checkers(rng, tmp_path)
+    Q = checker.robot.random_configurations(60, seed)
+    for k in range(59):
+        length = float(checker.robot.distances(Q[k], Q[k + 1]))
+        whole = length / int(rng.integers(1, 40))
+        for end, step in (
+            (Q[k + 1], 0.1), (Q[k], 0.1), (Q[k + 1], whole), (Q[k + 1], float(np.nextafter(whole, 0))),
+            (Q[k + 1], float(np.nextafter(whole, 1))), (Q[k + 1], 2.0 * length),
+        ):  # fmt: skip
+            assert same(checker.valid_edges(Q[k], end, step), long_way(other.valid_edges, Q[k], end, step))
+    assert same(checker._seen, other._seen)
+
+
+@pytest.fixture
+def sliders(tmp_path):
+    """Checkers of a box that slides along x beside a post, twice."""
+    limits = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
+    robot = robot_of(tmp_path, [("prismatic", 0, limits), ("prismatic", 1, limits)], {"l2": Body.box([0.2, 0.2, 0.2])})
+    scene = Scene()
+    scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    return CollisionChecker(robot, scene), CollisionChecker(robot, scene)
+
+
+def unusual_configurations():
+    """Configurations that the extension leaves to Python, or may take; of a robot of two joints."""
+    q = np.array([0.1, 0.4])
+    frozen = q.copy()
+    frozen.setflags(write=False)
+    return {
+        "nan": np.array([0.1, np.nan]), "inf": np.array([np.inf, 0.1]), "huge": np.array([0.1, 1e201]),
+        "short": q[:1], "long": np.zeros(3), "batch": q[None], "two": np.stack([q, q]), "list": q.tolist(),
+        "single": q.astype("f4"), "whole": np.array([0, 1]), "swapped": q.astype(">f8"), "frozen": frozen,
+        "strided": np.zeros(4)[::2], "backwards": q[::-1], "own": q.copy().view(Pose), "text": "home", "none": None,
+        "number": 0.1, "empty": np.empty((0, 2)), "masked": np.ma.masked_array(q, mask=[False, True]),
+        "objects": q.astype(object), "zero": np.array([-0.0, 0.0]), "mapping": {"j0": 0.1},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(unusual_configurations()))
+def test_unusual_configurations(name, sliders, long_way):
+    """A configuration of any other kind gets the answer, or the error, that the long way has for it."""
+    checker, other = sliders
+    q, plain = unusual_configurations()[name], np.array([0.3, 0.2])
+    for _ in range(2):  # at the first the scene has to be prepared
+        for query, args in (("collide", (q,)), ("classify", (q,)), ("valid_edges", (q, plain, 0.1)),
+                            ("valid_edges", (plain, q, 0.1))):  # fmt: skip
+            one, two = getattr(checker, query), getattr(other, query)
+            assert same(outcome(one, *args), long_way(outcome, two, *args)), query
+
+
+@pytest.mark.parametrize(
+    "step", [0.0, -1.0, float("nan"), float("inf"), 1, np.float64(0.1), "0.1", None, 1e-5, 1e-300, 5e-324, 1e300, True]
+)
+def test_unusual_resolutions(step, sliders, long_way):
+    """Any other resolution gets the answer, or the error, that the long way has for it."""
+    a, b = np.array([-0.5, 0.0]), np.array([-0.4, 0.0])
+    checker, other = sliders
+    checker.collide(a)
+    assert same(outcome(checker.valid_edges, a, b, step), long_way(outcome, other.valid_edges, a, b, step))
+
+
+def test_far_outside_the_limits_there_is_one_warning(sliders):
+    """From the first such configuration, though others were answered before; then they are usual ones, too."""
+    checker, _ = sliders
+    far = np.array([0.0, 500.0])
+    assert checker.collide(np.zeros(2)) is False
+    with pytest.warns(UserWarning, match="is it in millimetres"):
+        assert checker.collide(far) is False
+    assert checker.collide(far) is False
+    if library.level() is not None:
+        assert checker._at_hand().single.collide(far) is False
+
+
+@native
+def test_usual_configurations_are_answered_by_the_extension(sliders):
+    """Otherwise the tests above compare the long way with itself."""
+    checker, _ = sliders
+    assert checker.collide([0.5, 0.0]) is True
+    single = checker._at_hand().single
+    assert single.collide(np.array([0.5, 0.0])) is True
+    assert single.classify(np.array([-0.5, 0.0])) == 0
+    assert single.motion(np.array([-0.5, 0.0]), np.array([0.5, 0.0]), 0.1, loewner.robots.edges.coarse_first) < 0
+
+
+def test_what_is_raised_on_the_way_reaches_the_caller(sliders):
+    """An interrupt in Python's part of a motion is not taken for an unusual motion."""
+
+    def interrupted(steps):
+        raise KeyboardInterrupt
+
+    checker, _ = sliders
+    checker.collide([0.5, 0.0])
+    a, b = np.array([-0.5, 0.0]), np.array([0.5, 0.0])
+    with pytest.raises(KeyboardInterrupt) if library.level() is not None else contextlib.nullcontext():
+        assert checker._at_hand().single.motion(a, b, 0.1, interrupted) is None
+    for order in (lambda steps: None, lambda steps: np.zeros(3), lambda steps: np.zeros(steps + 1, dtype=int)):
+        assert checker._at_hand().single.motion(a, b, 0.1, order) is None
+
+
+def test_configurations_leak_nothing(sliders):
+    """After many calls arguments have the references that they had, and memory has not grown."""
+    checker, _ = sliders
+    checker.collide([0.5, 0.0])
+    q = [np.array([-0.5, 0.0]), np.array([0.5, 0.0]), np.array([np.nan, 0.0])]
+    held = [*q, checker._prepared, checker._prepared.single, checker._prepared.hits]
+
+    def many(rounds):
+        for _ in range(rounds):
+            checker.collide(q[0])
+            checker.classify(q[1])
+            checker.valid_edges(q[0], q[1], 0.1)
+            checker.valid_edges(q[0], q[1], 0.25)
+            for x in q:
+                held[4].motion(x, x, 0.1, loewner.robots.edges.coarse_first)
+                held[4].collide(x)
+
+    checker._next_look = 10**9  # no other order of pairs meanwhile, which would be another object
+    many(10)
+    before = [sys.getrefcount(thing) for thing in held]
+    tracemalloc.start()
+    many(10)
+    start = tracemalloc.get_traced_memory()[0]
+    many(10_000)
+    grown = tracemalloc.get_traced_memory()[0] - start
+    tracemalloc.stop()
+    assert [sys.getrefcount(thing) for thing in held] == before
+    assert grown < 10_000
+
+
+def test_a_checker_is_asked_by_threads_while_its_scene_changes(tmp_path):
+    """What a query was prepared with stays until it has ended, though another one prepares anew meanwhile."""
+    rng = np.random.default_rng(3)
+    checker, other = two_checkers(rng, tmp_path)
+    checker.scene.add("wanderer", Body.box([0.2, 0.2, 0.2]), pose(rng, 50.0))  # never near: answers stay
+    Q = checker.robot.random_configurations(2_000, 3)
+    expected, wrong, ended = other.collide(Q), [], threading.Event()
+
+    def ask(order):
+        for k in order:
+            if checker.collide(Q[k]) is not bool(expected[k]):
+                wrong.append(k)
+
+    def change():
+        while not ended.is_set():
+            checker.scene.move("wanderer", translation(50 + rng.uniform(), 0, 0))
+            checker.collide(Q[:64])
+
+    mover = threading.Thread(target=change)
+    askers = [threading.Thread(target=ask, args=(order,)) for order in (range(2_000), range(1_999, -1, -1))]
+    for thread in (mover, *askers):
+        thread.start()
+    for thread in askers:
+        thread.join()
+    ended.set()
+    mover.join()
+    assert wrong == []
+
+
+@native
+def test_arrays_of_other_kinds_are_refused():
+    """The extension keeps the addresses of these two."""
+    call, good = library.call_module(), (np.zeros((2, 3)), np.zeros(5, dtype=np.int64))
+    kernels = entries.check_configurations, entries.check_motion
+    for plain, hits in ((np.zeros(6), good[1]), (np.zeros((3, 2)), good[1]), (good[0], np.zeros(5)), (good[0], None)):
+        with pytest.raises(TypeError):
+            call.Configurations(*kernels, 0, 0, 0, plain, hits, None)
+    with pytest.raises(TypeError, match="expected arguments"):
+        call.Configurations(*reversed(kernels), 0, 0, 0, *good, None)

@@ -74,7 +74,7 @@ class Verdict(IntEnum):
         return self.name
 
 
-_VERDICTS = tuple(Verdict)
+VERDICTS = tuple(Verdict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,12 +344,12 @@ def classify(
     """
     found = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
     if found is not None:
-        return _VERDICTS[found]
+        return VERDICTS[found]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     if pairs is None:
         one = _settle_one(codes.CERTIFY, keep, a, T_world_a, b, T_world_b)
         if one >= 0:
-            return _VERDICTS[one]
+            return VERDICTS[one]
     return _classified(keep, a, T_world_a, b, T_world_b, pairs)
 
 

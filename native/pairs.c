@@ -1,38 +1,11 @@
-/* Queries of one pair of bodies, each as one call from Python: the usual case from the arguments to the answer.
+/* Queries of one pair of bodies, each as one call from Python: the usual case from the arguments to the answer. */
 
-   A function here answers, or returns None: an argument is not of the usual kind, or the answer takes more than one call
-   of a kernel. Python then goes the long way, with all its checks, and raises what there is to raise. Nothing is raised
-   here, so that no error has two texts.
-
-   Kernels write to memory of the thread's own (see "memory of a thread"). No Python code runs between the call of a
-   kernel and the last look at what it wrote: a signal's handler waits until the interpreter goes on, and nothing is
-   allocated of Python's until then. So nobody asks for that memory twice at a time. */
-
-#include "call.h"
+#include "single.h"
 
 #include <math.h>
-#include <pthread.h>
-#include <stdlib.h>
 #include <string.h>
 
-_Static_assert(sizeof(void *) == sizeof(int64_t), "an address takes a slot");
-
-/* -- arguments of kernels, slot by slot: see `call.c` ---------------------------------------------------------------- */
-
-typedef struct {
-    const void *data;
-    int64_t length;
-} Array1;
-
-typedef struct {
-    const void *data;
-    int64_t rows, columns;
-} Array2;
-
-typedef struct {
-    const double *data;
-    int64_t count, rows, columns;
-} Poses;
+/* -- arguments of the kernels -------------------------------------------------------------------------------------- */
 
 #define SETTLE_TAKES "i f i i I2 I2 i F3 i F3 B1 I1 i"
 typedef struct {
@@ -90,11 +63,6 @@ typedef struct {
     double size;
 } FaultResults;
 
-/* `loewner/_kernels/codes.py` */
-enum { FREE, COLLIDING, AMBIGUOUS };
-enum { CERTIFY, EXACT };
-enum { OPEN = 5, TIERS };
-
 /* What `_settle.py` calls ONE_PAIR and NO_ROWS, and a pose that does nothing. */
 static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
 static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
@@ -102,46 +70,7 @@ static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0,
 #define ONE_PAIR ((Array2){one_pair, 5, 1})
 #define NO_ROWS ((Array2){no_rows, 2, 0})
 
-/* -- memory of a thread ------------------------------------------------------------------------------------------------ */
-
-#define CACHE_LINE 64
-
-static pthread_key_t memory_key; /* of a `Memory`, which is freed when its thread ends; a fork keeps the thread's own */
-
-typedef struct {
-    size_t size;
-    char head[CACHE_LINE - sizeof(size_t)]; /* what follows begins at a cache line */
-    char bytes[];
-} Memory;
-
-/* At least `size` bytes that belong to this thread; NULL if there are none. The next caller overwrites them. */
-static void *thread_memory(size_t size)
-{
-    Memory *memory = pthread_getspecific(memory_key);
-    if (memory != NULL && memory->size >= size)
-        return memory->bytes;
-    size = (size + CACHE_LINE - 1) / CACHE_LINE * CACHE_LINE;
-    Memory *larger = aligned_alloc(CACHE_LINE, sizeof(Memory) + size);
-    if (larger == NULL)
-        return NULL;
-    if (pthread_setspecific(memory_key, larger) != 0) {
-        free(larger);
-        return NULL;
-    }
-    free(memory);
-    larger->size = size;
-    return larger->bytes;
-}
-
-/* -- Pairs --------------------------------------------------------------------------------------------------------------- */
-
-typedef struct {
-    PyObject_HEAD
-    PyObject *kernels; /* a tuple that keeps the library */
-    Function settle_range, distance_range, measure_left, first_fault;
-    void (*release)(void *);
-    int64_t workspace; /* bytes that `settle_range` writes to */
-} Pairs;
+/* -- bodies and poses ---------------------------------------------------------------------------------------------- */
 
 /* Pairs of pieces above which other threads may run meanwhile: below, letting them costs more than it gains. */
 #define MANY 64
@@ -160,13 +89,11 @@ static int take_pose(PyObject *given, Poses *poses)
     *poses = (Poses){identity, 1, 4, 4};
     if (given == Py_None)
         return 1;
-    if (!PyArray_CheckExact(given))
+    if (!is_plain(given, 2))
         return 0;
     PyArrayObject *array = (PyArrayObject *)given;
     poses->data = PyArray_DATA(array);
-    return PyArray_NDIM(array) == 2 && PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4 &&
-           PyArray_TYPE(array) == NPY_DOUBLE && PyArray_CHKFLAGS(array, NPY_ARRAY_CARRAY_RO) &&
-           PyArray_ISNOTSWAPPED(array);
+    return PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4;
 }
 
 /* Take a body, exactly of the class Body, and its pose; false if they are unusual. */
@@ -211,20 +138,20 @@ static int64_t piece_count(const Side *side)
     return ((const int64_t *)side->handle)[1];
 }
 
-/* Call a kernel, and let other threads run meanwhile if that takes long. */
-static int32_t called(Function function, const void *arguments, void *results, int is_long)
-{
-    PyThreadState *state = is_long ? PyEval_SaveThread() : NULL;
-    int32_t code = function(arguments, results);
-    if (is_long)
-        PyEval_RestoreThread(state);
-    return code;
-}
-
 static int is_long(const Side *a, const Side *b)
 {
     return piece_count(a) * piece_count(b) > MANY;
 }
+
+/* -- verdicts ------------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *kernels; /* a tuple that keeps the library */
+    Function settle_range, distance_range, measure_left, first_fault;
+    void (*release)(void *);
+    int64_t workspace; /* bytes that `settle_range` writes to */
+} Pairs;
 
 /* The verdict of two bodies; -1 if that takes the long way. */
 static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
@@ -235,7 +162,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
         mode, margin, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses,
         {&verdict, 1}, {tally, TIERS}, thread_memory(self->workspace),
     };
-    if (arguments.memory == NULL || called(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
+    if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
         return -1;
     /* What the fast searches left open is for the fallback. */
@@ -272,7 +199,7 @@ static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t 
     return PyLong_FromLong(verdict);
 }
 
-/* -- distances ----------------------------------------------------------------------------------------------------------- */
+/* -- distances ----------------------------------------------------------------------------------------------------- */
 
 /* Numbers and vectors of a `loewner.Distance`, in its order. */
 enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
@@ -301,7 +228,7 @@ static int finished(const Pairs *self, const DistanceArguments *asked, const Dis
         asked->distance, asked->witness_a, asked->witness_b, asked->normal, asked->status,
     };
     int64_t nothing;
-    return left->pieces.array.rows == 0 || called(self->measure_left, &arguments, &nothing, 1) == 0;
+    return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
 }
 
 /* Measure two bodies at poses that are rigid motions; false if that takes the long way. */
@@ -316,7 +243,7 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
         {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
         {&status, wanted},
     };
-    if (called(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
+    if (call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
         return 0;
     int is_whole = finished(self, &arguments, &left) && status == 0;
     self->release(left.pieces.memory);
@@ -380,24 +307,7 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
     Py_RETURN_NONE;
 }
 
-/* -- types --------------------------------------------------------------------------------------------------------------- */
-
-/* Tell whether an object is a kernel that takes and gives these words. */
-static int is_kernel(PyObject *given, const char *takes, const char *gives)
-{
-    Word argument[MOST_WORDS] = {0}, result[MOST_WORDS] = {0};
-    if (Py_TYPE(given) != &KernelType) {
-        PyErr_SetString(PyExc_TypeError, "expected kernels of the library");
-        return 0;
-    }
-    const Kernel *kernel = (Kernel *)given;
-    int arguments = read_words(takes, argument, MOST_WORDS), results = read_words(gives, result, MOST_WORDS);
-    if (kernel->arguments == arguments && memcmp(kernel->argument, argument, arguments * sizeof(Word)) == 0 &&
-        kernel->results == results && memcmp(kernel->result, result, results * sizeof(Word)) == 0)
-        return 1;
-    PyErr_Format(PyExc_TypeError, "%U: expected arguments %s and results %s", kernel->name, takes, gives);
-    return 0;
-}
+/* -- the type ------------------------------------------------------------------------------------------------------ */
 
 static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
@@ -429,8 +339,6 @@ static void pairs_free(PyObject *self)
     Py_TYPE(self)->tp_free(self);
 }
 
-#define FAST_METHOD(name, function, text) {name, (PyCFunction)(void (*)(void))(function), METH_FASTCALL, text}
-
 static PyMethodDef pairs_methods[] = {
     FAST_METHOD("collide", pairs_collide, "collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)"),
     FAST_METHOD("classify", pairs_classify, "classify(Body, a, T_world_a, b, T_world_b, margin, pairs)"),
@@ -448,12 +356,8 @@ static PyTypeObject PairsType = {
     .tp_methods = pairs_methods,
 };
 
-int add_singles(PyObject *module)
+int add_pairs(PyObject *module)
 {
-    if (pthread_key_create(&memory_key, free) != 0) {
-        PyErr_SetString(PyExc_OSError, "expected a key for the memory of threads, found none left");
-        return -1;
-    }
     word_exact = PyUnicode_InternFromString("exact");
     name_packed = PyUnicode_InternFromString("_packed");
     name_handle = PyUnicode_InternFromString("handle");
