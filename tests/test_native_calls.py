@@ -226,9 +226,10 @@ def test_a_measured_distance_is_as_the_class_makes_it(rng):
             array = getattr(found, name)
             assert array.dtype == np.float64
             assert array.flags.writeable
-            assert array.flags.owndata
+            assert array.flags.owndata or library.level() is None
 
 
+@native
 def test_nothing_leaks(rng):
     """After a hundred thousand calls arguments have the references that they had, and memory has not grown."""
     a, b = Body.box([1, 1, 1]), CURVED[2]
@@ -460,6 +461,7 @@ def test_what_is_raised_on_the_way_reaches_the_caller(sliders):
         assert checker._at_hand().single.motion(a, b, 0.1, order) is None
 
 
+@native
 def test_configurations_leak_nothing(sliders):
     """After many calls arguments have the references that they had, and memory has not grown."""
     checker, _ = sliders
