@@ -21,7 +21,7 @@ typedef struct {
     void *memory;
 } SettleArguments;
 
-#define DISTANCE_TAKES "b i i I2 i F3 i F3 F1 F1 F1 F1 F2 F2 F2 B1"
+#define DISTANCE_TAKES "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1"
 typedef struct {
     int64_t wanted, first, last;
     Array2 plan;
@@ -29,6 +29,7 @@ typedef struct {
     Poses poses_a;
     int64_t b;
     Poses poses_b;
+    void *memory;
     Array1 lower, upper, estimate, distance;
     Array2 witness_a, witness_b, normal;
     Array1 status;
@@ -150,7 +151,7 @@ typedef struct {
     PyObject *kernels; /* a tuple that keeps the library */
     Function settle_range, distance_range, measure_left, first_fault;
     void (*release)(void *);
-    int64_t workspace; /* bytes that `settle_range` writes to */
+    int64_t settle_memory, distance_memory; /* bytes that `settle_range` and `distance_range` write to */
 } Pairs;
 
 /* The verdict of two bodies; -1 if that takes the long way. */
@@ -160,7 +161,7 @@ static int settled(const Pairs *self, int mode, double margin, const Side *a, co
     int64_t tally[TIERS] = {0}, are_rigid = 0;
     SettleArguments arguments = {
         mode, margin, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses,
-        {&verdict, 1}, {tally, TIERS}, thread_memory(self->workspace),
+        {&verdict, 1}, {tally, TIERS}, thread_memory(self->settle_memory),
     };
     if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
         !(are_rigid & 1))
@@ -238,12 +239,12 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
     DistanceResults left;
     double *number = found->number;
     DistanceArguments arguments = {
-        wanted, 0, 1, ONE_PAIR, a->handle, a->poses, b->handle, b->poses,
+        wanted, 0, 1, ONE_PAIR, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
         {&number[LOWER], 1}, {&number[UPPER], 1}, {&number[ESTIMATE], 1}, {&number[VALUE], wanted},
         {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
         {&status, wanted},
     };
-    if (call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
+    if (arguments.memory == NULL || call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
         return 0;
     int is_whole = finished(self, &arguments, &left) && status == 0;
     self->release(left.pieces.memory);
@@ -312,9 +313,12 @@ static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t 
 static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
     PyObject *settle, *distance, *left, *fault;
-    Py_ssize_t workspace;
-    static char *known[] = {"settle_range", "distance_range", "measure_left", "first_fault", "workspace", NULL};
-    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOn", known, &settle, &distance, &left, &fault, &workspace) ||
+    long long settle_memory, distance_memory;
+    static char *known[] = {
+        "settle_range", "distance_range", "measure_left", "first_fault", "settle_memory", "distance_memory", NULL,
+    };
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left, &fault,
+                                     &settle_memory, &distance_memory) ||
         !is_kernel(settle, SETTLE_TAKES, "b") || !is_kernel(distance, DISTANCE_TAKES, DISTANCE_GIVES) ||
         !is_kernel(left, LEFT_TAKES, "") || !is_kernel(fault, FAULT_TAKES, FAULT_GIVES))
         return NULL;
@@ -327,7 +331,8 @@ static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *na
     made->measure_left = ((Kernel *)left)->function;
     made->first_fault = ((Kernel *)fault)->function;
     made->release = ((Kernel *)distance)->release;
-    made->workspace = workspace;
+    made->settle_memory = settle_memory;
+    made->distance_memory = distance_memory;
     if (made->kernels == NULL)
         Py_CLEAR(made);
     return (PyObject *)made;
@@ -348,7 +353,7 @@ static PyMethodDef pairs_methods[] = {
 
 static PyTypeObject PairsType = {
     PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Pairs",
-    .tp_doc = "Pairs(settle_range, distance_range, measure_left, first_fault, workspace): queries of one pair.",
+    .tp_doc = "Queries of one pair of bodies; made by `singles.py`.",
     .tp_basicsize = sizeof(Pairs),
     .tp_flags = Py_TPFLAGS_DEFAULT,
     .tp_new = pairs_new,

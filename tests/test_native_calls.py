@@ -317,10 +317,10 @@ def test_kernels_of_other_signatures_are_refused():
     for place in range(len(good)):
         bad = [entries.estimate_range if k == place else kernel for k, kernel in enumerate(good)]
         with pytest.raises(TypeError, match=r"estimate_range: expected arguments .* and results"):
-            call.Pairs(*bad, 1024)
+            call.Pairs(*bad, 1024, 1024)
         bad[place] = len
         with pytest.raises(TypeError, match="expected kernels"):
-            call.Pairs(*bad, 1024)
+            call.Pairs(*bad, 1024, 1024)
 
 
 def test_pieces_are_counted_by_the_first_array(rng):

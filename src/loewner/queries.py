@@ -18,6 +18,7 @@ from loewner._native import entries, singles
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
+from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError
 
@@ -585,7 +586,8 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        pieces, values = entries.distance_range(exact, first, last, *asked.operands, *results)
+        memory = workspace(entries.memory_of_distances())
+        pieces, values = entries.distance_range(exact, first, last, *asked.operands, memory, *results)
         if len(pieces):
             entries.measure_left(pieces, values, *asked.operands[1:], *results[3:])
 

@@ -24,7 +24,7 @@ def __getattr__(name: str) -> Any:
     else:
         pairs = call.Pairs(
             entries.settle_range, entries.distance_range, entries.measure_left, entries.first_fault,
-            entries.workspace_size(),
+            entries.workspace_size(), entries.memory_of_distances(),
         )  # fmt: skip
         made = {query: getattr(pairs, query) for query in PAIRS}
     globals().update(made)
