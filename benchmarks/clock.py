@@ -8,7 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import numba
+import loewner
+
+# Threads that a call uses unless it is told otherwise.
+ALL_THREADS = loewner.get_num_threads()
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,10 @@ def race(contestants: Mapping[str, Measure], rounds: int = 5) -> dict[str, Cost]
 
 @contextmanager
 def threads_set_to(count: int | None) -> Iterator[None]:
-    """So many threads for loewner inside the block; None for as many as there are."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS if count is None else count)
+    """So many threads for loewner inside the block; None for as many as it uses by itself."""
+    before = loewner.get_num_threads()
+    loewner.set_num_threads(ALL_THREADS if count is None else count)
     try:
         yield
     finally:
-        numba.set_num_threads(before)
+        loewner.set_num_threads(before)

@@ -8,10 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
-from clock import Cost, race, threads_set_to, timed
+from clock import ALL_THREADS, Cost, race, threads_set_to, timed
 from loewner import CollisionChecker
 from report import REQUIRED, Row
 from rivals import Missing
@@ -117,7 +116,7 @@ def one_by_one(course: Course, rounds: int) -> list[Row]:
 def two_threads(course: Course, quick: bool) -> Row:
     """The same batch on one thread and on two, by wall time."""
     case = f"{course.name}: two threads"
-    if numba.config.NUMBA_NUM_THREADS < 2:
+    if ALL_THREADS < 2:
         return Row(case, "two threads", None, "one thread", None, len(course.Q), note="not run: one thread allowed")
 
     def on(threads: int) -> Array:

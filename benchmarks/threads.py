@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 import loewner
-from clock import Cost, race, threads_set_to, timed
+from clock import ALL_THREADS, Cost, race, threads_set_to, timed
 from report import REQUIRED, Row
 from samples import repeated_pairs
 
@@ -43,8 +43,7 @@ def machine_allows(steps: int, rounds: int) -> float:
 
 def run(quick: bool, folder: Path) -> list[Row]:
     p = repeated_pairs(QUICK if quick else COUNT)
-    most = numba.config.NUMBA_NUM_THREADS
-    if most < 2:
+    if ALL_THREADS < 2:
         return [Row(name, "", None, "", None, len(p), REQUIRED["two threads"], note="not run: one core") for name in
                 ("classify: two threads", "collide: two threads", "distance: two threads")]  # fmt: skip
     half = p.part(slice(0, len(p) // 4))

@@ -204,8 +204,9 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
         return PyErr_Format(PyExc_OSError, "%s", dlerror());
     const char *found = dlsym(handle, "loewner_build");
     if (found == NULL || strcmp(found, build) != 0) {
-        dlclose(handle);
-        return PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
+        PyErr_Format(PyExc_OSError, "expected a library built from %s, found %s", build, found ? found : "another");
+        dlclose(handle); /* after the message, which quotes the library */
+        return NULL;
     }
     Library *library = (Library *)type->tp_alloc(type, 0);
     if (library == NULL)

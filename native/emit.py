@@ -5,16 +5,22 @@ it is imported. All kernels of a file come from one process, since Numba numbers
 same name to different ones.
 """
 
+import ctypes
 import gc
 import importlib
 import sys
 from pathlib import Path
 
 import llvmlite.binding as llvm
+import numba
+import numpy as np
 from llvmlite import ir
+from numba import njit
 from numba.core import config, types
 from numba.core.codegen import CPUCodeLibrary
+from numba.core.datamodel import default_manager
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
@@ -145,8 +151,41 @@ def _tuple_of(builder, values):
     return result
 
 
+# Offsets in the description of an array's memory that `runtime.c` relies on: the count of references, and the address.
+REFERENCES, DATA, MEMORY_SIZE = 0, 24, 32
+FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
+
+
+@intrinsic
+def _memory_of(typingctx, array):
+    """Address of the description of an array's memory."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.ptrtoint(context.make_array(array)(context, builder, arguments[0]).meminfo, SLOT)
+
+    return types.int64(array), generate
+
+
+@njit
+def _memory_and_array(size):
+    array = np.zeros(size)
+    return _memory_of(array), array
+
+
+def check_numba() -> None:
+    """Refuse a Numba whose arrays, or their memory, are laid out otherwise than `runtime.c` and the shims rely on."""
+    fields = tuple(default_manager.lookup(types.float64[::1])._fields)
+    if fields != FIELDS:
+        raise SystemExit(f"Numba {numba.__version__}: expected arrays of {FIELDS}, found {fields}")
+    address, array = _memory_and_array(1000)
+    found = [ctypes.c_size_t.from_address(address + at).value for at in (REFERENCES, DATA, MEMORY_SIZE)]
+    if found[0] < 1 or found[1] != array.ctypes.data or found[2] < array.nbytes:
+        raise SystemExit(f"Numba {numba.__version__}: memory is described otherwise than runtime.c expects ({found})")
+
+
 def emit(entries: list[Entry]) -> bytes:
     """Object code of entries, position-independent, for the processor that the environment names."""
+    check_numba()
     codegen = cpu_target.target_context.codegen()
     library = codegen.create_library("loewner")
     shims = ir.Module("shims")

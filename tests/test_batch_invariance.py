@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pytest
 
@@ -39,12 +38,12 @@ class Crowd(NamedTuple):
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    before = loewner.get_num_threads()
+    loewner.set_num_threads(count)
     try:
         yield
     finally:
-        numba.set_num_threads(before)
+        loewner.set_num_threads(before)
 
 
 def bodies(kind: str, seed: int) -> Bodies:

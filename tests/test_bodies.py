@@ -1,7 +1,9 @@
 """Bodies: what they hold, that they travel through files unharmed, that moving one never fits again."""
 
 import inspect
+import itertools
 import os
+import re
 import zipfile
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 import trimesh
 
 import loewner
+from exact import halfspaces_crossed, hull_planes, points_outside, rational
 from families import FAMILIES, box_corners, pieces, random_poses
 from loewner import Bodies, Body, meshes, polytopes
 from oracles import hull
@@ -59,6 +62,100 @@ def test_ellipsoids_of_primitives():
     assert cone.outer.center[0] == pytest.approx([0, 0, -1], abs=1e-3)
     assert cone.inner.semi_axes[0] == pytest.approx([1, 0.5**0.5, 0.5**0.5], rel=1e-3)
     assert cone.outer.semi_axes[0] == pytest.approx([3, 3 / 8**0.5, 3 / 8**0.5], rel=1e-3)
+
+
+BOXES = [
+    (1, 1, 1),
+    (2, 4, 6),
+    (0.1, 0.2, 0.3),
+    (3e-30, 2e-29, 3e-30),
+    (1e29, 1e28, 3e29),
+    (1e-3, 1e8, 7),
+    (1, 3e-12, 1),
+]
+
+
+@pytest.mark.parametrize("size", BOXES)
+def test_ellipsoids_of_boxes_are_certified(size):
+    """Exactly: the inner ellipsoid lies in the box and the corners in the outer one, and neither gap is exceeded."""
+    body = Body.box(size)
+    piece, half = body.pieces[0], rational(np.array(size, dtype=float)) / 2
+    assert halfspaces_crossed(*hull_planes(piece.vertices), body.inner.center[0], body.inner.factor[0]) == 0
+    assert halfspaces_crossed(piece.normals, piece.offsets, body.inner.center[0], body.inner.factor[0]) == 0
+    assert points_outside(piece.vertices, body.outer.center[0], body.outer.factor[0]) == 0
+    # The optima have the volumes of the balls of radius 1 and 3 ** 0.5, times that of the half edges.
+    inner, outer = (np.prod(rational(np.diag(F[0]))) / np.prod(half) for F in (body.inner.factor, body.outer.factor))
+    inner_gap, outer_gap = rational(body.gaps[0])
+    assert 0 < outer_gap == inner_gap < 2e-14
+    assert inner >= 1 - inner_gap + inner_gap**2 / 2  # more than exp(-gap)
+    assert outer**2 <= 27 * (1 + 2 * outer_gap)  # less than 27 exp(2 gap)
+
+
+@pytest.mark.parametrize("size", [size for size in BOXES if max(size) < 1e3 * min(size)])
+def test_ellipsoids_of_boxes_are_those_that_a_fit_finds(size):
+    """The general fits of the corners end at the closed form, within their tolerance, and are not better than it."""
+    body, tol = Body.box(size), 1e-9
+    corners = box_corners(np.array(size, dtype=float))
+    for fit, ellipsoids, gap, sign in [
+        (loewner.mvie(corners, tol=tol), body.inner, body.gaps[0, 0], 1),
+        (loewner.mvce(corners, tol=tol), body.outer, body.gaps[0, 1], -1),
+    ]:
+        larger = np.log(np.linalg.det(fit.ellipsoid.factor / max(size)))
+        larger -= np.log(np.linalg.det(ellipsoids.factor[0] / max(size)))
+        assert -tol - gap - 1e-14 <= sign * larger <= gap + 1e-14
+        np.testing.assert_allclose(fit.ellipsoid.factor, ellipsoids.factor[0], atol=1e-4 * max(size))
+        np.testing.assert_allclose(fit.ellipsoid.center, 0, atol=1e-4 * max(size))
+
+
+@pytest.mark.parametrize("size", BOXES)
+def test_a_box_is_the_hull_of_its_corners(size):
+    """Vertices, faces and surface are those that Qhull finds for the corners, to the last bit."""
+    box, found = polytopes.box_hull(np.array(size) / 2, "size"), polytopes.hulls([box_corners(np.array(size))])
+    assert np.array_equal(box.vertices, Body.box(size).pieces[0].vertices)
+    for name in ("vert_start", "face_start", "triangle_start"):
+        assert np.array_equal(getattr(box, name), getattr(found, name))
+    for ours, theirs in [
+        (box.vertices, found.vertices),
+        (np.column_stack([box.normals, box.offsets]), np.column_stack([found.normals, found.offsets])),
+    ]:
+        assert sorted(ours.tolist()) == sorted(theirs.tolist())
+    # Each triangle lies in a face, in its orientation, and together they are all of the surface.
+    a, b, c = (box.vertices[box.triangles[:, k]] / np.array(size) for k in range(3))
+    doubled = np.cross(b - a, c - a)
+    for n, offset in zip(box.normals, box.offsets, strict=True):
+        here = (box.vertices[box.triangles] @ n == offset).all(axis=1)
+        assert here.sum() == 2
+        assert (doubled[here] == n).all()
+    edges = {tuple(np.roll(triangle, k)[:2].tolist()) for triangle in box.triangles for k in range(3)}
+    assert len(edges) == 36
+    assert edges == {(q, p) for p, q in edges}
+
+
+def test_boxes_are_refused_as_their_corners_are():
+    """Flat, tiny and huge boxes: the same error, under the name of the argument, wherever the thin edge is."""
+    edges = [5e-324, 1e-200, 1e-141, 1e-140, 1e-30, 1e-12, 1e-3, 1.0, 1e3, 1e12, 1e30, 1e140, 1e141, 1e308]
+    edges += [1 - 1e-3, 1e-12 * (1 - 1e-3), 1e-12 * (1 + 1e-3), 1e-15, 1.4e-15, 1.3e-15]
+    told, corners = set(), np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    for size in itertools.product(edges, repeat=3):
+        half = np.array(size) / 2
+
+        def outcome(make):
+            try:
+                make()
+            except loewner.LoewnerError as error:
+                return f"{type(error).__name__}: {error}"
+            return "a hull"
+
+        ours = outcome(lambda half=half: polytopes.box_hull(half, "size"))
+        assert ours == outcome(lambda half=half: polytopes.hulls([corners * half], names=["size"])), size
+        told.add(re.sub("[0-9].*", "", ours))
+    assert len(told) == 3
+    for size in ([1, 1, 1e-13], [1, 1e-13, 1e-13], [1e31] * 3, [1e-31] * 3):
+        with pytest.raises(loewner.GeometryError):
+            Body.box(size)
+    for size in ([1e-150] * 3, [1e150] * 3):
+        with pytest.raises(loewner.InputError, match="size: expected sizes between"):
+            Body.box(size)
 
 
 @pytest.mark.parametrize("kind", ALL_KINDS)

@@ -107,7 +107,7 @@ def test_errors_of_positions_come_from_one_function():
     assert {name: len(uses) for name, uses in users.items()} == {
         "ellipsoids/contact.py": 1,  # the function
         "pipeline/distances.py": 1,  # not a proof, but how near to contact counts as a graze
-        "robots/placement.py": 1,  # B7, of bounds in single precision, derived apart
+        "tolerances.py": 1,  # B7, of bounds in single precision, derived apart
     }, users
 
 

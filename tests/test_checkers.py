@@ -7,11 +7,11 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import loewner
 from checker_oracle import (
     TOUCHING,
     agrees,
@@ -203,18 +203,17 @@ def test_verdicts_do_not_depend_on_company(count, bodies, tmp_path):
         assert fresh.classify(Q[k]) is Verdict(int(expected[1][k]))
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="Numba may use one thread only")
 def test_verdicts_do_not_depend_on_the_number_of_threads(bodies, tmp_path):
     """The same from one and from two."""
     robot = arm(tmp_path, bodies[0], seed=3)
     checker = CollisionChecker(robot, random_scene(np.random.default_rng(1), robot, 5, bodies[0]))
-    Q, before, found = robot.random_configurations(3000), numba.get_num_threads(), []
+    Q, before, found = robot.random_configurations(3000), loewner.get_num_threads(), []
     try:
         for threads in (1, 2):
-            numba.set_num_threads(threads)
+            loewner.set_num_threads(threads)
             found.append((checker.collide(Q), checker.classify(Q)))
     finally:
-        numba.set_num_threads(before)
+        loewner.set_num_threads(before)
     for one, two in zip(*found, strict=True):
         np.testing.assert_array_equal(one, two)
 

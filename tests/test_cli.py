@@ -13,6 +13,8 @@ import trimesh
 import loewner
 from gantry import RADIUS, gantry
 from loewner import cli
+from loewner._native import library
+from loewner.cli.info import MISSING
 from loewner.cli.output import covering_text
 
 
@@ -294,9 +296,45 @@ def test_compile_tells_each_part_in_a_log(capsys, monkeypatch, tmp_path):
         return tmp_path
 
     monkeypatch.setattr("loewner.cli.compile.compile_kernels", compiled)
+    monkeypatch.setattr(library, "level", lambda: None)
     status, out, err = run(capsys, "compile", "--only", "fits", "paper")
     assert (status, out) == (0, f"compiled into {tmp_path}\n")
     assert err.splitlines()[1:] == ["loewner: 1 of 2 parts compiled", "loewner: 2 of 2 parts compiled"]
+
+
+def test_compile_has_nothing_to_do_beside_a_library(capsys, monkeypatch):
+    """Where the native library is in use, the command says so, and compiles nothing."""
+    monkeypatch.setattr(library, "level", lambda: "x86-64-v3")
+    assert run(capsys, "compile")[:2] == (0, "nothing to compile: the native library is in use (x86-64-v3)\n")
+
+
+@pytest.mark.parametrize(
+    ("opened", "told"),
+    [
+        ((object(), "x86-64-v3"), "native library, x86-64-v3, built with Numba 0.99"),
+        ((None, "it was not built"), "compiled by Numba on this machine; no native library (it was not built)"),
+    ],
+)
+def test_info_tells_how_the_kernels_run(capsys, monkeypatch, opened, told):
+    """Version, library or compiler and why, threads, and what each extra needs."""
+    monkeypatch.setattr(library, "_opened", lambda: opened)
+    monkeypatch.setattr(library, "built_with", lambda: "0.99")
+    status, out, _ = run(capsys, "info")
+    lines = dict(line.split(":", 1) for line in out.splitlines())
+    assert status == 0
+    assert lines["loewner"].strip() == loewner.__version__
+    assert lines["kernels"].strip() == told
+    assert int(lines["threads"]) >= 1
+    assert lines["[cli]"].strip().startswith("rich ")
+
+
+def test_info_tells_what_is_missing(capsys, monkeypatch):
+    """Without a library and without Numba it says what to install; an extra that is not there is named."""
+    monkeypatch.setattr(library, "_opened", lambda: (None, "it was not built"))
+    monkeypatch.setattr("loewner.cli.info._version", lambda name: MISSING if name in ("numba", "ompl") else "1.0")
+    _, out, _ = run(capsys, "info")
+    assert "none: no library (it was not built), and no Numba; pip install 'loewner[jit]'" in out
+    assert re.search(r"^\[planners\]: +ompl not installed$", out, flags=re.M)
 
 
 @pytest.mark.parametrize(
@@ -508,6 +546,42 @@ def test_installed_program(saved):
     done = subprocess.run([program, "check", "a.npz", "b.npz", "--pose-b", "9 0 0"], capture_output=True, text=True)
     assert done.returncode == 0
     assert done.stdout.startswith("FREE")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", "cube.stl", "-o", "out"],
+        ["robot", "info", "gantry.urdf"],
+        ["robot", "check", "gantry.urdf", "--random", "5"],
+        ["paper", "--pairs", "5", "--json", "out"],
+    ],
+    ids=" ".join,
+)
+def test_without_rich_a_line_says_what_to_install(saved, arguments):
+    """Commands that print tables end with status 2 before their work; nothing but that line is printed."""
+    gantry(saved)
+    code = f"import sys; sys.modules['rich'] = None; from loewner import cli; sys.exit(cli.main({arguments}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    hint = 'pip install "loewner[cli]", or pip install ".[cli]" in a clone'
+    assert done.stderr == f"loewner: error: tables and progress need Rich: {hint}\n"
+    assert not (saved / "out").exists()
+
+
+@pytest.mark.parametrize("arguments", [["check", "a.npz", "b.npz"], ["check", "cube.stl", "a.npz"], ["--help"]])
+def test_what_prints_no_table_needs_no_rich(saved, arguments):
+    """Status and output are those with Rich."""
+    blocked = "import sys; sys.modules['rich'] = None; "
+    found = []
+    for before in ("import sys; ", blocked):
+        code = f"{before}from loewner import cli; sys.exit(cli.main({arguments}))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        found.append((done.returncode, done.stdout))
+    assert found[0] == found[1]
+    assert found[0][0] in (0, 1)
+    assert found[0][1]
 
 
 def test_an_interrupt_is_told_in_a_line(monkeypatch, capsys):

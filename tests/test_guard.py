@@ -193,14 +193,32 @@ except loewner.MemoryLimitError as error:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not enforce the limit")
-@pytest.mark.parametrize("body", ["sphere(1.0)", "box([1, 1, 1])"])
+@pytest.mark.parametrize(
+    ("body", "loaded"),
+    [
+        ("sphere(1.0)", "compiled kernels"),
+        ("box([1, 1, 1])", "compiled kernels"),
+        ("from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])", "compiled kernels and SciPy"),
+    ],
+)
 @pytest.mark.parametrize("room", [1, 100])
-def test_what_has_to_be_loaded_does_not_crash(body, room):
+def test_what_has_to_be_loaded_does_not_crash(body, loaded, room):
     """OpenBLAS and LLVM abort the process where they find no place."""
     code = STARVED.format(room=room, body=body)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert "address space to load SciPy" in done.stdout
+    assert f"address space to load {loaded}, found" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not enforce the limit")
+def test_what_is_loaded_already_needs_no_place_again():
+    """With all of it loaded, a call works in a tenth of the address space that the first one asks for."""
+    body = "from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])"
+    query = f"loewner.collide(loewner.Body.{body}, None, loewner.Body.sphere(1.0), None)\n"
+    code = STARVED.format(room=32, body=body).replace("used =", f"{query}used =")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout == ""
 
 
 def test_a_verdict_is_written_by_its_name():

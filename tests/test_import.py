@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import loewner
+from gantry import gantry
 
 OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl", "viser")
 
@@ -31,10 +32,55 @@ def test_command_line_is_light_until_it_prints_tables():
     assert modules_after("from loewner.cli.main import _parser; _parser()").isdisjoint(OPTIONAL)
 
 
-def test_import_leaves_scipy_submodules_alone():
-    """SciPy's hulls and linear programs, which take longer to import than `loewner`, wait for their use."""
-    loaded = modules_after("import loewner; assert 'scipy.spatial' not in sys.modules, 'scipy.spatial'")
-    assert "numba" in loaded
+# What needs no hull: primitives, boxes among them, files, queries, crowds and a robot of primitives.
+WITHOUT_HULLS = """
+import numpy as np, loewner
+from loewner import Body, Bodies
+body = Body.union([Body.box([1, 2, 3]), Body.sphere(1), Body.capsule(1, 2), Body.cylinder(1, 2), Body.cone(1, 2),
+                   Body.ellipsoid([1, 2, 3])]).transformed(np.eye(4))
+body.save(FOLDER + "/body.npz")
+body = Body.load(FOLDER + "/body.npz")
+loewner.classify(body, None, body, None)
+assert loewner.collide(Body.box([1, 1, 1]), None, Body.sphere(1.0), None)
+loewner.distance(body, None, body, None, exact=True)
+loewner.overlapping_pairs(Bodies([body, body]), None)
+scene = loewner.Scene()
+scene.add("body", body)
+loewner.CollisionChecker(loewner.Robot.from_urdf(FOLDER + "/gantry.urdf"), scene).collide(np.zeros(3))
+"""
+
+
+def test_scipy_waits_for_a_hull(tmp_path):
+    """All of this works where SciPy cannot be imported, and loads nothing of it. (Numba imports it by itself.)"""
+    gantry(tmp_path)
+    code = f"FOLDER = {str(tmp_path)!r}{WITHOUT_HULLS}"
+    blocked = f"import sys; sys.modules['scipy'] = None\n{code}"
+    assert "loewner" in modules_after(f"exec({blocked!r}); del sys.modules['scipy']")
+    loaded = modules_after(f"exec({code!r})")
+    assert "numba" in loaded or "scipy" not in loaded
+
+
+# Of loewner itself: for one purpose each, or for files only.
+LATE = (
+    "cli",
+    "compilation",
+    "paper",
+    "planners",
+    "plots",
+    "viewer",
+    "bodies.files",
+    "mesh_files.gltf",
+    "mesh_files.dae",
+)
+
+
+def test_import_leaves_modules_of_one_purpose():
+    """They wait for their use, with what they need of the standard library."""
+    ask = "import sys, loewner; print(*(name for name in sys.modules if name.startswith('loewner.')))"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    loaded = {name.removeprefix("loewner.") for name in done.stdout.split()}
+    assert {"bodies", "robots", "mesh_files"} <= loaded
+    assert loaded.isdisjoint(LATE)
 
 
 def test_checking_saved_bodies_needs_no_optional_package(tmp_path):

@@ -14,6 +14,7 @@ import pytest
 import loewner
 from loewner import compilation
 from loewner._kernels import _jit, _sealed
+from loewner._native import library
 
 ASK = """
 import sys
@@ -225,6 +226,17 @@ assert answer(2.0) == 3.0
     assert float(ask(package, tmp_path / "cache", many).stdout) == 2.0
 
 
+@pytest.fixture
+def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What runs on a machine without the native library."""
+    monkeypatch.setenv("LOEWNER_JIT", "1")
+    library._opened.cache_clear()
+    yield
+    monkeypatch.undo()
+    library._opened.cache_clear()
+
+
+@pytest.mark.usefixtures("no_library")
 def test_compiling_ahead_can_be_interrupted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """What `progress` raises, an interrupt for instance, ends the processes at once."""
     alive = tmp_path / "pid"
@@ -249,6 +261,7 @@ def test_kernels_need_the_compiler(package: Path, tmp_path: Path):
     assert "NUMBA_DISABLE_JIT: expected Numba to compile" in raised.value.stderr
 
 
+@pytest.mark.usefixtures("no_library")
 def test_compiling_ahead_tells_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead without a place to keep the result is an error that names the folder."""
     blocked = tmp_path / "a file"
@@ -282,16 +295,20 @@ loewner.overlapping_pairs(box, T)
 """
 
 
-def test_a_second_process_compiles_nothing():
-    """Every query is found on disk the next time."""
+def test_a_second_process_compiles_nothing(tmp_path: Path):
+    """What one process compiled, the next one finds on disk."""
     env = {k: v for k, v in os.environ.items() if k != "LOEWNER_QUIET"}
+    env |= {"LOEWNER_CACHE_DIR": str(tmp_path), "LOEWNER_JIT": "1"}
+    query = "import numpy as np, loewner; loewner._validate.rigid_motions(np.eye(4)[None], 'T')"
     runs = [
-        subprocess.run([sys.executable, "-c", QUERIES], env=env, capture_output=True, text=True, check=True)
+        subprocess.run([sys.executable, "-c", query], env=env, capture_output=True, text=True, check=True)
         for _ in range(2)
     ]
+    assert "compiling" in runs[0].stderr
     assert runs[1].stderr == ""
 
 
+@pytest.mark.usefixtures("no_library")
 def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
     """Compiling ahead says which part failed, and what the process said."""
     monkeypatch.setattr(compilation, "PARTS", ("no such part",))
@@ -310,7 +327,8 @@ def test_an_unknown_part_is_told():
 @pytest.mark.verify
 def test_compiling_ahead_leaves_nothing_to_compile(tmp_path: Path):
     """After `loewner compile` into an empty folder the queries find everything there."""
-    env = {k: v for k, v in os.environ.items() if k != "LOEWNER_QUIET"} | {"LOEWNER_CACHE_DIR": str(tmp_path)}
+    env = {k: v for k, v in os.environ.items() if k != "LOEWNER_QUIET"}
+    env |= {"LOEWNER_CACHE_DIR": str(tmp_path), "LOEWNER_JIT": "1"}
     compiling = subprocess.run([sys.executable, "-m", "loewner", "compile"], env=env, capture_output=True, text=True)
     assert compiling.returncode == 0, compiling.stderr
     asked = subprocess.run([sys.executable, "-c", QUERIES], env=env, capture_output=True, text=True, check=True)

@@ -200,7 +200,18 @@ def test_command_line_is_shown_whole(monkeypatch):
     import command
 
     found = re.findall(r"^usage: loewner(.*?) \[", command.page(), flags=re.M)
-    assert found == ["", " fit", " check", " robot", " robot info", " robot check", " view", " compile", " paper"]
+    assert found == [
+        "",
+        " fit",
+        " check",
+        " robot",
+        " robot info",
+        " robot check",
+        " view",
+        " compile",
+        " info",
+        " paper",
+    ]
 
 
 def test_accuracy_page_has_the_measured_numbers():

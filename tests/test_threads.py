@@ -1,28 +1,29 @@
-"""Shares of a batch on several threads: every item once, errors raised, nobody left writing."""
+"""Shares of a batch on several threads: every item once, errors raised, nobody left writing; how many threads."""
 
+import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 
+import driver
 import loewner
-from loewner import Bodies, Body, _threads
+from loewner import Bodies, Body, InputError, _threads, get_num_threads, set_num_threads
 from loewner._threads import in_shares
 
 
 @pytest.fixture(params=[1, 2])
 def threads(request):
-    if request.param > numba.config.NUMBA_NUM_THREADS:
-        pytest.skip("one core")
-    before = numba.get_num_threads()
-    numba.set_num_threads(request.param)
+    before = get_num_threads()
+    set_num_threads(request.param)
     yield request.param
-    numba.set_num_threads(before)
+    set_num_threads(before)
 
 
 @pytest.mark.parametrize("total", [0, 1, 9, 10, 11, 100, 163, 1000])
@@ -100,13 +101,13 @@ def test_callers_on_threads_of_their_own(threads):
 
 def test_one_thread_alone_takes_large_shares():
     """With one thread shares grow to a fixed multiple after the first two."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
+    before = get_num_threads()
+    set_num_threads(1)
     try:
         large = 10 * _threads.ALONE
         assert in_shares(lambda first, last: last - first, 50 + 2 * large + 5, 10) == [10, 40, large, large, 5]
     finally:
-        numba.set_num_threads(before)
+        set_num_threads(before)
 
 
 def test_shares_become_small_where_items_take_long(threads, monkeypatch):
@@ -145,9 +146,9 @@ def test_progress_rises_to_the_total(threads):
         assert total < 500 or len(told) > 3
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+@pytest.mark.parametrize("threads", [2], indirect=True)
 @pytest.mark.parametrize("moment", ["waiting", "working"])
-def test_after_an_interrupt_nobody_runs(moment):
+def test_after_an_interrupt_nobody_runs(moment, threads):
     """Whether it comes while the main thread has a share or waits for another's: that one comes to its end first."""
     main, running, started = threading.get_ident(), [], []
 
@@ -213,7 +214,7 @@ def test_an_interrupt_while_arrays_are_handed_back_is_one(threads):
 
 
 def test_the_main_thread_takes_no_lock_that_others_wait_for():
-    """An interrupt just when Numba's lock has been taken would keep it for good: the main thread does not take it."""
+    """A lock of several processes, such as Numba's, would stay taken after an interrupt: queries take none."""
 
     def locks_taken(call) -> int:
         taken = []
@@ -230,18 +231,196 @@ def test_the_main_thread_takes_no_lock_that_others_wait_for():
             sys.settrace(before)
         return len(taken)
 
+    def take_one():
+        with multiprocessing.RLock():
+            pass
+
     box, T = Body.box([1, 1, 1]), np.tile(np.eye(4), (20_000, 1, 1))
-    assert locks_taken(numba.get_num_threads) > 0, "or this test sees nothing"
+    assert locks_taken(take_one) > 0, "or this test sees nothing"
     assert locks_taken(lambda: loewner.collide(box, None, box, T)) == 0
     assert locks_taken(lambda: loewner.overlapping_pairs(Bodies.spheres(np.ones(3000)), T[:3000])) == 0
 
 
-def test_threads_are_those_that_numba_is_set_to():
-    """As `numba.set_num_threads` says, for the thread that calls it."""
-    before = numba.get_num_threads()
+def interrupted_at(step: int, call: Callable[[], object]) -> bool:
+    """Whether the call had so many steps of the interpreter, and was interrupted at the last of them."""
+    seen = 0
+
+    def trace(frame, event, argument):
+        nonlocal seen
+        frame.f_trace_opcodes = True
+        seen += 1
+        if seen > step:
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
     try:
-        for count in {1, before}:
-            numba.set_num_threads(count)
-            assert _threads.usable() == count
+        call()
+    except KeyboardInterrupt:
+        return True
     finally:
-        numba.set_num_threads(before)
+        sys.settrace(before)
+    return False
+
+
+def test_an_interrupt_while_the_number_is_asked_leaves_nobody_waiting():
+    """At whichever step of the interpreter it comes, also the first time: this thread and others get the number."""
+    before, usual = get_num_threads(), _threads._of_process()
+
+    def ask_anew():
+        _threads._of_process.cache_clear()
+        set_num_threads(usual + 1)
+        _threads._setting.count = None
+        return get_num_threads()
+
+    try:
+        step = 0
+        while interrupted_at(step, ask_anew):
+            told = []
+            asking = threading.Thread(target=lambda told=told: told.append(get_num_threads()))
+            asking.start()
+            asking.join(timeout=30)
+            assert told == [usual]
+            assert get_num_threads() in (before, usual, usual + 1)
+            step += 1
+        assert step > 50
+    finally:
+        set_num_threads(before)
+
+
+# -- how many threads --------------------------------------------------------------------------------------------------
+
+
+def test_the_number_is_each_threads_own():
+    """What one thread sets holds for its calls alone; a new thread starts with the number of the process."""
+    before, told = get_num_threads(), []
+
+    def another():
+        told.append(get_num_threads())
+        set_num_threads(5)
+        told.append(get_num_threads())
+
+    try:
+        set_num_threads(3)
+        thread = threading.Thread(target=another)
+        thread.start()
+        thread.join()
+        assert told == [_threads._of_process(), 5]
+        assert get_num_threads() == 3
+    finally:
+        set_num_threads(before)
+
+
+@pytest.mark.parametrize("threads", [1, 3], indirect=True)
+def test_calls_use_so_many_threads(threads):
+    """All of them and no more, also where there are fewer processors."""
+    used = set()
+
+    def run(first, last):
+        used.add(threading.get_ident())
+        time.sleep(0.02)
+
+    in_shares(run, 240, 10)
+    assert len(used) == threads
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_forked_child_has_the_number_of_its_parent(threads):
+    """It starts threads of its own up to that number, and may set another, which its parent does not see."""
+
+    def shares_of(n):
+        used = set()
+
+        def run(first, last):
+            used.add(threading.get_ident())
+            time.sleep(0.02)
+
+        set_num_threads(get_num_threads() + n)
+        in_shares(run, 240, 10)
+        return None if len(used) == threads + n else f"{len(used)} threads, {get_num_threads()} set"
+
+    in_shares(lambda first, last: time.sleep(0.01), 80, 10)  # the parent's threads wait, and are not the child's
+    for n in (0, 1):
+        assert not driver.faults(driver.run(shares_of, [n]))
+    assert get_num_threads() == threads
+
+
+def number_in(environment: dict[str, str]) -> str:
+    """What a new process says its number of threads is, or the error; and that the import raised none."""
+    code = """
+import loewner, threading
+print("imported")
+try:
+    print(loewner.get_num_threads())
+except loewner.InputError as error:
+    print(error)
+    try:
+        loewner.collide(loewner.Body.sphere(1.0), None, loewner.Body.sphere(1.0), [[[1, 0, 0, 0], [0, 1, 0, 0],
+            [0, 0, 1, 0], [0, 0, 0, 1]]] * 20_000)
+    except loewner.InputError as again:
+        assert str(again) == str(error)
+    else:
+        raise AssertionError("a batch was answered") from None
+    loewner.set_num_threads(2)
+    assert loewner.get_num_threads() == 2
+"""
+    others = {k: v for k, v in os.environ.items() if k not in ("LOEWNER_NUM_THREADS", "NUMBA_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=others | environment)
+    assert done.returncode == 0, done.stderr
+    imported, told = done.stdout.splitlines()
+    assert imported == "imported"
+    return told
+
+
+def test_the_environment_sets_the_number_of_the_process():
+    """Ours before Numba's, and Numba's before the processors."""
+    assert number_in({"LOEWNER_NUM_THREADS": " 7 ", "NUMBA_NUM_THREADS": "3"}) == "7"
+    assert number_in({"NUMBA_NUM_THREADS": "3"}) == "3"
+    if sys.platform == "linux":
+        assert number_in({}) == str(len(os.sched_getaffinity(0)))
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "1.5", "two", "1025", "9" * 5000, "²", "1_0"])
+def test_a_variable_that_is_no_number_of_threads_is_told_when_it_is_needed(text, monkeypatch):
+    """An error with the variable's name, at each use; Numba's variable, which is not ours, is left alone then."""
+    _threads._of_process.cache_clear()
+    monkeypatch.setattr(_threads, "_setting", _threads._Setting())
+    try:
+        monkeypatch.setenv("LOEWNER_NUM_THREADS", text)
+        for _ in range(2):
+            with pytest.raises(InputError, match="^LOEWNER_NUM_THREADS: expected an integer (>= 1|<= 1024), found "):
+                get_num_threads()
+        monkeypatch.delenv("LOEWNER_NUM_THREADS")
+        monkeypatch.setenv("NUMBA_NUM_THREADS", text)
+        assert get_num_threads() == (1024 if text == "1025" else _threads._processors())
+    finally:
+        _threads._of_process.cache_clear()
+
+
+def test_a_bad_variable_does_not_stop_the_import():
+    """It is told at the first batch, and to whoever asks for the number; who sets one does not need it."""
+    assert number_in({"LOEWNER_NUM_THREADS": "all"}) == "LOEWNER_NUM_THREADS: expected an integer >= 1, found 'all'"
+
+
+@pytest.mark.parametrize("n", [0, -1, 1025, 2.0, "2", True, None])
+def test_what_is_no_number_of_threads_is_refused(n):
+    """And changes nothing."""
+    before = get_num_threads()
+    with pytest.raises(InputError, match="n: expected an integer"):
+        set_num_threads(n)
+    assert get_num_threads() == before
+
+
+def test_processors_are_counted_by_what_this_python_has(monkeypatch):
+    """By what Python itself may use, else by what the process may use, else all; at least one."""
+    monkeypatch.setattr(os, "process_cpu_count", lambda: 5, raising=False)
+    assert _threads._processors() == 5
+    monkeypatch.setattr(os, "process_cpu_count", lambda: None, raising=False)
+    assert _threads._processors() == 1
+    monkeypatch.delattr(os, "process_cpu_count")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {1, 4, 6}, raising=False)
+    assert _threads._processors() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert _threads._processors() == 1

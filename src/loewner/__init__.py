@@ -1,5 +1,6 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
+from loewner._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
 from loewner.coverage import Covering
 from loewner.crowds import overlapping_pairs
@@ -61,6 +62,7 @@ __all__ = [
     "collide",
     "contact_function",
     "distance",
+    "get_num_threads",
     "load_scene",
     "mvce",
     "mvie",
@@ -70,4 +72,5 @@ __all__ = [
     "pairs_by_sampling",
     "read_motion_bench_maker",
     "save_scene",
+    "set_num_threads",
 ]

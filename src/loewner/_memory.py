@@ -14,8 +14,11 @@ from loewner.errors import MemoryLimitError
 # Reading the limits takes as long as filling a few hundred kilobytes; requests below this [bytes] are not worth a look.
 LOOK = 2**26
 
-# Address space that SciPy's hulls, buffers of OpenBLAS and the kernels took when they were loaded, and a tenth more.
-TO_START = 320 * 2**20
+# What a process loads when it is first needed: kernels with OpenBLAS's buffers, and SciPy's hulls and linear programs.
+KERNELS, SCIPY = "compiled kernels", "SciPy"
+
+# Address space [bytes] that they took when they were loaded (180 and 45 MiB), and some more.
+TO_LOAD = {KERNELS: 256 * 2**20, SCIPY: 64 * 2**20}
 
 _ROOT = Path("/")
 
@@ -31,23 +34,24 @@ def left(root: Path = _ROOT) -> tuple[int, str]:
     return min([*_of_process(root), *_of_groups(root), *_of_machine(root)], default=(sys.maxsize, ""))
 
 
-_started = False
+_expected: set[str] = set()  # what was found to have place, and is loaded by now
 
 
-def expect_start() -> None:
-    """Refuse to begin, at the first body or hull of a process, where what has to be loaded would not fit.
+def expect_place(*names: str) -> None:
+    """Refuse to load KERNELS or SCIPY, the first time in a process, where they would not fit.
 
     SciPy, OpenBLAS and LLVM end the process, or leave half a module behind, when they run out of address space.
     """
-    global _started
-    if not _started:
+    missing = [name for name in names if name not in _expected]
+    if missing:
         there, which = min(_of_process(_ROOT), default=(sys.maxsize, ""))  # little of it is ever touched
-        if there < TO_START:
+        wanted = sum(TO_LOAD[name] for name in missing)
+        if there < wanted:
             raise MemoryLimitError(
-                f"expected {TO_START >> 20} MiB of address space to load SciPy and compiled kernels, found "
+                f"expected {wanted >> 20} MiB of address space to load {' and '.join(missing)}, found "
                 f"{there / 2**20:.3g} MiB{which}"
             )
-        _started = True
+        _expected.update(missing)
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:

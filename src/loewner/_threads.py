@@ -1,22 +1,23 @@
 """Work in shares on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
 Threads of our own rather than Numba's: compiling a parallel loop takes several times as long as the loop itself, and
-Numba's default threading layer aborts the process when two of a caller's threads enter it at once.
+Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The number of them
+is a setting of our own too, for each thread that calls.
 
 Only the main thread is interrupted, and at any line. So nothing that others rely on is counted there.
 """
 
 import os
+import re
 import threading
 import time
 from collections.abc import Callable
+from functools import cache
 from queue import SimpleQueue
-from typing import Any, Generic, TypeVar
-
-import numba
-from numba.np.ufunc import parallel
+from typing import Generic, TypeVar
 
 from loewner._guard import guarded, meant
+from loewner._validate import whole_number
 
 T = TypeVar("T")
 
@@ -28,29 +29,109 @@ ALONE = 16
 LONG = 0.1
 
 
-_numba: Any = parallel  # its functions are bound when it is first used; no type knows them
-_launched = False  # whether Numba has been asked once
+# Threads that one call may have at most: more than this are a slip, and each takes memory for its stack.
+MOST_THREADS = 1024
 
 
-def usable() -> int:
-    """How many threads Numba is set to use, by the calling thread's setting.
+class _Setting(threading.local):
+    """What the calling thread has set; nobody waits for anybody to read it, so that an interrupt leaves no lock."""
 
-    `numba.get_num_threads` takes a lock at each call. An interrupt just when it has been taken would leave it with the
-    main thread for good, and all other threads waiting for it. So it is called once, on a thread that nobody
-    interrupts; from then on the number is read without it.
+    count: int | None = None
+
+
+_setting = _Setting()
+
+
+@guarded
+def set_num_threads(n: int) -> None:
+    """Set how many threads the calls of this thread may use; what other threads have set stays as it is.
+
+    A batch is divided among at most so many threads, the calling one included; small batches stay on that one. Answers
+    do not depend on the number.
+
+    Parameters
+    ----------
+    n : int
+        From 1 to 1024. It may be more than there are processors.
+
+    Raises
+    ------
+    InputError
+        If `n` is no such integer.
+
+    See Also
+    --------
+    get_num_threads : The number in use, and where it comes from if none is set.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> before = loewner.get_num_threads()
+    >>> loewner.set_num_threads(1)
+    >>> loewner.get_num_threads()
+    1
+    >>> loewner.set_num_threads(before)
     """
-    global _launched
-    if not _launched:
-        asking = threading.Thread(target=numba.get_num_threads, name="loewner start", daemon=True)
-        asking.start()
-        asking.join()
-        _launched = True
-    return int(_numba._get_num_threads())
+    _setting.count = whole_number(n, "n", 1, MOST_THREADS)
+
+
+@guarded
+def get_num_threads() -> int:
+    """How many threads a call of this thread may use.
+
+    It is what `set_num_threads` was given on this thread; otherwise the environment variable ``LOEWNER_NUM_THREADS``;
+    otherwise ``NUMBA_NUM_THREADS`` if that is a number of threads; otherwise the number of processors that this process
+    may use. The environment is read once, at the first call that needs the number.
+
+    Returns
+    -------
+    int
+        At least 1.
+
+    Raises
+    ------
+    InputError
+        If ``LOEWNER_NUM_THREADS`` is needed, and is no integer from 1 to 1024.
+
+    Examples
+    --------
+    >>> import loewner
+    >>> loewner.get_num_threads() >= 1
+    True
+    """
+    count = _setting.count
+    return _of_process() if count is None else count
+
+
+@cache
+def _of_process() -> int:
+    """Number of threads for a thread that has set none."""
+    ours = os.environ.get("LOEWNER_NUM_THREADS")
+    if ours is not None:
+        return whole_number(_integer(ours), "LOEWNER_NUM_THREADS", 1, MOST_THREADS)
+    numbas = _integer(os.environ.get("NUMBA_NUM_THREADS", ""))
+    count = numbas if isinstance(numbas, int) and numbas >= 1 else _processors()
+    return min(count, MOST_THREADS)
+
+
+def _integer(text: str) -> int | str:
+    """The integer that a text is, or the text."""
+    return int(text) if re.fullmatch(r"\s*\d{1,18}\s*", text, re.ASCII) else text
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    process_cpu_count: Callable[[], int | None] | None = getattr(os, "process_cpu_count", None)  # from Python 3.13
+    if process_cpu_count is not None:
+        return process_cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def share(total: int, least: int) -> int:
     """Most items a thread takes at a time, `least` or more: a few shares each, so that the last is not waited for."""
-    threads = usable()
+    threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
 
@@ -74,7 +155,7 @@ def in_shares(
     else:
         work = _Work(run, total, least, min(share(total, least), total if most is None else most))
         try:
-            _lend_a_hand(work.help, min(usable(), -(-total // least)) - 1)
+            _lend_a_hand(work.help, min(get_num_threads(), -(-total // least)) - 1)
             work.take(progress)
         finally:
             interrupt = None

@@ -4,7 +4,6 @@ Arrays that come from here are finite float64 in C order. Poses are not always r
 ``poses(check=False)`` leave their entries to the kernels, which go through them anyway and report a bad one.
 """
 
-import difflib
 import math
 import operator
 import os
@@ -382,6 +381,8 @@ def short(x: Any) -> str:
 
 def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError:
     """Make the error about a name that is none of the `known` ones: it lists them, and the nearest first."""
+    import difflib  # for this message only
+
     listed = list(known)
     nearest = difflib.get_close_matches(name, listed, n=1) if isinstance(name, str) else []
     hint = f" (did you mean {nearest[0]!r}?)" if nearest else ""

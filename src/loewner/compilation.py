@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from loewner import _validate
-from loewner._kernels._jit import CACHE_FOLDER
+from loewner._native import entries, library
 from loewner.errors import FileError
 
 _ARM = """<robot name="arm">
@@ -118,7 +118,8 @@ POLL = 0.1  # seconds between looks at the processes
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
     """Compile kernels for this machine now, in as many processes as are of use.
 
-    What has been compiled before is only looked up, which takes some seconds.
+    What has been compiled before is only looked up, which takes some seconds. Where the native library is in use there
+    is nothing to compile.
 
     Parameters
     ----------
@@ -130,18 +131,25 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Returns
     -------
     Path
-        The folder that holds the compiled code.
+        The folder that holds the compiled code, or the native library.
 
     Raises
     ------
     InputError, UnknownNameError
         If there is no such part.
+    MissingExtraError
+        If there is neither a library nor Numba.
     FileError
         If a part cannot be compiled, or the folder not be written; with what the process said.
     """
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [[name for name in group if name in wanted] for group in _TOGETHER]
     _validate.callback(progress, "progress")
+    if library.level() is not None:
+        return library.HOME
+    entries.expect_numba()
+    from loewner._kernels._jit import CACHE_FOLDER
+
     waiting, running, ended = [names for names in chosen if names], list[_Group](), 0
     total, told = sum(map(len, chosen)), 0
     folder = tempfile.TemporaryDirectory()
@@ -187,7 +195,7 @@ class _Group:
         """Raise what the process ended with."""
         if self.process.returncode:
             what, why = ", ".join(self.names), self._said.read_text(encoding="utf-8", errors="replace").strip()[-2000:]
-            raise FileError(f"{CACHE_FOLDER}: the kernels for {what} could not be compiled:\n{why}")
+            raise FileError(f"the kernels for {what} could not be compiled:\n{why}")
 
 
 def _code(names: list[str]) -> str:

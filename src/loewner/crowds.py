@@ -10,7 +10,7 @@ from loewner._guard import guarded
 from loewner._kernels import codes, columns
 from loewner._native import entries
 from loewner._settle import settle
-from loewner._threads import in_shares, usable
+from loewner._threads import get_num_threads, in_shares
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
@@ -79,7 +79,7 @@ def overlapping_pairs(
     n, steps, operands = _prepare(bodies, T_world)
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
-    threads = min(usable(), -(-n // CHUNK))
+    threads = min(get_num_threads(), -(-n // CHUNK))
     _validate.fits_memory(
         BODY_BYTES * n + threads * 16 * (columns.WIDE * n + CANDIDATES), f"candidate pairs of {n} bodies"
     )

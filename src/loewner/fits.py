@@ -238,7 +238,7 @@ def _fit_all(
     tol: float,
     progress: Progress | None,
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats], Floats]:
-    """Run the kernel over blocks of pieces, on as many threads as Numba is set to use."""
+    """Run the kernel over blocks of pieces, on as many threads as are set."""
     total, n = len(vert_start) - 1, vertices.shape[1]
     vertices, normals = writeable(vertices), writeable(normals)
     inner = np.empty((total, n)), np.empty((total, n, n))

@@ -136,6 +136,7 @@ class Polytope:
         code = entries.center_in(rows, bounds, x, frame, shift, FLATNESS)
         if code != 0:
             raise center_error(code, rows, shift)
+        _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
         from scipy.spatial import ConvexHull, QhullError
 
         # About its analytic center, in coordinates that whiten the faces, the vertices are the facets of the dual.
@@ -223,12 +224,13 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     GeometryError
         If the polytope is empty or flat, with the slack that was reached.
     """
-    from scipy.optimize import linprog
-
     m, n = A.shape
     x = np.zeros(n)
     if (b > 0).all():
         return x
+    _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
+    from scipy.optimize import linprog
+
     magnify = 1.0 / (float(np.abs(b).max()) or 1.0)  # of a cone, or of one point, every scale is its own
     least, noise = -np.inf, 0.0
     for _ in range(4):
@@ -275,7 +277,7 @@ def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
 
 def _hull(points: Floats, name: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
     """Vertices, normals, offsets, simplices and the face of each simplex."""
-    _memory.expect_start()
+    _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     from scipy.spatial import ConvexHull, QhullError
 
     check_enough(points, name, least_dim=2)
@@ -387,3 +389,38 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
 
     shares = in_shares(run, len(point_sets), LEAST_SHARE, most=BLOCK, progress=progress)
     return Hulls._packed(list(chain.from_iterable(shares)))
+
+
+# Corners of the box of half edge lengths 1, and of its faces and triangles those that Qhull finds, in its order.
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_BOX_NORMALS = np.array([[0, 0, -1], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+_BOX_TRIANGLES = np.array(
+    [
+        *([6, 0, 2], [6, 4, 0], [5, 0, 4], [5, 1, 0], [5, 4, 6], [5, 6, 7]),
+        *([3, 2, 0], [3, 0, 1], [3, 6, 2], [3, 7, 6], [3, 1, 5], [3, 5, 7]),
+    ]
+)
+
+
+def box_hull(half: Floats, name: str) -> Hulls:
+    """Hull of the corners of a box about the origin along the axes, as `hulls` finds it, without Qhull.
+
+    Parameters
+    ----------
+    half : ndarray, shape (3,)
+        Half the edge lengths, in metres.
+    name : str
+        What the caller calls the edges, for messages.
+
+    Raises
+    ------
+    InputError, GeometryError
+        As `Polytope.from_points` of the corners.
+    """
+    check_size(float(half.max()), name)
+    corners = _CORNERS * half
+    edges = 2 * half
+    # The kernel's test of the corners: the axes in turn, each against the longest edge so far.
+    if not (edges > np.maximum(FLATNESS * np.maximum.accumulate(edges), 6 * EPS * half.max())).all():
+        raise flat_error(name, corners)
+    return Hulls._packed([(corners, _BOX_NORMALS, np.abs(_BOX_NORMALS) @ half, _BOX_TRIANGLES)])

@@ -490,6 +490,8 @@ PATH_OUT = arg("out.npz", TEXTS)
 VECTORS = array([[1.0, 0.5, 0.25], [0.5, -0.25, 0.125]], FINITE, BATCHES, "empty (0, 3)")
 
 CALLS: dict[str, Call] = {
+    "get_num_threads": Call(loewner.get_num_threads, {}),
+    "set_num_threads": Call(loewner.set_num_threads, {"n": count(2)}),
     # -- ellipsoids and fits
     "Ellipsoids": Call(
         Ellipsoids,

@@ -15,7 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 import trimesh
@@ -124,7 +123,7 @@ def interrupted(case: tuple[str, str, float, str]) -> str | None:
     name, layout, part, folder = case
     call, answer = prepared(Path(folder))[name]
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    numba.set_num_threads(1 if layout == "alone" else min(2, numba.config.NUMBA_NUM_THREADS))
+    loewner.set_num_threads(1 if layout == "alone" else 2)
     start = time.perf_counter()
     call()
     usual, sent = time.perf_counter() - start, []

@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 import trimesh
@@ -125,7 +124,7 @@ def limited(case: tuple[str, int, float, str]) -> str | None:
     """Call under a limit; then again without."""
     name, threads, room, folder = case
     call, expected = made(Path(folder))[name], answer(Path(folder), name)
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    loewner.set_num_threads(threads)
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     # What earlier calls freed and the allocator kept is no place to hide in: fill it.
     resource.setrlimit(resource.RLIMIT_AS, (address_space(), hard))

@@ -187,6 +187,11 @@ class _Callable(CPUDispatcher):
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    if function.__closure__:
+        # Functions of one factory share their name. Numba tells them apart by numbers that start anew in each process;
+        # parts made by two processes must not be taken for each other.
+        identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
+        function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     return _Kernel(function, {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True, **options})
 
 

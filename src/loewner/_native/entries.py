@@ -73,6 +73,12 @@ def __getattr__(name: str) -> Any:
 
 def _compiled(entry: Entry) -> Any:
     """Return the kernel that Numba compiles on this machine."""
+    expect_numba()
+    return getattr(import_module(f"loewner._kernels.{entry.module}"), entry.name)
+
+
+def expect_numba() -> None:
+    """Refuse to go on where there is neither a library nor Numba."""
     try:
         import numba  # noqa: F401
     except ImportError:
@@ -80,4 +86,3 @@ def _compiled(entry: Entry) -> Any:
             f"expected loewner's native library, or Numba to compile its kernels; found no library to use "
             f"({library.why_not()}) and no Numba: pip install 'loewner[jit]'"
         ) from None
-    return getattr(import_module(f"loewner._kernels.{entry.module}"), entry.name)

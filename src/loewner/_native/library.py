@@ -5,7 +5,6 @@ user's machine (`native/`). It lies beside this file with a list of what was mad
 other sources, or was altered since, is not loaded.
 """
 
-import hashlib
 import json
 import os
 import sys
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from loewner._kernels._sources import source_hash
+from loewner.errors import InputError
 
 HOME = Path(__file__).parent
 LIST = "built.json"
@@ -52,20 +52,28 @@ def why_not() -> str:
     return "" if library is not None else text
 
 
-def call_module() -> Any:
-    """Return the extension that calls the library; None if there is no library in use."""
-    return None if _opened()[0] is None else _extension(_listed())
+def levels() -> tuple[str, ...]:
+    """Levels of the library that this processor runs, the best first; empty where there is nothing to ask."""
+    try:
+        return tuple(_extension(_listed()).levels())
+    except (_Refused, OSError, ImportError):
+        return ()
+
+
+def built_with() -> str:
+    """Version of Numba that the library was made with."""
+    return str(_listed()["numba"])
 
 
 @cache
 def _opened() -> tuple[Any, str]:
     """Return the library and its level, or None and why there is none."""
+    forced = os.environ.get("LOEWNER_JIT", "0")
+    if forced not in ("0", "1"):
+        raise InputError(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
+    if forced == "1":
+        return None, "LOEWNER_JIT=1"
     try:
-        if forced := os.environ.get("LOEWNER_JIT", "0"):
-            if forced not in ("0", "1"):
-                raise _Refused(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
-            if forced == "1":
-                raise _Refused("LOEWNER_JIT=1")
         built = _listed()
         call = _extension(built)
         name = _best(call.levels(), built)
@@ -79,18 +87,20 @@ def _listed() -> dict[str, Any]:
     """Read what was built, if it was built from the sources that are here."""
     try:
         built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
-        sources, files = built["sources"], built["files"]
+        sources, _, _ = built["sources"], built["files"], built["numba"]
     except FileNotFoundError:
         raise _Refused("it was not built") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise _Refused(f"{HOME / LIST} cannot be read ({error})") from None
     if sources != source_hash():
         raise _Refused("it was built from other sources")
-    return {"sources": sources, "files": files}
+    return dict(built)
 
 
 def _checked(name: str, built: dict[str, Any]) -> Path:
     """Path of a file that is as it was built."""
+    import hashlib  # takes as long as the rest of this module
+
     path = HOME / name
     if name not in built["files"]:
         raise _Refused(f"it was built without {name}")
@@ -117,7 +127,8 @@ def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
     most = os.environ.get("LOEWNER_LEVEL")
     if most is not None:
         if most not in levels:
-            raise _Refused(f"LOEWNER_LEVEL={most}: this processor runs {', '.join(levels) or 'no level that is built'}")
+            runs = ", ".join(levels) or "none"
+            raise InputError(f"LOEWNER_LEVEL: expected a level that this processor runs ({runs}), found {most!r}")
         levels = levels[levels.index(most) :]
     for name in levels:
         if f"kernels-{name}.so" in built["files"]:

@@ -7,17 +7,14 @@ moved by handing a pose to a query; the fits are never computed again.
 """
 
 from loewner.bodies.body import Bodies, Body, Piece
-from loewner.bodies.files import FORMAT, VERSION
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, take
 
 __all__ = [
     "ARRAYS",
-    "FORMAT",
     "KIND_NAMES",
     "LARGEST",
     "SMALLEST",
-    "VERSION",
     "Bodies",
     "Body",
     "KernelArrays",

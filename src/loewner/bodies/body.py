@@ -14,14 +14,13 @@ from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
-from loewner.bodies import files
 from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
-from loewner.polytopes import Hulls, hulls
+from loewner.polytopes import Hulls, box_hull, hulls
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +115,10 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
+        from loewner.bodies import (
+            files,
+        )  # late: with archives and checksums it takes a fifth of the time of `import loewner`
+
         files.save(self._packed, path, self._covering)
 
 
@@ -278,6 +281,8 @@ class Body(_Bodies):
         ------
         InputError
             If a length is not positive and finite.
+        GeometryError
+            If a length is lost beside another one (about 1e-12 of it), or beyond 1e-30 to 1e30 m.
 
         Examples
         --------
@@ -285,13 +290,11 @@ class Body(_Bodies):
         array([5.19615242])
         """
         half = _validate.positive_vector(size, "size", 3) / 2
-        signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-        hull = hulls([signs * half])
-        # The fits of a box are known (FITS: parallelepiped); only containment after rounding is to be seen to.
+        # The fits of a box are known; only containment after rounding is to be seen to (docs/containment.md).
         F = np.diag(half)
         return cls(
             _assemble_polytopes(
-                hull,
+                box_hull(half, "size"),
                 np.array([0, 1]),
                 np.zeros((1, 3)),
                 F[None] * (1 - CLOSED_FORM_ROUNDING),
@@ -498,6 +501,8 @@ class Body(_Bodies):
             ...
         loewner.errors.FileError: none.npz: expected a file, found none
         """
+        from loewner.bodies import files
+
         packed, covering = files.load(path)
         if len(packed.piece_start) != 2:
             raise FileError(f"{path}: expected one body, found {len(packed.piece_start) - 1}; use loewner.Bodies.load")
@@ -641,6 +646,8 @@ class Bodies(_Bodies):
         FileError
             If the file is missing, broken, altered or newer.
         """
+        from loewner.bodies import files
+
         return cls._wrap(files.load(path)[0])
 
 

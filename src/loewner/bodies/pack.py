@@ -46,7 +46,7 @@ class Packed(PieceArrays):
         GeometryError
             If a piece is too small or too large for kernels.
         """
-        _memory.expect_start()
+        _memory.expect_place(_memory.KERNELS)
         if maps is None:
             maps = direction_maps(pieces.layout, pieces.points)
         made = KernelArrays.of(pieces, maps)

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from loewner._native import library
 from loewner.cli.output import progress_bar
 from loewner.compilation import PARTS, compile_kernels
 
@@ -18,6 +19,9 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if (level := library.level()) is not None:
+        print(f"nothing to compile: the native library is in use ({level})")
+        return 0
     if sys.stderr.isatty():
         with progress_bar() as bar:
             task = bar.add_task("compiling", total=None)

@@ -9,7 +9,7 @@ from typing import Any
 import loewner
 from loewner import _validate
 from loewner.cli import inputs
-from loewner.cli.output import covering_text, print_table, progress_bar
+from loewner.cli.output import covering_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
 
 EXAMPLES = """examples:
@@ -32,13 +32,11 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rich.table import Table
-
     targets = [options.out / f"{mesh.stem}.npz" for mesh in options.meshes]
     twice = {t.name for t in targets if targets.count(t) > 1}
     if twice:
         raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
-    table = Table(
+    table = new_table(
         "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "covering", title="loewner fit"
     )
     with progress_bar() as progress:

@@ -18,7 +18,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import check, compile, fit, paper, robot, view
+from loewner.cli import check, compile, fit, info, paper, robot, view
 from loewner.cli.output import ERROR
 from loewner.errors import InputError, LoewnerError
 
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, robot, view, compile, paper):
+    for command in (fit, check, robot, view, compile, info, paper):
         command.add(commands)
     return parser
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import loewner
+from loewner.errors import MissingExtraError, installing
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+    from rich.table import Table
 
 # Exit status: done, or free; one or more colliding; an error; the ellipsoids cannot tell.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
@@ -18,14 +20,31 @@ FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 def progress_bar() -> Progress:
     """Progress on standard error, so that standard output stays the answer."""
+    expect_rich()
     from rich.console import Console
     from rich.progress import Progress
 
     return Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
-def print_table(table: Any) -> None:
-    """Print a table of Rich."""
+def new_table(*columns: str, title: str | None = None) -> Table:
+    """Make a table without rows, to fill before it is printed."""
+    expect_rich()
+    from rich.table import Table
+
+    return Table(*columns, title=title)
+
+
+def expect_rich() -> None:
+    """Raise unless Rich is there. Every command that needs it finds out before its work."""
+    try:
+        import rich  # noqa: F401
+    except ImportError:
+        raise MissingExtraError(f"tables and progress need Rich: {installing('cli')}") from None
+
+
+def print_table(table: Table) -> None:
+    """Print a table."""
     from rich.console import Console
 
     console = Console()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loewner.cli import inputs
-from loewner.cli.output import print_table, progress_bar
+from loewner.cli.output import new_table, print_table, progress_bar
 
 if TYPE_CHECKING:
     from loewner import paper
@@ -30,8 +30,6 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rich.table import Table
-
     from loewner import paper
 
     with progress_bar() as progress:
@@ -46,7 +44,7 @@ def _run(options: argparse.Namespace) -> int:
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
     title = f"{len(found):,} pairs, {int(found.truth.sum()):,} colliding; in percent, +- 95 % / the paper"
-    table = Table("table", "detector", *paper.tables.CELLS, "right", "as the paper", "us", title=title)
+    table = new_table("table", "detector", *paper.tables.CELLS, "right", "as the paper", "us", title=title)
     for row in paper.tables.tables(found):
         cells = (_cell_text(cell) for cell in row.cells)
         number, right = paper.tables.number(row.microseconds), paper.tables.percent(row.accuracy)

@@ -20,7 +20,7 @@ from loewner import _validate
 from loewner._files import read_regular
 from loewner._validate import Floats
 from loewner.cli import inputs
-from loewner.cli.output import COLLIDING, FREE, covering_text, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, covering_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
@@ -77,13 +77,11 @@ def add(commands: Any) -> None:
 
 
 def _info(options: argparse.Namespace) -> int:
-    from rich.table import Table
-
     robot = inputs.robot(options)
-    links = Table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
+    links = new_table("link", "pieces", "vertices", "gap", "mesh", title=f"{robot.name}: {len(robot.link_names)} links")
     for name in robot.link_names:
         links.add_row(name, *(_link_row(robot.bodies[name]) if name in robot.bodies else ("-",) * 4))
-    columns = Table("column", "lower", "upper", title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
+    columns = new_table("column", "lower", "upper", title=f"{len(robot.joint_names)} joints, dof {robot.dof}")
     for name, lower, upper in zip(robot.configuration_names, robot.lower, robot.upper, strict=True):
         columns.add_row(name, f"{lower:.6g}", f"{upper:.6g}")
     print_table(links)
@@ -226,11 +224,9 @@ def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dic
 
 
 def _print_checked(answer: dict[str, Any]) -> None:
-    from rich.table import Table
-
     count, colliding = answer["configurations"], answer["colliding"]
     print(f"{'COLLIDING' if colliding else 'FREE'}  {colliding:,} of {count:,} configurations collide")
-    table = Table(
+    table = new_table(
         "settled by", "free", "colliding", title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked"
     )
     for name, title in (
@@ -243,7 +239,7 @@ def _print_checked(answer: dict[str, Any]) -> None:
         table.add_row(title, *("-" if cell is None else f"{cell:,}" for cell in cells))
     print_table(table)
     if answer["pairs"]:
-        table = Table("pair", "", "collides", "of all")
+        table = new_table("pair", "", "collides", "of all")
         for a, b, hits in answer["pairs"][:LISTED]:
             table.add_row(a, b, f"{hits:,}", f"{100 * hits / count:.1f} %")
         if len(answer["pairs"]) > LISTED:

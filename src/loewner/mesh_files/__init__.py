@@ -13,20 +13,12 @@ import numpy as np
 from loewner._files import read_regular, shown
 from loewner._validate import Floats
 from loewner.errors import FileError
-from loewner.mesh_files import dae, gltf, obj, off, ply, stl
 from loewner.mesh_files.parts import Refusal, Triangles
 
 # Most bytes of a mesh file, and of all files that a glTF file names. A binary STL of that size has 43 million
 # triangles; a fit of so many takes more memory than most machines have.
 LIMIT = 1 << 31
 
-_READERS: dict[str, Callable[[bytes], tuple[Floats, Triangles]]] = {
-    ".stl": stl.read,
-    ".obj": obj.read,
-    ".ply": ply.read,
-    ".off": off.read,
-    ".dae": dae.read,
-}
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")
 
 
@@ -50,9 +42,7 @@ def read(path: Path) -> tuple[Floats, Triangles]:
         raise FileError(f"{name}: expected a mesh file, found an empty one")
     try:
         with np.errstate(all="ignore"):  # what is not finite in the end is noticed then
-            if suffix in (".glb", ".gltf"):
-                return gltf.read(data, path.parent, suffix == ".glb", LIMIT)
-            return _READERS[suffix](data)
+            return _reader(suffix, path.parent)(data)
     except Refusal as refusal:
         where = f", line {refusal.line}" if refusal.line else ""
         raise FileError(f"{name}{where}: {refusal}") from None
@@ -61,3 +51,19 @@ def read(path: Path) -> tuple[Floats, Triangles]:
             f"{name}: expected a mesh that fits into memory, found one of {len(data)} bytes in its file, of which "
             "reading takes about ten times as much"
         ) from None
+
+
+def _reader(suffix: str, folder: Path) -> Callable[[bytes], tuple[Floats, Triangles]]:
+    """Find the reader of a format; none is imported before a mesh file is read."""
+    from loewner.mesh_files import dae, gltf, obj, off, ply, stl
+
+    readers: dict[str, Callable[[bytes], tuple[Floats, Triangles]]] = {
+        ".stl": stl.read,
+        ".obj": obj.read,
+        ".ply": ply.read,
+        ".off": off.read,
+        ".glb": lambda data: gltf.read(data, folder, True, LIMIT),
+        ".gltf": lambda data: gltf.read(data, folder, False, LIMIT),
+        ".dae": dae.read,
+    }
+    return readers[suffix]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -167,6 +166,8 @@ def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
 @cache
 def _code() -> str:
     """Hash of the code that makes bodies: what another version made of a file, with a fault perhaps, is not used."""
+    import hashlib  # OpenSSL's library comes with it, which only robots with meshes need
+
     digest = hashlib.sha256(_sources.source_hash().encode())
     home = Path(meshes.__file__).parent
     for maker in _MAKERS:
@@ -177,6 +178,8 @@ def _code() -> str:
 
 def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
     """Hash of all that decides a fit: what is in the file, where it stands, how it is fitted, and by which code."""
+    import hashlib
+
     digest = hashlib.sha256(repr((_code(), file.suffix.lower(), decompose, tol)).encode())
     digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
     digest.update(read_regular(file, "a mesh file", mesh_files.LIMIT))

@@ -1,0 +1,71 @@
+"""``loewner info``: which version this is, how its kernels run, and which optional packages are there."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import loewner
+from loewner._kernels._sources import cache_folder
+from loewner._native import library
+from loewner._threads import get_num_threads
+
+# What each extra installs.
+EXTRAS = {
+    "jit": ("numba",),
+    "cli": ("rich",),
+    "meshes": ("trimesh", "coacd"),
+    "robots": ("pyyaml",),
+    "planners": ("ompl",),
+    "plots": ("matplotlib",),
+    "viewer": ("viser",),
+}
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    told = commands.add_parser("info", help="versions, how the kernels run, threads, optional packages")
+    told.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    for name, text in _lines():
+        print(f"{name + ':':<12}{text}")
+    return 0
+
+
+def _lines() -> list[tuple[str, str]]:
+    """What is printed, by line."""
+    return [
+        ("loewner", loewner.__version__),
+        ("kernels", _kernels()),
+        (
+            "processor",
+            f"{platform.machine()}; levels of the library that it runs: {', '.join(library.levels()) or 'none'}",
+        ),
+        ("threads", str(get_num_threads())),
+        ("python", f"{platform.python_version()}, numpy {_version('numpy')}, scipy {_version('scipy')}"),
+        ("cache", str(cache_folder())),
+        *((f"[{extra}]", ", ".join(f"{name} {_version(name)}" for name in names)) for extra, names in EXTRAS.items()),
+    ]
+
+
+def _kernels() -> str:
+    """How the kernels run."""
+    if (level := library.level()) is not None:
+        return f"native library, {level}, built with Numba {library.built_with()}"
+    if _version("numba") == MISSING:
+        return f"none: no library ({library.why_not()}), and no Numba; pip install 'loewner[jit]'"
+    return f"compiled by Numba on this machine; no native library ({library.why_not()})"
+
+
+MISSING = "not installed"
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return MISSING

@@ -1,0 +1,283 @@
+"""The native library: what it relies on in Numba, when it is refused, how its functions take what they are given."""
+
+import ctypes
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loewner._native import entries, library
+from loewner.errors import InputError, MissingExtraError
+
+ROOT = Path(__file__).parent.parent
+NATIVE = ROOT / "native"
+OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
+needs_library = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
+
+
+def module(name: str):
+    """A file of `native/` as a module."""
+    spec = importlib.util.spec_from_file_location(f"native_{name}", NATIVE / f"{name}.py")
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+@pytest.fixture(scope="module")
+def emit():
+    return module("emit")
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A copy of what was built, which the library is looked for in."""
+    for path in [library.HOME / library.LIST, *library.HOME.glob("*.so")]:
+        shutil.copy(path, tmp_path)
+    monkeypatch.setattr(library, "HOME", tmp_path)
+    monkeypatch.delitem(sys.modules, "loewner._native._call", raising=False)
+    monkeypatch.delenv("LOEWNER_JIT", raising=False)
+    monkeypatch.delenv("LOEWNER_LEVEL", raising=False)
+    library._opened.cache_clear()
+    yield tmp_path
+    monkeypatch.undo()
+    library._opened.cache_clear()
+
+
+def relist(folder: Path, **changes) -> None:
+    """Change the list of what was built."""
+    built = json.loads((folder / library.LIST).read_text())
+    (folder / library.LIST).write_text(json.dumps(built | changes))
+
+
+def sum_of(path: Path) -> str:
+    import hashlib
+
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# -- what the build relies on in Numba -------------------------------------------------------------
+
+
+def test_the_installed_numba_lays_arrays_and_memory_out_as_the_build_expects(emit):
+    """Fields of arrays, and where a description of memory holds its count, address and size."""
+    emit.check_numba()
+
+
+@pytest.mark.parametrize(("name", "value"), [("DATA", 16), ("MEMORY_SIZE", 0), ("FIELDS", ("data", "shape"))])
+def test_another_layout_fails_at_build_time(emit, monkeypatch, name, value):
+    """A build with a Numba that lays memory out otherwise stops with a reason."""
+    monkeypatch.setattr(emit, name, value)
+    with pytest.raises(SystemExit, match="Numba"):
+        emit.check_numba()
+
+
+def test_every_entry_has_the_signature_that_the_table_says(emit):
+    """Names are kernels of the modules named, with as many arguments as the table lists."""
+    from importlib import import_module
+
+    for entry in entries.ENTRIES.values():
+        kernel = getattr(import_module(f"loewner._kernels.{entry.module}"), entry.name)
+        assert kernel.py_func.__code__.co_argcount == len(emit.types_of(entry.arguments)), entry.name
+
+
+@needs_library
+def test_library_needs_nothing_but_libc_and_libm():
+    """No symbol of Python, NumPy or Numba: the library does not depend on their versions."""
+    path = library.HOME / f"kernels-{library.level()}.so"
+    if shutil.which("nm") is None:
+        pytest.skip("no nm")
+    listed = subprocess.run(["nm", "-D", "--undefined-only", str(path)], capture_output=True, text=True, check=True)
+    needed = {line.split()[-1].split("@")[0] for line in listed.stdout.splitlines()}
+    assert {"free", "aligned_alloc"} <= needed, "or nothing was read"
+    assert not [name for name in needed if name.startswith(("Py", "_Py", "NRT", "numba", "_ZN"))]
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+@needs_library
+def test_a_whole_copy_is_taken(copied):
+    """The copy that the tests below damage would be loaded."""
+    assert library.level() is not None
+    assert library.why_not() == ""
+
+
+@needs_library
+@pytest.mark.parametrize("which", ["kernels", "_call"])
+def test_a_damaged_file_is_refused(copied, which):
+    """One bit of difference: the library is not loaded, and the reason says which file it is."""
+    for path in copied.glob(f"{which}*.so"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    assert library.level() is None
+    assert "damaged" in library.why_not()
+
+
+@needs_library
+def test_a_library_of_other_sources_is_refused(copied):
+    """An edit of a kernel leaves the library aside, and Numba compiles what was edited."""
+    relist(copied, sources="0" * 64)
+    assert library.level() is None
+    assert "other sources" in library.why_not()
+
+
+@needs_library
+def test_a_foreign_library_is_refused(copied):
+    """A file in the list, with its sum, that says of itself that it was built from something else."""
+    built = json.loads((copied / library.LIST).read_text())
+    best = next(name for name in library.levels() if f"kernels-{name}.so" in built["files"])
+    foreign = copied / f"kernels-{best}.so"
+    mine = built["sources"].encode()
+    content = foreign.read_bytes()
+    assert content.count(mine) == 1
+    foreign.write_bytes(content.replace(mine, b"1" * len(mine)))
+    relist(copied, files=built["files"] | {foreign.name: sum_of(foreign)})
+    library._opened.cache_clear()
+    assert library.level() is None
+    assert "expected a library built from" in library.why_not()
+
+
+@needs_library
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b'{"sources": 1', b"\xff\xfe"])
+def test_a_broken_list_is_refused(copied, content):
+    """What was built is not guessed."""
+    (copied / library.LIST).write_bytes(content)
+    assert library.level() is None
+    assert library.LIST in library.why_not()
+
+
+@needs_library
+def test_nothing_built_for_this_processor_is_told(copied, monkeypatch):
+    """The reason names what the processor runs and what was built."""
+    built = json.loads((copied / library.LIST).read_text())
+    relist(copied, files={name: value for name, value in built["files"].items() if name.startswith("_call")})
+    assert library.level() is None
+    assert "this processor runs" in library.why_not()
+
+
+@needs_library
+def test_wrong_settings_are_errors(copied, monkeypatch):
+    """A typing mistake in an environment variable does not quietly choose another path."""
+    monkeypatch.setenv("LOEWNER_JIT", "yes")
+    with pytest.raises(InputError, match="LOEWNER_JIT: expected 0 or 1"):
+        library.level()
+    monkeypatch.setenv("LOEWNER_JIT", "0")
+    monkeypatch.setenv("LOEWNER_LEVEL", "x86-64-v9")
+    with pytest.raises(InputError, match="LOEWNER_LEVEL"):
+        library.level()
+
+
+def test_neither_library_nor_numba_says_what_to_install(monkeypatch):
+    """The first kernel asked for raises an error that names the extra."""
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setattr(library, "_opened", lambda: (None, "for a test"))
+    monkeypatch.delitem(vars(entries), "first_fault", raising=False)
+    with pytest.raises(MissingExtraError, match=r"loewner\[jit\]"):
+        entries.first_fault  # noqa: B018
+
+
+# -- how arguments are taken -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def native():
+    """A kernel of the library for each name."""
+    opened, _ = library._opened()
+    if opened is None:
+        pytest.skip(f"no native library here: {library.why_not()}")
+    return lambda name: opened.kernel(name, entries.ENTRIES[name].arguments, entries.ENTRIES[name].results)
+
+
+@pytest.mark.parametrize(
+    "poses",
+    [
+        np.eye(4),
+        np.eye(4, dtype=np.float32)[None],
+        np.eye(4)[None].astype(">f8"),
+        np.tile(np.eye(4), (4, 1, 1))[::2],
+        np.eye(4)[None].transpose(0, 2, 1),
+        np.frombuffer(np.eye(4)[None].tobytes()).reshape(1, 4, 4),
+        [[1.0]],
+        None,
+    ],
+    ids=["axes", "float32", "swapped", "strided", "fortran", "read-only", "list", "none"],
+)
+def test_an_array_of_another_kind_is_refused(native, poses):
+    """A kernel takes arrays of its type and number of axes, in C order, writeable unless it says otherwise."""
+    with pytest.raises(TypeError, match="first_fault: argument 1"):
+        native("first_fault")(poses)
+
+
+@pytest.mark.parametrize("given", [(), (np.eye(4)[None],) * 2])
+def test_another_number_of_arguments_is_refused(native, given):
+    """No argument is left to chance."""
+    with pytest.raises(TypeError, match="expected 1 arguments"):
+        native("first_fault")(*given)
+
+
+def test_numbers_are_taken_as_python_takes_them(native):
+    """Integers of NumPy pass for integers, integers for floats; a float is no integer."""
+    fit = native("to_unit_size")
+    points = np.vstack([np.eye(3), -np.eye(3)])
+    assert fit(points, 1)[0] == fit(points, 1.0)[0]
+    curve = native("memory_size")
+    with pytest.raises(TypeError):
+        curve(1.5, 1, 1)
+    with pytest.raises(OverflowError):
+        curve(2**64, 1, 1)
+
+
+def test_results_are_as_from_numba(native):
+    """Numbers, flags and arrays come back with the same values and types as from the compiled function."""
+    from loewner._kernels.fits import hulls
+    from loewner._kernels.pieces import rigid
+
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(40, 3))
+    for kernel, arguments in (
+        (hulls.to_unit_size, (points, 1e-12)),
+        (rigid.first_fault, (rng.normal(size=(5, 4, 4)),)),
+    ):
+        ours, theirs = native(kernel.__name__)(*arguments), kernel(*arguments)
+        assert len(ours) == len(theirs)
+        for one, other in zip(ours, theirs, strict=True):
+            assert type(one) is type(other)
+            np.testing.assert_array_equal(one, other)
+            if isinstance(one, np.ndarray):
+                assert one.dtype == other.dtype
+                assert one.flags.owndata
+                assert one.flags.writeable
+
+
+def test_results_leave_no_memory_behind(native):
+    """Arrays that a kernel made are copied and given back."""
+    points = np.random.default_rng(0).normal(size=(20_000, 3))
+    kernel = native("to_unit_size")
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("no /proc")
+    for _ in range(20):
+        kernel(points, 1e-12)
+    before = resident()
+    for _ in range(200):
+        kernel(points, 1e-12)
+    assert resident() - before < 20 * points.nbytes // os.sysconf("SC_PAGE_SIZE")
+
+
+def test_the_build_string_is_what_the_loader_asks_for():
+    """Sources and level, as a text in the library."""
+    if library.level() is None:
+        pytest.skip(f"no native library here: {library.why_not()}")
+    loaded = ctypes.CDLL(str(library.HOME / f"kernels-{library.level()}.so"))
+    text = ctypes.c_char_p(ctypes.addressof(ctypes.c_char.in_dll(loaded, "loewner_build"))).value.decode()
+    assert text == f"{library.source_hash()} {library.level()}"
