@@ -312,7 +312,7 @@ def test_after_a_fork(rng):
 @native
 def test_kernels_of_other_signatures_are_refused():
     """The extension writes arguments by place: it must be the kernel that it was written for."""
-    call = library.call_module()
+    call = library.extension()
     good = [entries.settle_range, entries.distance_range, entries.measure_left, entries.first_fault]
     for place in range(len(good)):
         bad = [entries.estimate_range if k == place else kernel for k, kernel in enumerate(good)]
@@ -524,7 +524,7 @@ def test_a_checker_is_asked_by_threads_while_its_scene_changes(tmp_path):
 @native
 def test_arrays_of_other_kinds_are_refused():
     """The extension keeps the addresses of these two."""
-    call, good = library.call_module(), (np.zeros((2, 3)), np.zeros(5, dtype=np.int64))
+    call, good = library.extension(), (np.zeros((2, 3)), np.zeros(5, dtype=np.int64))
     kernels = entries.check_configurations, entries.check_motion
     for plain, hits in ((np.zeros(6), good[1]), (np.zeros((3, 2)), good[1]), (good[0], np.zeros(5)), (good[0], None)):
         with pytest.raises(TypeError):

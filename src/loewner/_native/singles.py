@@ -18,7 +18,7 @@ def __getattr__(name: str) -> Any:
     """Look a query up at its first use, as `entries` does with kernels."""
     if name not in PAIRS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    call = library.call_module()
+    call = library.extension()
     if call is None:
         made = dict.fromkeys(PAIRS, none)
     else:
@@ -62,7 +62,7 @@ def configurations(pack: int, problem: int, memory: int, plain: Any, hits: NDArr
         resolution, order)``: how many configurations were looked at, less than 0 if the last ones collide, or None;
         order(steps) returns the fractions of the way in the order in which they are looked at.
     """
-    call = library.call_module()
+    call = library.extension()
     if call is None or plain is None:
         return LongWay()
     return call.Configurations(
