@@ -48,6 +48,9 @@ FIRST = (
 )  # fmt: skip
 
 
+EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
+
+
 class BuildError(Exception):
     """Something that a build needs is missing, or failed; the text says what."""
 
@@ -62,7 +65,8 @@ def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
-    for path in sorted([*HERE.glob("*.py"), *HERE.glob("*.c"), SOURCES / "loewner" / "_native" / "entries.py"]):
+    written = [path for ending in ("py", "c", "h") for path in HERE.glob(f"*.{ending}")]
+    for path in sorted([*written, SOURCES / "loewner" / "_native" / "entries.py"]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -165,7 +169,10 @@ def compile_extension(to: Path) -> None:
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([HERE / "call.c", f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"], to)
+    compile_c(
+        [*(HERE / name for name in EXTENSION), f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"],
+        to,
+    )
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

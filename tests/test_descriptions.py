@@ -381,7 +381,7 @@ def test_a_watch_says_of_one_what_it_says_of_many(rng):
     lower, upper = np.array(pairs).T
     n = len(pairs)
     watch = Watch("r", [f"j{k}" for k in range(n)], lower, upper, rng.random(n) < 0.5, rng.random(n) < 0.2)
-    least, most = watch._range
+    least, most = watch.range
     Q = rng.choice([-1e308, -1e9, -60.0, -9.0, 0.0, 9.0, 60.0, 1e9, 1e308, np.nan, np.inf], (500, n))
     for q in (*Q, np.clip(0.0, least, most)):
         assert watch.passes_one(q.tolist()) == watch.passes(q)

@@ -1,6 +1,5 @@
 """What the compiled code is made from, and where it may be kept."""
 
-import hashlib
 import os
 import sys
 from functools import cache
@@ -10,6 +9,8 @@ from pathlib import Path
 @cache
 def source_hash() -> str:
     """Hash of all kernel sources, subfolders included: code made from other sources is never used."""
+    import hashlib  # OpenSSL comes with it; an import of the package does not wait for that
+
     digest = hashlib.sha256()
     home = Path(__file__).parent
     for path in sorted(home.rglob("*.py")):

@@ -28,7 +28,8 @@ ENTRIES = {
         Entry("robots.configurations", "memory_size", "i i i", "i"),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
-        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "memory_of_distances", "", "i"),
         Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),

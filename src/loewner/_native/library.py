@@ -52,6 +52,11 @@ def why_not() -> str:
     return "" if library is not None else text
 
 
+def extension() -> Any:
+    """Return the extension that calls the library in use; None if there is none."""
+    return None if _opened()[0] is None else _extension(_listed())
+
+
 def levels() -> tuple[str, ...]:
     """Levels of the library that this processor runs, the best first; empty where there is nothing to ask."""
     try:

@@ -24,6 +24,7 @@ from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
+from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import broadcast, load, mask, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
@@ -56,6 +57,8 @@ _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
 _INTEGERS = _RIM_FROM + 3 * MAX_FACES
+
+SIZE = 8 * (_FLOATS + _INTEGERS)  # bytes of both
 
 # A face whose normal is shorter than this, relative to its longest side squared, has no direction worth the name.
 FLAT_FACE = 1e-10
@@ -472,6 +475,12 @@ def _witness(W, K, live, f, window, result):
 
 
 @njit()
-def workspace(wanted):
+def workspace():
     """Arrays that `overlap_depth` writes to; one set serves any number of calls in turn."""
-    return np.empty(_FLOATS if wanted else 1), np.empty(_INTEGERS if wanted else 1, np.int64)
+    return np.empty(_FLOATS), np.empty(_INTEGERS, np.int64)
+
+
+@inline
+def workspace_at(address):
+    """The same at the address of `SIZE` bytes."""
+    return floats_at(address, (_FLOATS,)), integers_at(address + 8 * _FLOATS, (_INTEGERS,))
