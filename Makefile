@@ -12,7 +12,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+# Byte code is made of what is imported, when it is: making all of it takes longer than all else that pip does.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
@@ -72,8 +73,26 @@ check: $(VENV)/.dev
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
 
+# auditwheel names the oldest C library of Linux that will do; elsewhere the tag is that of this machine.
+wheel: $(VENV)/.wheel
+	rm -rf build/wheel dist/*.whl
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/wheel .
+	@if [ "$$(uname -s)" = Linux ]; then \
+	  PATH="$(CURDIR)/$(BIN):$$PATH"; auditwheel show build/wheel/*.whl && auditwheel repair --wheel-dir dist build/wheel/*.whl; \
+	else mkdir -p dist && cp build/wheel/*.whl dist/; fi
+	$(BIN)/python native/check_wheel.py dist/*.whl
+
+# A wheel that is built from the sources in dist/ holds the same files as one from this folder.
+sdist: $(VENV)/.wheel
+	rm -rf build/sdist dist/*.tar.gz
+	$(BIN)/python -m build --sdist --no-isolation --outdir dist .
+	ls build/wheel/*.whl >/dev/null 2>&1 || $(MAKE) --no-print-directory wheel
+	mkdir -p build/sdist/tree && tar -xzf dist/*.tar.gz -C build/sdist/tree --strip-components 1
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/sdist build/sdist/tree
+	$(BIN)/python native/check_wheel.py --same-as build/wheel/*.whl build/sdist/*.whl
+
 clean:
-	rm -rf $(VENV) docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
+	rm -rf $(VENV) .venv-wheel build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
 
 # A stamp file says that what it depends on was installed; a half-done installation leaves none.
 $(BIN)/python:
@@ -98,10 +117,15 @@ $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 	$(PIP) -r requirements/dev.txt
+	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true  # tests start hundreds of interpreters
 	@touch $@
 
 $(VENV)/.bench: requirements/bench.txt $(VENV)/.dev
 	$(PIP) --no-deps -r requirements/bench.txt
+	@touch $@
+
+$(VENV)/.wheel: requirements/wheel.txt $(VENV)/.core
+	$(PIP) -r requirements/wheel.txt
 	@touch $@
 
 $(VENV)/.docs: requirements/docs.txt $(VENV)/.demo
