@@ -72,9 +72,9 @@ def main() -> int:
     parser.add_argument("--same-as", type=Path, metavar="WHEEL", help="another wheel, which holds the same files")
     options = parser.parse_args()
     found = faults(options.wheel)
-    if options.same_as is not None:
-        if apart := sorted(files(options.wheel) ^ files(options.same_as)):
-            found.append(f"expected the files of {options.same_as}, found in one only: {', '.join(apart)}")
+    other = options.same_as or options.wheel
+    if apart := sorted(files(options.wheel) ^ files(other)):
+        found.append(f"expected the files of {other}, found in one only: {', '.join(apart)}")
     for fault in found:
         print(f"{options.wheel.name}: {fault}", file=sys.stderr)
     unpacked = sum(one.file_size for one in zipfile.ZipFile(options.wheel).infolist())
