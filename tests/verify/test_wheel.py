@@ -25,7 +25,8 @@ pytestmark = pytest.mark.verify
 BOXES = """
 import sys, loewner
 from loewner._native import library
-assert not loewner.collide(box := loewner.Body.box([1, 1, 1]), None, box, [[1, 0, 0, 1.01], *map(list, ((0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)))])
+box = loewner.Body.box([1, 1, 1])
+assert not loewner.collide(box, None, box, [[1, 0, 0, 1.01], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 assert loewner.collide(box, None, box, None)
 assert "numba" not in sys.modules and "llvmlite" not in sys.modules
 print(library.level())
@@ -125,9 +126,7 @@ def start(home: Path, code: str, *arguments: str, before: tuple[str, ...] = (), 
     """Start a process of the environment, on a machine without a compiler."""
     clean = {"PATH": "/nowhere", "HOME": str(home), "LANG": "C.UTF-8", **settings}
     command = [*before, str(home / "bin" / "python"), "-c", code, *arguments]
-    return subprocess.Popen(
-        command, cwd=home, env=clean, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen(command, cwd=home, env=clean, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def run(home: Path, code: str, *arguments: str, **settings) -> str:
