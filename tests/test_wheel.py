@@ -17,7 +17,12 @@ def built(kind: str, to: Path, **environment: str) -> subprocess.CompletedProces
     """Run one of the hooks by which pip builds."""
     code = f"from hatchling.build import *; print(build_{kind}({str(to)!r}))"
     return subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
