@@ -201,7 +201,7 @@ except loewner.MemoryLimitError as error:
         ("from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])", "compiled kernels and SciPy"),
     ],
 )
-@pytest.mark.parametrize("room", [1, 100])
+@pytest.mark.parametrize("room", [1, 50])
 def test_what_has_to_be_loaded_does_not_crash(body, loaded, room):
     """OpenBLAS and LLVM abort the process where they find no place."""
     code = STARVED.format(room=room, body=body)
