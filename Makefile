@@ -91,6 +91,18 @@ sdist: $(VENV)/.wheel
 	$(BIN)/python -m build --wheel --no-isolation --outdir build/sdist build/sdist/tree
 	$(BIN)/python native/check_wheel.py --same-as build/wheel/*.whl build/sdist/*.whl
 
+# The quick suite where `import loewner` finds the wheel, not these sources; the other packages are those of .venv.
+test-wheel: $(VENV)/.dev
+	@ls dist/*.whl >/dev/null 2>&1 || $(MAKE) --no-print-directory wheel
+	rm -rf .venv-wheel
+	$(BIN)/python -m venv --without-pip .venv-wheel
+	$(BIN)/python -m pip --disable-pip-version-check --quiet --python .venv-wheel/bin/python install --no-deps dist/*.whl
+	@seen=$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))'); \
+	  into=$$(.venv-wheel/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))'); \
+	  echo "$$seen" >"$$into/_seen.pth" && cp "$$seen"/cmeel.pth "$$into"
+	cd .venv-wheel && LOEWNER_NATIVE=required LOEWNER_INSTALLED=required bin/python -m pytest $(PYTEST_OPTIONS) \
+	  -c ../pyproject.toml --rootdir .. -n $(THREADS) --dist loadfile -m "not verify and not fuzz" ../tests
+
 clean:
 	rm -rf $(VENV) .venv-wheel build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
 

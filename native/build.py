@@ -65,7 +65,7 @@ def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
-    written = [path for ending in ("py", "c", "h") for path in HERE.glob(f"*.{ending}")]
+    written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
     for path in sorted([*written, SOURCES / "loewner" / "_native" / "entries.py"]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
