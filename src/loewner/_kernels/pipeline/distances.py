@@ -392,7 +392,8 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
     queue = integers_at(memory + _QUEUE, (QUEUE, LANES))
     faces, edges = depth_workspace_at(memory + _DEPTH)
     searches = Searches(floats_at(memory + _VERTICES, (ENTRIES,)), faces, edges, floats_at(memory + _RESULT, (9,)))
-    left = Left(np.empty((0, LATE), np.int64), np.empty((0, 2 * KEPT)))
+    # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
+    left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = np.int64(0), np.int64(0)
     for k in range(start, stop):
         ia = row_of(k, shape, body_a)
