@@ -188,7 +188,7 @@ def compile_c(what: list[Path | str], to: Path) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        why = f"expected a C compiler, found no {compiler[0]} ({error.strerror}); install one, or set CC"
+        why = f"expected a C compiler, found no {compiler[0]} ({error.strerror}); install gcc or clang, or set CC"
         raise BuildError(why) from None
     if done.returncode:
         raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()[-4000:]}")
