@@ -36,13 +36,13 @@ typedef struct {
     PyObject_HEAD
     PyObject *held; /* whatever owns the memory behind the rest */
     Function check_configurations, check_motion;
-    int64_t pack, problem, memory, width;
+    int64_t pack, problem, memory, width, piece_pairs;
     const double *least, *most; /* of values that nothing has to be said about: `Watch` may move them outwards */
     Array1 hits;
 } Configurations;
 
-/* Pairs of bodies above which other threads may run meanwhile. */
-#define MANY 32
+/* Pairs of pieces above which other threads may run meanwhile. */
+#define MANY 64
 
 /* The entries of a configuration if it is a usual one, of values that neither are refused nor warned about. */
 static const double *take_configuration(const Configurations *self, PyObject *given)
@@ -69,7 +69,7 @@ static int verdict_of(const Configurations *self, int mode, PyObject *given)
         thread_memory(self->memory),
     };
     if (arguments.memory == NULL ||
-        call_kernel(self->check_configurations, &arguments, &nothing, self->hits.length > MANY) != 0)
+        call_kernel(self->check_configurations, &arguments, &nothing, self->piece_pairs > MANY) != 0)
         return -1;
     return mode == EXACT && verdict == AMBIGUOUS ? -1 : verdict;
 }
@@ -183,7 +183,11 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
         Py_RETURN_NONE;
     int64_t steps = steps_of(start, end, self->width, step);
     PyObject *fractions = fractions_of(given[3], steps);
-    int64_t found = fractions != NULL ? looked_at(self, start, end, (PyArrayObject *)fractions) : 0;
+    /* Once more: Python ran meanwhile, and could have changed them. */
+    start = take_configuration(self, given[0]);
+    end = take_configuration(self, given[1]);
+    int64_t found =
+        fractions != NULL && start != NULL && end != NULL ? looked_at(self, start, end, (PyArrayObject *)fractions) : 0;
     Py_XDECREF(fractions);
     if (found != 0)
         return PyLong_FromLongLong(found);
@@ -197,12 +201,12 @@ static PyObject *configurations_motion(Configurations *self, PyObject *const *gi
 static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
 {
     PyObject *check, *motion, *range, *hits, *held;
-    long long pack, problem, memory;
+    long long pack, problem, memory, piece_pairs;
     static char *known[] = {
-        "check_configurations", "check_motion", "pack", "problem", "memory", "range", "hits", "held", NULL,
+        "check_configurations", "check_motion", "pack", "problem", "memory", "piece_pairs", "range", "hits", "held", NULL,
     };
-    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLO!O!O", known, &check, &motion, &pack, &problem, &memory,
-                                     &PyArray_Type, &range, &PyArray_Type, &hits, &held) ||
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &pack, &problem, &memory,
+                                     &piece_pairs, &PyArray_Type, &range, &PyArray_Type, &hits, &held) ||
         !is_kernel(check, CHECK_TAKES, "") || !is_kernel(motion, MOTION_TAKES, MOTION_GIVES))
         return NULL;
     if (!is_plain(range, 2) || PyArray_DIM((PyArrayObject *)range, 0) != 2 || PyArray_NDIM((PyArrayObject *)hits) != 1 ||
@@ -219,6 +223,7 @@ static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyO
     made->pack = pack;
     made->problem = problem;
     made->memory = memory;
+    made->piece_pairs = piece_pairs;
     made->width = PyArray_DIM((PyArrayObject *)range, 1);
     made->least = PyArray_DATA((PyArrayObject *)range);
     made->most = made->least + made->width;

@@ -11,7 +11,6 @@ import warnings
 import numpy as np
 import pytest
 
-import loewner
 from loewner import (
     Body,
     CollisionChecker,
@@ -223,7 +222,7 @@ def test_meshes_that_cannot_be_read_name_their_link(cache, tmp_path, monkeypatch
     """A file that is there and gives an error when it is read."""
     if not os.path.exists("/proc/self/mem"):
         pytest.skip("no such file here")
-    monkeypatch.setattr(loewner.robots.link_bodies, "CACHE_FOLDER", tmp_path / "kept")
+    monkeypatch.setenv("LOEWNER_CACHE_DIR", str(tmp_path / "kept"))
     (tmp_path / "mem.stl").symlink_to("/proc/self/mem")
     mesh = '<collision><geometry><mesh filename="mem.stl"/></geometry></collision>'
     with pytest.raises(FileError, match="robot.urdf, line 2, link 'a': .*mem.stl"):

@@ -528,6 +528,6 @@ def test_arrays_of_other_kinds_are_refused():
     kernels = entries.check_configurations, entries.check_motion
     for plain, hits in ((np.zeros(6), good[1]), (np.zeros((3, 2)), good[1]), (good[0], np.zeros(5)), (good[0], None)):
         with pytest.raises(TypeError):
-            call.Configurations(*kernels, 0, 0, 0, plain, hits, None)
+            call.Configurations(*kernels, 0, 0, 0, 0, plain, hits, None)
     with pytest.raises(TypeError, match="expected arguments"):
         call.Configurations(*reversed(kernels), 0, 0, 0, *good, None)

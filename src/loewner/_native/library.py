@@ -92,10 +92,12 @@ def _listed() -> dict[str, Any]:
     """Read what was built, if it was built from the sources that are here."""
     try:
         built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
-        sources, _, _ = built["sources"], built["files"], built["numba"]
+        sources, files, _ = built["sources"], built["files"], built["numba"]
+        if not isinstance(files, dict):
+            raise TypeError(f"files: expected an object, found {type(files).__name__}")
     except FileNotFoundError:
         raise _Refused("it was not built") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise _Refused(f"{HOME / LIST} cannot be read ({error})") from None
     if sources != source_hash():
         raise _Refused("it was built from other sources")

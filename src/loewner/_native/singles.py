@@ -41,7 +41,9 @@ class LongWay:
     collide = classify = motion = staticmethod(none)
 
 
-def configurations(pack: int, problem: int, memory: int, plain: Any, hits: NDArray[Any], held: Any) -> Any:
+def configurations(
+    pack: int, problem: int, memory: int, piece_pairs: int, plain: Any, hits: NDArray[Any], held: Any
+) -> Any:
     """Queries of one configuration of a robot, and of one motion (`native/configurations.c`).
 
     Parameters
@@ -50,6 +52,8 @@ def configurations(pack: int, problem: int, memory: int, plain: Any, hits: NDArr
         What `check_configurations` takes.
     memory : int
         Bytes that it writes to.
+    piece_pairs : int
+        How many pairs of pieces there are to check; if many, other threads run meanwhile.
     plain : ndarray, shape (2, dof), or None
         Least and largest values of usual configurations; None if none is usual.
     held : object
@@ -66,5 +70,5 @@ def configurations(pack: int, problem: int, memory: int, plain: Any, hits: NDArr
     if call is None or plain is None:
         return LongWay()
     return call.Configurations(
-        entries.check_configurations, entries.check_motion, pack, problem, memory, plain, hits, held
+        entries.check_configurations, entries.check_motion, pack, problem, memory, piece_pairs, plain, hits, held
     )

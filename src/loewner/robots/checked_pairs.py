@@ -89,7 +89,10 @@ class CheckedPairs:
         object.__setattr__(self, "memory", memory)
         held = table, arrays, self.bodies._packed
         plain = self.robot._watch.range if self.robot.runs_straight else None
-        single = singles.configurations(self.bodies._packed.handle, self.handle, memory, plain, self.hits, held)
+        counts = np.diff(self.bodies._packed.piece_start)
+        piece_pairs = int(counts[self.pairs].prod(axis=1).sum())
+        pack = self.bodies._packed.handle
+        single = singles.configurations(pack, self.handle, memory, piece_pairs, plain, self.hits, held)
         object.__setattr__(self, "single", single)
 
     def ordered(self) -> CheckedPairs:

@@ -388,8 +388,7 @@ class CollisionChecker:
         shape = a.shape[:-1]
         _validate.fits_memory(math.prod(shape) * (16 * self.robot.dof + 40), f"{_validate.shape_text(shape)} motions")
         a, b = _flat(a), _flat(b)
-        lengths: Floats = self.robot._distances(a, b)
-        parts = edges.steps(lengths, step)
+        parts = edges.steps(self._lengths(a, b, step), step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in edges.rounds(parts, valid):
             out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
@@ -539,6 +538,14 @@ class CollisionChecker:
             return bool(verdict == codes.FREE)
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == codes.AMBIGUOUS)])
         return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
+
+    def _lengths(self, a: Floats, b: Floats, step: float) -> Floats:
+        """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""
+        lengths = np.asarray(self.robot._distances(a, b))
+        if self.robot.runs_straight:
+            for k in edges.nearly_whole(lengths / step):
+                lengths[k] = self.robot._distances(a[k], b[k])
+        return lengths
 
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, by each of its pairs."""
