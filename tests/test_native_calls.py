@@ -530,4 +530,4 @@ def test_arrays_of_other_kinds_are_refused():
         with pytest.raises(TypeError):
             call.Configurations(*kernels, 0, 0, 0, 0, plain, hits, None)
     with pytest.raises(TypeError, match="expected arguments"):
-        call.Configurations(*reversed(kernels), 0, 0, 0, *good, None)
+        call.Configurations(*reversed(kernels), 0, 0, 0, 0, *good, None)
