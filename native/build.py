@@ -183,7 +183,7 @@ def link(objects: list[Path], level: str, to: Path) -> None:
 
 def compile_c(what: list[Path | str], to: Path) -> None:
     """Call the C compiler: that of the environment, or `cc`."""
-    compiler = shlex.split(os.environ.get("CC", "cc"))
+    compiler = shlex.split(os.environ.get("CC") or "cc")
     command = [*compiler, "-O2", "-std=gnu11", "-Wall", "-fPIC", "-shared", "-s", "-o", str(to), *map(str, what)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -84,5 +84,5 @@ def expect_numba() -> None:
     except ImportError:
         raise MissingExtraError(
             f"expected loewner's native library, or Numba to compile its kernels; found no library to use "
-            f"({library.why_not()}) and no Numba: pip install 'loewner[jit]'"
+            f"({library.why_not()}) and no Numba: pip install 'loewner[jit]', or install loewner again"
         ) from None

@@ -73,7 +73,7 @@ def built_with() -> str:
 @cache
 def _opened() -> tuple[Any, str]:
     """Return the library and its level, or None and why there is none."""
-    forced = os.environ.get("LOEWNER_JIT", "0")
+    forced = os.environ.get("LOEWNER_JIT") or "0"
     if forced not in ("0", "1"):
         raise InputError(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
     if forced == "1":
@@ -131,8 +131,7 @@ def _extension(built: dict[str, Any]) -> Any:
 
 def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
     """Choose the best level of those that the processor runs and that were built."""
-    most = os.environ.get("LOEWNER_LEVEL")
-    if most is not None:
+    if most := os.environ.get("LOEWNER_LEVEL"):
         if most not in levels:
             runs = ", ".join(levels) or "none"
             raise InputError(f"LOEWNER_LEVEL: expected a level that this processor runs ({runs}), found {most!r}")
