@@ -33,21 +33,21 @@ def calls() -> dict[str, tuple[Callable[[], object], int]]:
 
     rng = np.random.default_rng(0)
     n = 20_000
-    hulls = [loewner.Bodies.from_points(pieces("random hulls", 100, seed)) for seed in (1, 2)]
+    hulls = [loewner.Bodies.from_points(pieces("ball 20", 100, seed)) for seed in (1, 2)]
     rows = rng.integers(100, size=(2, n))
     a, b = hulls[0][rows[0]], hulls[1][rows[1]]
     T = random_poses(rng, n, 1.5)
-    few = slice(0, 2000)
+    few = a[:2000], b[:2000], T[:2000]
     curved = loewner.Bodies([loewner.Body.cylinder(0.5, 1.0), loewner.Body.capsule(0.4, 1.0)] * 50)[rows[0]]
     grains = loewner.Bodies.ellipsoids(rng.uniform(0.5, 1.0, size=(5000, 3)))
     strewn = random_poses(rng, 5000, 20.0)
-    points = list(pieces("random hulls", 50, 3))
+    points = list(pieces("ball 20", 50, 3))
     return {
         "classify": (lambda: loewner.classify(a, None, b, T), n),
         "collide": (lambda: loewner.collide(a, None, b, T), n),
         "collide, curved": (lambda: loewner.collide(curved, None, b, T), n),
-        "distance, bounds": (lambda: loewner.distance(a[few], None, b[few], T[few]), 2000),
-        "distance, exact": (lambda: loewner.distance(a[few], None, b[few], T[few], exact=True), 2000),
+        "distance, bounds": (lambda: loewner.distance(few[0], None, few[1], few[2]), 2000),
+        "distance, exact": (lambda: loewner.distance(few[0], None, few[1], few[2], exact=True), 2000),
         "overlapping pairs": (lambda: loewner.overlapping_pairs(grains, strewn), 5000),
         "fits of hulls": (lambda: loewner.Bodies.from_points(points), 50),
     }
