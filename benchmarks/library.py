@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-BURST = 0.03  # seconds
+sys.path.insert(0, str(Path(__file__).parent.parent / "native"))
+from build import LEVELS, architecture, told
 
-# What LLVM is told of a level beside its name, as for the library (`native/build.py`).
-FEATURES = {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": "", "arm64": ""}
+BURST = 0.03  # seconds
 
 
 def calls() -> dict[str, tuple[Callable[[], object], int]]:
@@ -74,7 +74,7 @@ def child(seconds: float) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--level")
+    parser.add_argument("--level", choices=LEVELS[architecture()])
     parser.add_argument("--turns", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=0.5, help="for each call and turn")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
@@ -87,12 +87,8 @@ def main() -> None:
     level = options.level or library.level()
     if level is None:
         sys.exit(f"no native library here: {library.why_not()}")
-    environments = {
-        "library": {"LOEWNER_LEVEL": level},
-        "numba": {"LOEWNER_JIT": "1", "NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": FEATURES[level]},
-    }
-    if options.level is None:
-        environments["numba"] = {"LOEWNER_JIT": "1"}
+    processor = told(level) if options.level else {}
+    environments = {"library": {"LOEWNER_LEVEL": level}, "numba": {"LOEWNER_JIT": "1", **processor}}
     least: dict[str, dict[str, float]] = {path: {} for path in environments}
     for turn in range(options.turns + 1):
         for path, environment in environments.items():

@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
 sys.path.insert(0, str(SOURCES))
 
+from loewner._kernels import codes  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import HOME, LIST  # noqa: E402
@@ -50,6 +51,9 @@ FIRST = (
 
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
 
+# Names of `codes` that the extension knows.
+CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
+
 
 class BuildError(Exception):
     """Something that a build needs is missing, or failed; the text says what."""
@@ -72,13 +76,22 @@ def recipe() -> str:
 
 
 def is_built(levels: list[str], home: Path = HOME) -> bool:
-    """Tell whether the library is there for these levels and this interpreter."""
+    """Tell whether the library is there for these levels and this interpreter, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
         wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}"]
-        return built["recipe"] == recipe() and all(name in built["files"] and (home / name).exists() for name in wanted)
+        return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
+
+
+def _sum(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def told(level: str) -> dict[str, str]:
+    """Variables by which Numba is told to compile for a level instead of for this processor."""
+    return {"NUMBA_CPU_NAME": CPU_OF.get(level, level), "NUMBA_CPU_FEATURES": LEVELS[architecture()][level]}
 
 
 def machine_level() -> str:
@@ -116,7 +129,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         for level in levels:
             link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
         made = sorted(work.glob("*.so"))
-        files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in made}
+        files = {path.name: _sum(path) for path in made}
         listed = {
             "recipe": recipe(),
             "sources": source_hash(),
@@ -140,12 +153,14 @@ def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
             while waiting and len(running) < (os.cpu_count() or 1):
                 level, names, to = waiting.pop(0)
                 # A folder of their own: object code is only made of what one process numbered.
-                environment = os.environ | {
-                    "NUMBA_CPU_NAME": CPU_OF.get(level, level),
-                    "NUMBA_CPU_FEATURES": LEVELS[architecture()][level],
-                    "LOEWNER_CACHE_DIR": f"{to}.cache",
-                    "LOEWNER_QUIET": "1",
-                }
+                environment = (
+                    os.environ
+                    | told(level)
+                    | {
+                        "LOEWNER_CACHE_DIR": f"{to}.cache",
+                        "LOEWNER_QUIET": "1",
+                    }
+                )
                 with to.with_suffix(".log").open("wb") as log:
                     command = [sys.executable, str(HERE / "emit.py"), str(to), *names]
                     running.append((subprocess.Popen(command, env=environment, stdout=log, stderr=log), to))
@@ -168,11 +183,10 @@ def compile_extension(to: Path) -> None:
     headers = Path(sysconfig.get_path("include"), "Python.h")
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
+    numbers = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES]
+    included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c(
-        [*(HERE / name for name in EXTENSION), f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"],
-        to,
-    )
+    compile_c([*(HERE / name for name in EXTENSION), *numbers, *included, *undefined, "-ldl"], to)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

@@ -30,10 +30,10 @@ typedef struct {
     int64_t count, rows, columns;
 } Poses;
 
-/* `loewner/_kernels/codes.py` */
-enum { FREE, COLLIDING, AMBIGUOUS };
-enum { CERTIFY, EXACT };
-enum { OPEN = 5, TIERS };
+/* Of `loewner/_kernels/codes.py`; `build.py` says the numbers. */
+enum { FREE = CODE_FREE, COLLIDING = CODE_COLLIDING, AMBIGUOUS = CODE_AMBIGUOUS };
+enum { CERTIFY = CODE_CERTIFY, EXACT = CODE_EXACT };
+enum { OPEN = CODE_OPEN, TIERS = CODE_TIERS };
 
 /* At least `size` bytes for kernels to write to, which belong to this thread; NULL if there are none.
 

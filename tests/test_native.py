@@ -1,9 +1,9 @@
 """The native library: what it relies on in Numba, when it is refused, how its functions take what they are given."""
 
 import ctypes
-import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,19 +14,10 @@ import pytest
 
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
+from native_files import NATIVE, module
 
-ROOT = Path(__file__).parent.parent
-NATIVE = ROOT / "native"
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
 needs_library = pytest.mark.skipif(not OFFERED, reason=f"no native library here: {library.why_not()}")
-
-
-def module(name: str):
-    """A file of `native/` as a module."""
-    spec = importlib.util.spec_from_file_location(f"native_{name}", NATIVE / f"{name}.py")
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +109,27 @@ def test_a_damaged_file_is_refused(copied, which):
         path.write_bytes(content)
     assert library.level() is None
     assert "damaged" in library.why_not()
+
+
+@needs_library
+def test_a_damaged_library_is_built_anew(copied):
+    """What would be refused does not count as built."""
+    build, level = module("build"), library.level()
+    relist(copied, recipe=build.recipe())
+    assert build.is_built([level], copied)
+    path = copied / f"kernels-{level}.so"
+    path.write_bytes(path.read_bytes() + b"x")
+    assert not build.is_built([level], copied)
+    path.unlink()
+    assert not build.is_built([level], copied)
+
+
+@needs_library
+def test_codes_that_the_extension_knows_are_those_of_the_kernels():
+    """The build hands over the numbers; `single.h` holds none of its own."""
+    header, build = (NATIVE / "single.h").read_text(), module("build")
+    assert sorted(re.findall(r"\b(\w+) = CODE_\1\b", header)) == sorted(build.CODES)
+    assert not re.search(r"enum \{[^}]*= \d", header)
 
 
 @needs_library

@@ -229,6 +229,20 @@ def test_a_measured_distance_is_as_the_class_makes_it(rng):
             assert array.flags.owndata or library.level() is None
 
 
+def left_behind(many, rounds, held):
+    """References of things before and after so many rounds of calls, and bytes by which memory has grown."""
+    many(10)
+    gc.collect()
+    before = [sys.getrefcount(thing) for thing in held]
+    tracemalloc.start()
+    many(10)
+    start = tracemalloc.get_traced_memory()[0]
+    many(rounds)
+    grown = tracemalloc.get_traced_memory()[0] - start
+    tracemalloc.stop()
+    return before, [sys.getrefcount(thing) for thing in held], grown
+
+
 @native
 def test_nothing_leaks(rng):
     """After a hundred thousand calls arguments have the references that they had, and memory has not grown."""
@@ -247,16 +261,7 @@ def test_nothing_leaks(rng):
             singles.distance(Body, Distance, a, None, b, poses[1], True, None)
             singles.classify(Body, a, None, b, poses[0], -1.0, None)
 
-    many(10)
-    gc.collect()
-    before = [sys.getrefcount(thing) for thing in held]
-    tracemalloc.start()
-    many(10)
-    start = tracemalloc.get_traced_memory()[0]
-    many(12_500)
-    grown = tracemalloc.get_traced_memory()[0] - start
-    tracemalloc.stop()
-    after = [sys.getrefcount(thing) for thing in held]
+    before, after, grown = left_behind(many, 12_500, held)
     assert max(abs(x - y) for x, y in zip(before, after, strict=True)) < 50  # None and True are everybody's
     assert grown < 10_000
 
@@ -480,15 +485,8 @@ def test_configurations_leak_nothing(sliders):
                 held[4].collide(x)
 
     checker._next_look = 10**9  # no other order of pairs meanwhile, which would be another object
-    many(10)
-    before = [sys.getrefcount(thing) for thing in held]
-    tracemalloc.start()
-    many(10)
-    start = tracemalloc.get_traced_memory()[0]
-    many(10_000)
-    grown = tracemalloc.get_traced_memory()[0] - start
-    tracemalloc.stop()
-    assert [sys.getrefcount(thing) for thing in held] == before
+    before, after, grown = left_behind(many, 10_000, held)
+    assert after == before
     assert grown < 10_000
 
 

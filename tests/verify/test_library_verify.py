@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from loewner._native import library
+from native_files import module
 
 pytestmark = pytest.mark.verify
 
 PAIRS, CONFIGURATIONS, FITS = 1_000_000, 100_000, 1_000
 POOL = 400  # bodies of each family
 
-# What LLVM is told of a level beside its name (`native/build.py`).
-FEATURES = {"x86-64-v4": "-prefer-256-bit", "x86-64-v3": "", "arm64": ""}
+build = module("build")
 
 
 def digest(*arrays: np.ndarray) -> str:
@@ -110,11 +110,11 @@ def test_library_and_compiler_agree(here):
     assert asked(LOEWNER_JIT="1") == here
 
 
-@pytest.mark.parametrize("level", FEATURES)
+@pytest.mark.parametrize("level", [level for levels in build.LEVELS.values() for level in levels])
 def test_every_level_agrees_with_the_compiler_for_it(level):
     """The same of each level that is built, beside Numba limited to that level."""
     if level not in library.levels() or not (library.HOME / f"kernels-{level}.so").exists():
         pytest.skip(f"no library of {level} here")
     mine = asked(LOEWNER_LEVEL=level)
-    compiled = asked(LOEWNER_JIT="1", NUMBA_CPU_NAME=level, NUMBA_CPU_FEATURES=FEATURES[level])
+    compiled = asked(LOEWNER_JIT="1", **build.told(level))
     assert mine == compiled

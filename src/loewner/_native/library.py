@@ -19,6 +19,7 @@ from loewner.errors import InputError
 
 HOME = Path(__file__).parent
 LIST = "built.json"
+EXTENSION = f"{__package__}._call"
 
 
 class Entry(NamedTuple):
@@ -54,7 +55,7 @@ def why_not() -> str:
 
 def extension() -> Any:
     """Return the extension that calls the library in use; None if there is none."""
-    return None if _opened()[0] is None else _extension(_listed())
+    return None if _opened()[0] is None else sys.modules[EXTENSION]
 
 
 def levels() -> tuple[str, ...]:
@@ -118,15 +119,14 @@ def _checked(name: str, built: dict[str, Any]) -> Path:
 
 def _extension(built: dict[str, Any]) -> Any:
     """Import the extension, once it is known to be whole."""
-    name = f"{__package__}._call"
-    if name not in sys.modules:
-        loader = ExtensionFileLoader(name, str(_checked(f"_call{EXTENSION_SUFFIXES[0]}", built)))
-        spec = spec_from_loader(name, loader)
+    if EXTENSION not in sys.modules:
+        loader = ExtensionFileLoader(EXTENSION, str(_checked(f"_call{EXTENSION_SUFFIXES[0]}", built)))
+        spec = spec_from_loader(EXTENSION, loader)
         assert spec is not None
         module = module_from_spec(spec)
         loader.exec_module(module)
-        sys.modules[name] = module
-    return sys.modules[name]
+        sys.modules[EXTENSION] = module
+    return sys.modules[EXTENSION]
 
 
 def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:

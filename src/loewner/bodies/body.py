@@ -115,9 +115,8 @@ class _Bodies:
         >>> Body.load("ball.npz")
         Body(sphere, 0 vertices)
         """
-        from loewner.bodies import (
-            files,
-        )  # late: with archives and checksums it takes a fifth of the time of `import loewner`
+        # Late: with archives and checksums it takes a fifth of the time of `import loewner`.
+        from loewner.bodies import files
 
         files.save(self._packed, path, self._covering)
 

@@ -26,6 +26,8 @@ EXTRAS = {
     "viewer": ("viser",),
 }
 
+MISSING = "not installed"
+
 
 def add(commands: Any) -> None:
     """Add the command."""
@@ -46,10 +48,7 @@ def _lines() -> list[tuple[str, str]]:
     return [
         ("loewner", loewner.__version__),
         ("kernels", _told(_kernels)),
-        (
-            "processor",
-            f"{platform.machine()}; levels of the library that it runs: {', '.join(library.levels()) or 'none'}",
-        ),
+        ("processor", f"{platform.machine()}, levels of the library: {', '.join(library.levels()) or 'not known'}"),
         ("threads", _told(lambda: str(get_num_threads()))),
         ("python", f"{platform.python_version()}, numpy {_version('numpy')}, scipy {_version('scipy')}"),
         ("cache", str(cache_folder())),
@@ -73,9 +72,6 @@ def _kernels() -> str:
     if _version("numba") == MISSING:
         return f"none: no library ({library.why_not()}), and no Numba; pip install 'loewner[jit]'"
     return f"compiled by Numba on this machine; no native library ({library.why_not()})"
-
-
-MISSING = "not installed"
 
 
 def _version(package: str) -> str:
