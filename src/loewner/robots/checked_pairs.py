@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from loewner._native import entries
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
+from loewner.robots.motion_tables import PreparedMotions, prepared_motions
 from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
@@ -107,6 +109,14 @@ class CheckedPairs:
                 rows[p] = _single(row)
             standing[k, :7] = _single(_bounds(packed, start[k], placed, poses[k]))
         return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
+
+    @cached_property
+    def motions(self) -> PreparedMotions:
+        """What certifying motions takes besides; made when it is first needed."""
+        packed, start = self.bodies._packed, self.bodies._packed.piece_start[len(self.link) :]
+        poses = self.standing_poses.reshape(-1, 4, 4)
+        rows = [_placed_row(packed.kernel.hot[p], T) for k, T in enumerate(poses) for p in range(start[k], start[k + 1])]
+        return prepared_motions(self, np.array(rows).reshape(-1, columns.HOT))
 
     def poses(self, Q: Floats) -> Floats:
         """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""
