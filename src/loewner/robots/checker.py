@@ -420,8 +420,7 @@ class CollisionChecker:
         a, b, shape = _motions(self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1"), 40)
         ready = self._ready()
         verdicts, fractions, pairs, work = motions.certify(ready, a, b, tolerance)
-        if not self.robot.runs_straight:
-            self._confirm(a, b, verdicts, fractions)
+        self._confirm(a, b, verdicts, fractions)
         names = np.array([*ready.names, ""])[np.append(ready.pairs, [[-1, -1]], axis=0)[pairs]]
         if shape:
             columns = verdicts, fractions, work[:, 0], work[:, 1]
@@ -577,12 +576,16 @@ class CollisionChecker:
     def _confirm(self, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats) -> None:
         """Leave as COLLIDING only what `collide` says of configurations that `Robot.between` gives.
 
-        The kernel's sines are those of another library: orientations may differ in the last place.
+        Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may
+        differ in the last place.
         """
-        at = np.flatnonzero(verdicts == Verdict.COLLIDING)
-        if len(at):
-            out, _ = self._settle(codes.EXACT, self.robot.between(a[at], b[at], fractions[at]))
-            verdicts[at[out != Verdict.COLLIDING]] = Verdict.AMBIGUOUS
+        sure = np.zeros(len(verdicts), dtype=bool) if not self.robot.runs_straight else verdicts == Verdict.COLLIDING
+        for k in np.flatnonzero((verdicts >= motions.BY_CARE) | (~sure & (verdicts == Verdict.COLLIDING))):
+            try:
+                hit = bool(self.collide(self.robot.between(a[k], b[k], fractions[k])))
+            except ConvergenceError:
+                hit = False
+            verdicts[k] = Verdict.COLLIDING if hit else Verdict.AMBIGUOUS
 
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, by each of its pairs."""

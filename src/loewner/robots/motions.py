@@ -19,7 +19,8 @@ from loewner.robots.checked_pairs import CheckedPairs
 # Motions a thread takes at a time, at least: some 0.3 ms of work.
 LEAST_SHARE = 16
 
-TOO_LONG = 3  # as `robots.motions` of the kernels calls it
+# Further verdicts, as `robots.motions` of the kernels calls them.
+TOO_LONG, BY_CARE = 3, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,8 @@ class CertifiedMotions:
 
 def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> tuple[Any, ...]:
     """Verdicts, fractions, pairs (-1: none) and work, shape (N, 2), of N motions between configurations a and b.
+
+    A verdict may be BY_CARE: COLLIDING if `collide` says so.
 
     Raises
     ------

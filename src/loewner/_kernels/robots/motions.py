@@ -22,14 +22,14 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
-from loewner._kernels.columns import OUTER_RADIUS
+from loewner._kernels.columns import CACHE_LINE, OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_swept
 from loewner._kernels.narrow.exact import exact_piece_pair
-from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS
+from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, TOUCHING, run
 from loewner._kernels.narrow.gjk_swept import separated
-from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of
+from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import place_links, workspace_size
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between
 from loewner._kernels.robots.motion_path import configuration_at
@@ -49,7 +49,9 @@ from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_li
 from loewner._kernels.simd.vectors import LANES, lowest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-TOO_LONG = 3  # a further verdict: the motion would have to be cut into too many intervals
+# Further verdicts: the motion would have to be cut into too many intervals; it collides, but that was so near to contact
+# that only the careful search said so, and another start of it may not.
+TOO_LONG, BY_CARE = 3, 4
 
 # How far points may be from their chords [m] in the first intervals; a choice.
 FIRST_OFF = 0.01
@@ -146,7 +148,8 @@ _AT_STACK = _CUT_POSES + whole_lines(8 * 16 * _POSES * DEPTH)
 _STACK_NORMALS = _AT_STACK + whole_lines(8 * 3 * STACK)
 _GJK = _STACK_NORMALS + whole_lines(8 * 3 * STACK)
 _EXACT = _GJK + whole_lines(gjk_swept.SIZE)
-_REST = _EXACT + whole_lines(exact.SIZE)
+_CAREFUL = _EXACT + whole_lines(exact.SIZE)
+_REST = _CAREFUL + 2 * CACHE_LINE + whole_lines(8 * 4 * 9)
 
 
 @inline
@@ -354,11 +357,19 @@ def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, ke
 
 @njit()
 def _collides(motion, i, poses, row, j, others, other_row, margin, n):
-    """Are two pieces within the margin, at poses of the world? n is from i to j."""
+    """Are two pieces within the margin, at poses of the world? n is from i to j.
+
+    FREE, COLLIDING, or BY_CARE: what only the careful search calls touching.
+    """
     pieces = pieces_of(motion.pack)
     A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
     verdict, _ = exact_piece_pair(A, B, margin, n, motion.work + _EXACT)
-    return verdict == COLLIDING
+    if verdict == AMBIGUOUS:
+        V = floats_at(motion.work + _CAREFUL, (3, 4))
+        simplex = floats_at(motion.work + _CAREFUL + 2 * CACHE_LINE, (4, 9))
+        touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, simplex, V[0], V[1], V[2])
+        verdict = BY_CARE if touching == TOUCHING else FREE
+    return verdict
 
 
 @inline
@@ -407,7 +418,10 @@ def _place_at(motion, W):
 
 @njit()
 def _confirmed(motion, near, t, n):
-    """Does `CollisionChecker.collide` find the two pieces colliding at this fraction? As it places them: alone."""
+    """What `CollisionChecker.collide` says of the two pieces at this fraction, as it places them: alone.
+
+    COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
+    """
     problem = problem_of(motion.problem)
     Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
@@ -420,7 +434,8 @@ def _confirmed(motion, near, t, n):
         _copy_pose(W, problem.link[other], 0, poses, row + 1)
     else:
         _copy_standing(problem, other - motion.counts.moving, poses, row + 1)
-    return _collides(motion, near.i, poses, row, near.j, poses, row + 1, near.margin, n)
+    verdict = _collides(motion, near.i, poses, row, near.j, poses, row + 1, near.margin, n)
+    return np.int64(AMBIGUOUS) if verdict == FREE else verdict
 
 
 @inline
@@ -513,7 +528,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH - 1 or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return AMBIGUOUS, a  # no number is left between the two
+                return np.int64(AMBIGUOUS), a  # no number is left between the two
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -525,14 +540,13 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         t, width = times[depth, middle], times[depth, last] - times[depth, first]
         toward = negated(n if stands else _to_world(poses, both + middle, n))
         tally[1] += 1
-        if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward):
-            if _confirmed(motion, near, t, toward):
-                return COLLIDING, t
-            return AMBIGUOUS, t
-        if _off(near, width) <= motion.tolerance and _collides(
-            motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin + motion.tolerance, toward
-        ):
-            return AMBIGUOUS, t
+        if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward) != FREE:
+            return _confirmed(motion, near, t, toward), t
+        if _off(near, width) <= motion.tolerance:
+            wide = near.margin + motion.tolerance
+            tally[1] += 1
+            if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, wide, toward) != FREE:
+                return np.int64(AMBIGUOUS), t
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
@@ -557,11 +571,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
             if found:
                 continue
             if _moved(near, w) <= enough:
-                return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b])
+                return np.int64(AMBIGUOUS), 0.5 * (times[depth, a] + times[depth, b])
             stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
             normals[top, 0], normals[top, 1], normals[top, 2] = m
             top += 1
-    return FREE, np.nan
+    return np.int64(FREE), np.nan
 
 
 # -- a block ------------------------------------------------------------------------------------
@@ -578,11 +592,15 @@ class Found(NamedTuple):
 @inline
 def _worse(found, verdict, t, pair):
     """What is known, with one more thing; of two alike the first stays."""
-    if verdict == COLLIDING and found.verdict != COLLIDING:
-        return Found(np.int64(COLLIDING), t, pair)
-    if verdict == AMBIGUOUS and found.verdict == FREE:
-        return Found(np.int64(AMBIGUOUS), t, pair)
-    return found
+    if verdict == FREE or found.verdict == verdict or (verdict == AMBIGUOUS and found.verdict != FREE):
+        return found
+    return Found(verdict, t, pair)
+
+
+@inline
+def _hit(found):
+    """Whether nothing worse can be found."""
+    return found.verdict == COLLIDING or found.verdict == BY_CARE
 
 
 @njit()
@@ -601,7 +619,7 @@ def _halve_waiting(motion, count, found, tally):
         n = ways[e, 0], ways[e, 1], ways[e, 2]
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
         found = _worse(found, verdict, t, pair)
-        if found.verdict == COLLIDING:
+        if _hit(found):
             break
     return found
 
@@ -673,15 +691,14 @@ def _search(motion, near, live, found, waiting_count, tally):
                 if (tested >> end) & 1 == 0:
                     tested |= np.int64(1) << end
                     tally[1] += 1
-                    if _collides_in_block(motion, near, swept, end, n):
+                    if _collides_in_block(motion, near, swept, end, n) != FREE:
                         other = problem_of(motion.problem).pairs[near.pair, 1]
                         toward = n
                         if other < motion.counts.moving:
                             toward = _to_world(swept.poses, other * LANES + end, n)
-                        sure = _confirmed(motion, near, times[end], negated(toward))
-                        verdict = np.int64(COLLIDING if sure else AMBIGUOUS)
+                        verdict = _confirmed(motion, near, times[end], negated(toward))
                         found = _worse(found, verdict, times[end], near.pair)
-                        if sure:
+                        if _hit(found):
                             return found, waiting_count
             if _moved(near, w) <= _enough(motion, near):
                 found = _worse(found, np.int64(AMBIGUOUS), 0.5 * (times[k] + times[k + 1]), near.pair)
@@ -719,12 +736,12 @@ def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
                 left = near_piece(rows, at, hot[i, OUTER_RADIUS], table, j - first_standing, keep, live, normals)
             if left != 0:
                 found, count = _search(motion, near, left, found, count, tally)
-                if found.verdict == COLLIDING:
+                if _hit(found):
                     return found, count
                 if count > WAITING - LANES:
                     found = _halve_waiting(motion, count, found, tally)
                     count = np.int64(0)
-                    if found.verdict == COLLIDING:
+                    if _hit(found):
                         return found, count
     return found, count
 
@@ -763,7 +780,7 @@ def _settle_block(motion, low, high, found, tally):
             live &= 1  # the pair is the same everywhere
         if live != 0:
             found, count = _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally)
-            if found.verdict == COLLIDING:
+            if _hit(found):
                 return found
     return _halve_waiting(motion, count, found, tally)
 
@@ -799,7 +816,7 @@ def _certify(motion, tally):
             rest >>= 1
             bit //= 2
         found = _settle_block(motion, block / blocks, (block + 1) / blocks, found, tally)
-        if found.verdict == COLLIDING:
+        if _hit(found):
             break
     return found
 
@@ -819,7 +836,7 @@ def certify_motions(start, stop, Q0, Q1, tolerance, pack, problem_handle, tables
     problem_handle, tables_handle : int
         Handles of the rest, see `pack.problem_of` and `pack.motion_tables_of`.
     out : ndarray of int8, shape (N,)
-        Receives FREE, COLLIDING, AMBIGUOUS or TOO_LONG.
+        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE.
     t_out : ndarray, shape (N,)
         Receives fractions of the way where a motion is colliding or ambiguous; NaN for the others.
     pair_out : ndarray of int64, shape (N,)
