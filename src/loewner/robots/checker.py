@@ -419,7 +419,7 @@ class CollisionChecker:
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         a, b, shape = _motions(self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1"), 40)
         ready = self._ready()
-        verdicts, fractions, pairs, work = motions.certify(ready, a, b, tolerance)
+        verdicts, fractions, pairs, work = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
         self._confirm(a, b, verdicts, fractions)
         names = np.array([*ready.names, ""])[np.append(ready.pairs, [[-1, -1]], axis=0)[pairs]]
         if shape:
@@ -579,13 +579,25 @@ class CollisionChecker:
         Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may
         differ in the last place.
         """
-        sure = np.zeros(len(verdicts), dtype=bool) if not self.robot.runs_straight else verdicts == Verdict.COLLIDING
-        for k in np.flatnonzero((verdicts >= motions.BY_CARE) | (~sure & (verdicts == Verdict.COLLIDING))):
-            try:
-                hit = bool(self.collide(self.robot.between(a[k], b[k], fractions[k])))
-            except ConvergenceError:
-                hit = False
-            verdicts[k] = Verdict.COLLIDING if hit else Verdict.AMBIGUOUS
+        doubtful = verdicts == motions.BY_CARE
+        if not self.robot.runs_straight:
+            doubtful |= verdicts == Verdict.COLLIDING
+        at = np.flatnonzero(doubtful)
+        if len(at) == 0:
+            return
+        Q = self.robot.between(a[at], b[at], fractions[at])
+        try:
+            hit = np.atleast_1d(self.collide(Q))
+        except ConvergenceError:
+            hit = np.array([self._surely_collides(q) for q in Q])
+        verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
+
+    def _surely_collides(self, q: Floats) -> bool:
+        """The same as `collide`, but False where a configuration cannot be settled."""
+        try:
+            return bool(self.collide(q))
+        except ConvergenceError:
+            return False
 
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, by each of its pairs."""

@@ -72,7 +72,7 @@ def prepared_motions(ready: CheckedPairs, standing_rows: Floats) -> PreparedMoti
         sizes=far.reshape(-1) + np.abs(places).sum(axis=1),
         # What is far out on the robot moves most, and hits most often.
         order=np.argsort(-depth[ready.pairs[:, 0]], kind="stable"),
-        chain=np.array([depth.max(initial=0), _longest(tree, ready), _bend(tree)]),
+        chain=np.array([1 + depth.max(initial=0), _longest(tree, ready), _bend(tree)]),
     )
     keep = records.table_of(tables)
     memory = entries.motion_memory(ready.bodies._packed.handle, ready.handle, ready.robot.dof)

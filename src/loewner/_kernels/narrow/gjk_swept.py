@@ -7,12 +7,8 @@ from loewner._kernels.narrow.gjk_robust import APART, rounding_error, swollen_ra
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import placed_support, radius
 from loewner._kernels.simd.memory import floats_at
-from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 SIZE = 8 * (ENTRIES + 16)  # bytes of memory that `separated` writes to
-
-# The hull's farthest point is that of either pose: one comparison more than what the error of a support plane counts.
-SWEPT_ROUNDINGS = POSITION_ROUNDINGS  # derived 52, certified.md B30
 
 
 @inline

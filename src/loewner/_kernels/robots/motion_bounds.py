@@ -20,20 +20,20 @@ from loewner._kernels.columns import FIXED, FLOATING, PLANAR, PRISMATIC
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # What forward kinematics rounds a position by, for each joint of the chain, in units of the chain's length.
-JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 35, certified.md B24
+JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
 
 # What the value of a joint is off by when it is interpolated, in units of the values that go into it.
-VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 8, certified.md B25
+VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B25
 
 # What an angle does to the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # derived 1.42, certified.md B26
 
 # Angle [rad] that an interpolated quaternion is off by: rounding, and in units of how far the ends are from norm 1.
 SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 64, certified.md B27
-NORM_SHARE = 16.0  # derived 4, certified.md B28
+NORM_SHARE = 16.0  # derived 6.2, certified.md B28
 
-# Rates and bounds are formed by a few dozen roundings, and poses accepted as rigid stretch lengths by 1e-6.
-UPWARD = 1.0 + 1e-5  # derived 4e-6, certified.md B29
+# What poses accepted as rigid stretch ways by, and the few dozen roundings that rates and bounds are formed by.
+UPWARD = 1.0 + 1e-5  # derived 3.2e-6, certified.md B29
 
 SMALLEST_TURN = 1e-15  # rad; more than an angle between two equal quaternions is off by
 
@@ -80,15 +80,14 @@ def norm_of_quaternion(ends, row, at):
 
 @inline
 def _arc(ends, at):
-    """Angle [rad] of the rotation between two quaternions, the shorter way, or more; and how far they are from norm 1."""
+    """Angle [rad] of the rotation between two quaternions, or more; and how far they are from norm 1."""
     p, q = norm_of_quaternion(ends, 0, at), norm_of_quaternion(ends, 1, at)
-    minus, plus, same = 0.0, 0.0, True
+    squares, same = 0.0, True
     for k in range(4):
         a, b = ends[0, at + k] / p, ends[1, at + k] / q
-        minus += (a - b) * (a - b)
-        plus += (a + b) * (a + b)
+        squares += (a - b) * (a - b)
         same = same and ends[0, at + k] == ends[1, at + k]
-    angle = 4.0 * np.arcsin(min(np.sqrt(min(minus, plus)) / 2.0, 1.0))
+    angle = 4.0 * np.arcsin(min(np.sqrt(squares) / 2.0, 1.0))
     return 0.0 if same else angle * UPWARD + SMALLEST_TURN, max(abs(p - 1.0), abs(q - 1.0))
 
 

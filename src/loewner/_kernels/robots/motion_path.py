@@ -12,19 +12,18 @@ SMALLEST_SINE = 1e-12
 
 @inline
 def _slerp(ends, at, t, Q, row):
-    """Write the quaternion on the shorter arc."""
+    """Write the quaternion on the arc between two, which are at most a right angle apart."""
     cosine = 0.0
     for k in range(at, at + 4):
         cosine += ends[0, k] * ends[1, k]
-    sign = 1.0 if cosine >= 0.0 else -1.0
-    angle = np.arccos(min(abs(cosine), 1.0))
+    angle = np.arccos(min(cosine, 1.0))
     sine = max(np.sin(angle), SMALLEST_SINE)
     of_p, of_q = 1.0 - t, t
     if angle >= SMALL_ANGLE:
         of_p, of_q = np.sin((1.0 - t) * angle) / sine, np.sin(t * angle) / sine
     squares = 0.0
     for k in range(at, at + 4):
-        Q[row, k] = of_p * ends[0, k] + of_q * sign * ends[1, k]
+        Q[row, k] = of_p * ends[0, k] + of_q * ends[1, k]
         squares += Q[row, k] * Q[row, k]
     norm = np.sqrt(squares)
     for k in range(at, at + 4):
@@ -39,6 +38,7 @@ def configuration_at(tree, ends, t, Q, row):
     ----------
     tree : Tree
     ends : ndarray, shape (2, dof)
+        Of q and -q, which are the same orientation, quaternions have the one that is nearer to the other end's.
     t : float
         From 0 to 1.
     Q : ndarray, shape (N, dof)

@@ -85,7 +85,7 @@ class Motion(NamedTuple):
     ----------
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
-    rounding : what computed poses may be off by, twice for each of two bodies, and lengths of the chain round by [m]
+    rounding : what computed poses may be off by, and what places of the robot's points round by [m]
     counts : how much there is of everything
     work : address of the memory that `_..._of` divide up
     """
@@ -792,7 +792,7 @@ def _certify(motion, tally):
     rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
     travel, angles, places = rates_of(problem.tree, ends, rates)
     off, length = uncertainty(tables, travel, angles, places)
-    rounding = 4.0 * off + 4.0 * tables.chain[2] * length
+    rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     motion = Motion(
         motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, motion.counts, motion.work

@@ -48,8 +48,8 @@ BODY = _BOX + 6 * LANES
 _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
-# Radii and half widths are widened by this; what poses stretch lengths by is less, and so is rounding.
-WIDER = 1.0 + 1e-5  # derived 4e-6, certified.md B31
+# Radii and half widths are widened by this, for what poses accepted as rigid stretch them by, and rounding.
+WIDER = 1.0 + 1e-5  # derived 1.7e-6, certified.md B31
 
 TINY = 1e-300
 
