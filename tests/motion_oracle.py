@@ -10,7 +10,8 @@ from robot_oracle import robots_folder
 # Two fingers 0.1 m wide that slide towards each other by one value: inner faces at x = -v and v.
 FINGERS = """<robot name="fingers"><link name="palm"/>
 <link name="left"><collision><origin xyz="0.05 0 0"/><geometry><box size="0.1 0.02 0.05"/></geometry></collision></link>
-<link name="right"><collision><origin xyz="-0.05 0 0"/><geometry><box size="0.1 0.02 0.05"/></geometry></collision></link>
+<link name="right"><collision><origin xyz="-0.05 0 0"/><geometry><box size="0.1 0.02 0.05"/></geometry></collision>
+</link>
 <joint name="v" type="prismatic"><parent link="palm"/><child link="left"/><axis xyz="1 0 0"/>
   <limit lower="0" upper="0.1"/></joint>
 <joint name="w" type="prismatic"><parent link="palm"/><child link="right"/><axis xyz="1 0 0"/>
@@ -18,7 +19,8 @@ FINGERS = """<robot name="fingers"><link name="palm"/>
 </robot>"""
 
 # A floating base, a planar cart on it, and an arm of a turning and a sliding joint.
-AFLOAT = """<robot name="afloat"><link name="world"/><link name="base"/><link name="cart"/><link name="arm"/><link name="hand"/>
+AFLOAT = """<robot name="afloat">
+<link name="world"/><link name="base"/><link name="cart"/><link name="arm"/><link name="hand"/>
 <joint name="base" type="floating"><parent link="world"/><child link="base"/></joint>
 <joint name="cart" type="planar"><parent link="base"/><child link="cart"/><origin xyz="0 0 0.3" rpy="0.2 0 0"/>
   <axis xyz="0 0 1"/></joint>
@@ -51,7 +53,11 @@ def ring(rng: np.random.Generator, count: int, near: float, far: float, size: fl
         T[:3, :3] = axes * np.sign(np.linalg.det(axes))
         direction = rng.normal(size=3)
         T[:3, 3] = rng.uniform(near, far) * direction / np.linalg.norm(direction)
-        body = Body.box(rng.uniform(0.2, 1.0, 3) * size) if k % 2 else Body.from_points(rng.normal(size=(20, 3)) * size / 4)
+        body = (
+            Body.box(rng.uniform(0.2, 1.0, 3) * size)
+            if k % 2
+            else Body.from_points(rng.normal(size=(20, 3)) * size / 4)
+        )
         scene.add(f"b{k}", body, T)
     return scene
 
@@ -79,9 +85,11 @@ def assert_true(checker: CollisionChecker, Q0, Q1, samples: int = 2000, **option
     Q0, Q1 = np.broadcast_arrays(Q0, Q1)
     free = found.verdict == Verdict.FREE
     assert not refuted(checker, Q0[free], Q1[free], samples).any()
-    assert np.isnan(found.fraction[free]).all() and (found.names[free] == "").all()
+    assert np.isnan(found.fraction[free]).all()
+    assert (found.names[free] == "").all()
     rest = ~free
-    assert ((found.fraction[rest] >= 0) & (found.fraction[rest] <= 1)).all() and (found.names[rest] != "").all()
+    assert ((found.fraction[rest] >= 0) & (found.fraction[rest] <= 1)).all()
+    assert (found.names[rest] != "").all()
     hit = found.verdict == Verdict.COLLIDING
     at = checker.robot.between(Q0[hit], Q1[hit], found.fraction[hit])
     assert checker.collide(at).all()

@@ -79,7 +79,9 @@ def test_arms_among_obstacles(arms, name, length, rng):
     checker = CollisionChecker(arms(name), ring(rng, 10, 0.4, 0.9, 0.25))
     Q = free_configurations(checker, 40)
     verdicts = assert_true(checker, Q, steps(checker.robot, rng, Q, length))
-    assert (verdicts == FREE).any() and (verdicts == COLLIDING).any() and not (verdicts == AMBIGUOUS).any()
+    assert (verdicts == FREE).any()
+    assert (verdicts == COLLIDING).any()
+    assert not (verdicts == AMBIGUOUS).any()
 
 
 def test_floating_and_planar_bases(tmp_path, rng):
@@ -88,11 +90,12 @@ def test_floating_and_planar_bases(tmp_path, rng):
     Q = free_configurations(checker, 60)
     for length in (0.3, 2.0):
         verdicts = assert_true(checker, Q, steps(checker.robot, rng, Q, length), samples=1000)
-        assert (verdicts == FREE).any() and (verdicts == COLLIDING).any()
+        assert (verdicts == FREE).any()
+        assert (verdicts == COLLIDING).any()
 
 
 def test_half_turns(tmp_path, rng):
-    """Between opposite orientations rounding chooses the way; the one that is proven is the one that `between` takes."""
+    """Between opposite orientations rounding chooses the way; the proof is of the one that `between` takes."""
     checker = CollisionChecker(afloat(tmp_path), ring(rng, 8, 0.5, 1.5, 0.5))
     Q = free_configurations(checker, 200)
     end = Q.copy()
@@ -100,12 +103,13 @@ def test_half_turns(tmp_path, rng):
     w, x, y, z = Q[:, at].T
     end[:, at] = np.column_stack([-x, w, -z, y])  # half a turn about an axis of the body, exactly
     verdicts = assert_true(checker, Q, end, samples=200)
-    assert (verdicts == FREE).any() and (verdicts == COLLIDING).any()
+    assert (verdicts == FREE).any()
+    assert (verdicts == COLLIDING).any()
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_random_robots(tmp_path, seed):
-    """The same of robots of all joints with bodies of all kinds and many pieces, margins, attachments, allowed pairs."""
+    """The same of robots of all joints with bodies of all kinds and many pieces, margins and attachments."""
     rng = np.random.default_rng(seed)
     bodies = simple_bodies(rng) + composed_bodies(rng)
     robot = random_robot(rng, tmp_path, 5, bodies[: 9 + 4 * (seed % 2)])
@@ -129,7 +133,8 @@ def test_many_pieces(tmp_path, rng):
     end = steps(robot, rng, Q, 0.5)
     verdicts = assert_true(checker, Q, end, samples=500)
     assert (verdicts == CollisionChecker(robot, single).certify_edges(Q, end).verdict).all()
-    assert (verdicts == FREE).any() and (verdicts == COLLIDING).any()
+    assert (verdicts == FREE).any()
+    assert (verdicts == COLLIDING).any()
 
 
 def test_reversal(arms, rng):
@@ -194,8 +199,10 @@ def test_closing_fingers(tmp_path):
     assert ("left", "right") in checker.checked_pairs
     gaps = np.array([1e-2, 1e-4, 1.1e-5, 2e-6, 0.0, -1e-3])
     found = checker.certify_edges([0.05], gaps[:, None] / 2)
-    assert found.verdict.tolist()[:3] == [FREE] * 3 and found.verdict[3] != COLLIDING
-    assert found.verdict[5] == COLLIDING and found.verdict[4] in (COLLIDING, AMBIGUOUS)
+    assert found.verdict.tolist()[:3] == [FREE] * 3
+    assert found.verdict[3] != COLLIDING
+    assert found.verdict[5] == COLLIDING
+    assert found.verdict[4] in (COLLIDING, AMBIGUOUS)
 
 
 def test_thin_plates_between_samples(machine, rng):
@@ -236,7 +243,8 @@ def test_attached_bodies(machine):
     assert checker.certify_edges([0.1, 0.3, 0.0], [0.1, 0.5, 0.0]).verdict == FREE
     scene.attach("pole", "ball", translation(0.2, 0, 0), touch_links=["ball"])
     found = checker.certify_edges(*ends)
-    assert found.verdict == COLLIDING and found.names == ("pole", "wall")
+    assert found.verdict == COLLIDING
+    assert found.names == ("pole", "wall")
 
 
 def test_a_moved_obstacle(machine):
@@ -258,7 +266,8 @@ def test_motions_of_no_length(arms, rng):
     checker = CollisionChecker(arms("panda"), ring(rng, 10, 0.4, 0.9, 0.25))
     Q = checker.robot.random_configurations(300)
     verdicts = checker.certify_edges(Q, Q).verdict
-    assert ((verdicts == COLLIDING) == checker.collide(Q)).all() and not (verdicts == AMBIGUOUS).any()
+    assert ((verdicts == COLLIDING) == checker.collide(Q)).all()
+    assert not (verdicts == AMBIGUOUS).any()
 
 
 @far_outside
@@ -268,7 +277,8 @@ def test_motions_far_outside_the_limits(machine, rng):
     start = np.array([[300.0, 0, 0], [0, 300.0, -700.0], [3.0, 3.0, -900.0], [-300.0, 0.01, 5.0]])
     end = np.array([[-300.0, 0, 0], [0.0, -300.0, 800.0], [3.0, 3.0, 900.0], [-300.0, 4.0, 5.0]])
     verdicts = assert_true(checker, start, end, samples=200_000)
-    assert verdicts[2] == FREE and verdicts[3] == FREE
+    assert verdicts[2] == FREE
+    assert verdicts[3] == FREE
 
 
 @far_outside
@@ -286,7 +296,9 @@ def test_empty_batches(machine):
     """No motions have no verdicts; a robot without pairs is always free."""
     checker = CollisionChecker(ball_only(machine))
     found = checker.certify_edges(np.empty((0, 3)), [0.0, 0, 0])
-    assert found.verdict.shape == (0,) and found.names.shape == (0, 2) and found.fraction.shape == (0,)
+    assert found.verdict.shape == (0,)
+    assert found.names.shape == (0, 2)
+    assert found.fraction.shape == (0,)
     assert checker.certify_edges([0, 0, 0], [0.5, 0.5, 1.0]).verdict == FREE
 
 
@@ -296,10 +308,14 @@ def test_shapes(machine, rng):
     start, end = rng.uniform(-1, 1, (3, 1, 3)), rng.uniform(-1, 1, (4, 3))
     found = checker.certify_edges(start, end)
     assert found.verdict.shape == found.fraction.shape == found.poses.shape == found.searches.shape == (3, 4)
-    assert found.names.shape == (3, 4, 2) and found.verdict.dtype == np.int8
+    assert found.names.shape == (3, 4, 2)
+    assert found.verdict.dtype == np.int8
     one = checker.certify_edges(start[1, 0], end[2])
-    assert isinstance(one.verdict, Verdict) and isinstance(one.fraction, float) and isinstance(one.poses, int)
-    assert one.verdict == found.verdict[1, 2] and one.names == tuple(found.names[1, 2])
+    assert isinstance(one.verdict, Verdict)
+    assert isinstance(one.fraction, float)
+    assert isinstance(one.poses, int)
+    assert one.verdict == found.verdict[1, 2]
+    assert one.names == tuple(found.names[1, 2])
     assert "CertifiedMotions" in repr(found)
 
 
@@ -324,7 +340,7 @@ def test_bad_input(machine, start, end, options, text):
 
 
 def test_threads(arms, rng):
-    """Answers do not depend on the number of threads, nor on the batch that a motion is in, nor on what was asked before."""
+    """Answers depend neither on the number of threads, nor on a motion's batch, nor on what was asked before."""
     checker = CollisionChecker(arms("panda"), ring(rng, 10, 0.4, 0.9, 0.25))
     Q = free_configurations(checker, 400)
     end = steps(checker.robot, rng, Q, 1.5)
@@ -369,7 +385,8 @@ def test_a_tolerance_below_rounding(machine):
     checker = CollisionChecker(machine, scene)
     x = 0.3 - np.hypot(0.45, 0.01) - 1e-15
     found = checker.certify_edges([x, -0.3, -1.0], [x, -0.3, 1.0], tolerance=1e-300)
-    assert found.verdict in (AMBIGUOUS, COLLIDING) and found.poses < 10_000
+    assert found.verdict in (AMBIGUOUS, COLLIDING)
+    assert found.poses < 10_000
 
 
 def test_work_is_bounded(arms, rng):
@@ -378,8 +395,10 @@ def test_work_is_bounded(arms, rng):
     Q = free_configurations(checker, 400)
     found = checker.certify_edges(Q, steps(checker.robot, rng, Q, 1.0))
     free = found.verdict == FREE
-    assert found.poses[free].mean() < 16 and found.searches[free].mean() < 20
-    assert found.poses.max() < 1000 and found.searches.max() < 2000
+    assert found.poses[free].mean() < 16
+    assert found.searches[free].mean() < 20
+    assert found.poses.max() < 1000
+    assert found.searches.max() < 2000
 
 
 # -- mutants ------------------------------------------------------------------------------------

@@ -77,7 +77,7 @@ def checkers(tmp_path, seed):
 
 
 def points_of(checker):
-    """Points of each body in the frame of its link, or of its own if it stands: vertices, or those of inner ellipsoids."""
+    """Points of each body in the frame of its link, or of its own if it stands; vertices, where there are any."""
     ready = checker._ready()
     found = []
     for body in range(len(ready.names)):
@@ -114,12 +114,15 @@ def test_speed_and_curvature(tmp_path, seed):
                 if moves:
                     x = np.einsum("tij,nj->tni", poses[:, ready.link[a]], x)
                 else:
-                    x = np.broadcast_to(x @ ready.standing_poses[a - len(ready.link)].reshape(4, 4).T, (len(t), *x.shape))
+                    x = np.broadcast_to(
+                        x @ ready.standing_poses[a - len(ready.link)].reshape(4, 4).T, (len(t), *x.shape)
+                    )
                 seen = np.einsum("tij,tnj->tni", to, x)[..., :3]
                 ways = ways_between(tables, made, a, ready.link[a] if moves else -1, ready.link[b])
                 speed = np.sqrt(((seen[1:] - seen[:-1]) ** 2).sum(axis=2)).max() / h
                 bend = np.sqrt(((seen[2:] - 2 * seen[1:-1] + seen[:-2]) ** 2).sum(axis=2)).max() / h**2
-                assert speed <= ways.speed + 1e-9 and bend <= ways.bend + 1e-5
+                assert speed <= ways.speed + 1e-9
+                assert bend <= ways.bend + 1e-5
                 if ways.bend > 0:
                     closest = max(closest, float(bend / ways.bend))
     assert closest > 0.2 or not np.isin(robot.tree.kind, (columns.REVOLUTE, columns.PLANAR, columns.FLOATING)).any()
@@ -161,7 +164,10 @@ def test_rounding_of_a_long_chain():
     checker = CollisionChecker(example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf"))
     rng = np.random.default_rng(0)
     start = checker.robot.random_configurations(40)
-    found = [largest_error(checker, a, b, rng.uniform(size=100)) for a, b in zip(start, steps(checker.robot, rng, start, 1.0))]
+    found = [
+        largest_error(checker, a, b, rng.uniform(size=100))
+        for a, b in zip(start, steps(checker.robot, rng, start, 1.0), strict=True)
+    ]
     assert 0.002 < max(found) < 1.0
 
 

@@ -762,6 +762,10 @@ CALLS: dict[str, Call] = {
         on(checker, "valid_edges"),
         {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "resolution": positive()},
     ),
+    "CollisionChecker.certify_edges": Call(
+        on(checker, "certify_edges"),
+        {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "tolerance": positive()},
+    ),
     "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.distance": Call(on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag()}),

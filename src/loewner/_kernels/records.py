@@ -104,8 +104,8 @@ class MotionTables(NamedTuple):
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.
     chain : ndarray, shape (3,)
-        Of the longest chain of joints: how many and one more, and the sum of its lengths with sliding joints at 0; and how far the
-        rotations of all its links together may be from orthonormal.
+        Of the longest chain of joints: how many and one more, and the sum of its lengths with sliding joints at 0; and
+        how far the rotations of all links together may be from orthonormal.
     """
 
     path_start: Any

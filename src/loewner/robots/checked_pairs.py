@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._kernels import columns, records, tolerances
+from loewner._kernels.records import MotionTables
 from loewner._native import entries
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
-from loewner.robots.motion_tables import PreparedMotions, prepared_motions
+from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
@@ -32,6 +34,26 @@ MOST_PAIRS = 2**24
 # Entries of a symmetric matrix in the order of the kernels, and back.
 _UPPER = np.triu_indices(3)
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+class PreparedMotions(NamedTuple):
+    """What the kernel takes besides to prove motions.
+
+    Attributes
+    ----------
+    tables : MotionTables
+    handle : int
+        Their arrays, for the kernel; good for as long as this lives.
+    memory : int
+        Bytes that the kernel works in.
+    table : ndarray
+        What the handle points to.
+    """
+
+    tables: MotionTables
+    handle: int
+    memory: int
+    table: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +135,20 @@ class CheckedPairs:
     @cached_property
     def motions(self) -> PreparedMotions:
         """What certifying motions takes besides; made when it is first needed."""
-        packed, start = self.bodies._packed, self.bodies._packed.piece_start[len(self.link) :]
-        poses = self.standing_poses.reshape(-1, 4, 4)
-        rows = [_placed_row(packed.kernel.hot[p], T) for k, T in enumerate(poses) for p in range(start[k], start[k + 1])]
-        return prepared_motions(self, np.array(rows).reshape(-1, columns.HOT))
+        packed = self.bodies._packed
+        start = packed.piece_start[len(self.link) :]
+        rows = [
+            _placed_row(packed.kernel.hot[p], T)
+            for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
+            for p in range(start[k], start[k + 1])
+        ]
+        tables = motion_tables(
+            self.robot.tree, packed, self.link, self.balls, self.pairs, self.standing.astype(np.float64),
+            self.standing_poses, np.array(rows).reshape(-1, columns.HOT),
+        )  # fmt: skip
+        table = records.table_of(tables)
+        memory = entries.motion_memory(packed.handle, self.handle, self.robot.dof)
+        return PreparedMotions(tables, table.ctypes.data, memory, table)
 
     def poses(self, Q: Floats) -> Floats:
         """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""

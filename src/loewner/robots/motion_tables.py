@@ -1,23 +1,18 @@
 """How far bodies get from the joints that turn them: what the proof of a motion takes from a robot and a scene.
 
-A ball about a body is followed along the tree of joints, from the joint next to the body on: a joint that turns sweeps it
-around its axis, and the ball about all that is swept goes on to the next one. Sliding joints stand at 0 here; what they
-travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md, "Motions".
+A ball about a body is followed along the tree of joints, from the joint next to the body on: a joint that turns sweeps
+it around its axis, and the ball about all that is swept goes on to the next one. Sliding joints stand at 0 here; what
+they travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md, "Motions".
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
 
-from loewner._kernels import columns, records, tolerances
+from loewner._kernels import columns, tolerances
 from loewner._kernels.records import MotionTables, Tree
-from loewner._native import entries
 from loewner._validate import Floats, Ints
-
-if TYPE_CHECKING:
-    from loewner.robots.checked_pairs import CheckedPairs
+from loewner.bodies import Packed
 
 # An allowance for rounding, and for what a base or a body that is accepted as rigid may stretch lengths by.
 STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
@@ -27,56 +22,47 @@ STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
 ANGLES = np.arange(8) * (np.pi / 4)
 
 
-class PreparedMotions(NamedTuple):
-    """The tables, and what lives as long as their handle is used.
-
-    Attributes
-    ----------
-    tables : MotionTables
-    handle : int
-        Their arrays, for the kernel.
-    memory : int
-        Bytes that the kernel works in.
-    """
-
-    tables: MotionTables
-    handle: int
-    memory: int
-    keep: Ints
-
-
-def prepared_motions(ready: CheckedPairs, standing_rows: Floats) -> PreparedMotions:
-    """Prepare what `entries.certify_motions` takes, for the robot and the scene of some checked pairs.
+def motion_tables(
+    tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, standing: Floats, poses: Floats, rows: Floats
+) -> MotionTables:
+    """Prepare what `entries.certify_motions` takes besides the checked pairs.
 
     Parameters
     ----------
-    ready : CheckedPairs
-    standing_rows : ndarray, shape (pieces, HOT)
-        Ellipsoids of what stands, in world coordinates.
+    tree : Tree
+    packed : Packed
+        Pieces of all bodies, those that move first.
+    link, balls, pairs
+        As of `CheckedPairs`.
+    standing : ndarray, shape (bodies, BOUNDS)
+        Bounds of what stands.
+    poses : ndarray, shape (bodies, 16)
+        Where it stands.
+    rows : ndarray, shape (pieces, HOT)
+        Its ellipsoids in world coordinates.
     """
-    tree, link = ready.robot.tree, ready.link
     start, links = _paths(tree)
-    moving = _reaches(tree, link, ready.balls[:, :3], ready.balls[:, 3])
-    still = ready.standing.astype(np.float64)
-    standing = _reaches(tree, np.full(len(still), -1), still[:, :3], still[:, 3])
-    table = ready.bodies._packed.kernel.table
-    pieces = ready.bodies._packed.piece_start[len(link) :]
-    far = np.array([table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(pieces[:-1], pieces[1:], strict=True)])
-    places = ready.standing_poses.reshape(-1, 4, 4)[:, :3, 3]
-    depth = np.diff(start)[link] if len(link) else np.zeros(0, dtype=np.int64)
-    tables = MotionTables(
+    moving = _reaches(tree, link, balls[:, :3], balls[:, 3])
+    still = _reaches(tree, np.full(len(standing), -1), standing[:, :3], standing[:, 3])
+    far = _farthest(packed)
+    depth = np.diff(start)[link]
+    return MotionTables(
         path_start=start,
         path_link=links,
-        reach=np.ascontiguousarray(np.concatenate([moving, standing]) * STRETCH),
-        standing_rows=np.ascontiguousarray(standing_rows),
-        sizes=far.reshape(-1) + np.abs(places).sum(axis=1),
+        reach=np.ascontiguousarray(np.concatenate([moving, still]) * STRETCH),
+        standing_rows=np.ascontiguousarray(rows),
+        sizes=far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1),
         # What is far out on the robot moves most, and hits most often.
-        order=np.argsort(-depth[ready.pairs[:, 0]], kind="stable"),
-        chain=np.array([1 + depth.max(initial=0), _longest(tree, ready), _bend(tree)]),
+        order=np.argsort(-depth[pairs[:, 0]], kind="stable"),
+        chain=np.array([1 + depth.max(initial=0), _longest(tree, link, far), _bend(tree)]),
     )
-    keep = records.table_of(tables)
-    memory = entries.motion_memory(ready.bodies._packed.handle, ready.handle, ready.robot.dof)
-    return PreparedMotions(tables, keep.ctypes.data, memory, keep)
+
+
+def _farthest(packed: Packed) -> Floats:
+    """How far the points of each body are from its origin, at most."""
+    table, start = packed.kernel.table, packed.piece_start
+    far = [table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(start[:-1], start[1:], strict=True)]
+    return np.array(far, dtype=np.float64)
 
 
 def _paths(tree: Tree) -> tuple[Ints, Ints]:
@@ -140,17 +126,12 @@ def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
     return R, row[columns.TRANSLATION : columns.TRANSLATION + 3], axis
 
 
-def _longest(tree: Tree, ready: CheckedPairs) -> float:
+def _longest(tree: Tree, link: Ints, far: Floats) -> float:
     """Sum of the lengths along the longest chain of links, from the world's origin to a body's farthest point."""
     lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
-    for link, above in enumerate(tree.parent):
-        lengths[link] += lengths[above] if above >= 0 else 0.0
-    table, start = ready.bodies._packed.kernel.table, ready.bodies._packed.piece_start
-    far = [
-        lengths[link] + table[start[k] : start[k + 1], columns.REACH].max(initial=0.0)
-        for k, link in enumerate(ready.link)
-    ]
-    return float(max(far, default=0.0)) * STRETCH
+    for k, above in enumerate(tree.parent):
+        lengths[k] += lengths[above] if above >= 0 else 0.0
+    return float((lengths[link] + far[: len(link)]).max(initial=0.0)) * STRETCH
 
 
 def _bend(tree: Tree) -> float:

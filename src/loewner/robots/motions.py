@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from loewner import _validate
-from loewner._kernels import codes
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats

@@ -622,7 +622,8 @@ class Robot:
         _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
-            p, q, cosine = _nearer(a[..., quaternion], b[..., quaternion])
+            p = a[..., quaternion]
+            q, cosine = _nearer(p, b[..., quaternion])
             angle = np.arccos(np.minimum(cosine, 1.0))
             # For a small angle the chord is the arc.
             sine = np.maximum(np.sin(angle), 1e-12)
@@ -639,7 +640,7 @@ class Robot:
             return Q1
         ends = Q1.copy()
         for quaternion in self._quaternions.values():
-            _, ends[..., quaternion], _ = _nearer(Q0[..., quaternion], Q1[..., quaternion])
+            ends[..., quaternion], _ = _nearer(Q0[..., quaternion], Q1[..., quaternion])
         return ends
 
     @cached_property
@@ -651,7 +652,7 @@ class Robot:
         }
 
 
-def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
-    """Quaternions p, of q and -q the nearer ones, and the cosines of the angles between the two."""
+def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """Of the quaternions q and -q those nearer to p, and the cosines of the angles between the two."""
     cosine = (p * q).sum(axis=-1, keepdims=True)
-    return p, np.where(cosine < 0, -q, q), np.abs(cosine)
+    return np.where(cosine < 0, -q, q), np.abs(cosine)

@@ -294,7 +294,7 @@ def measuring(supports):
         for r in range(MEASURE_ROUNDS):
             o = p
             if r == 1:
-                # The first direction is good already, that of the first point poor: between them lies what saves a round.
+                # The first direction is good already, that of the first point poor: between them is what saves a round.
                 o = (
                     KEPT * first[0] + (1.0 - KEPT) * p[0],
                     KEPT * first[1] + (1.0 - KEPT) * p[1],
@@ -345,7 +345,7 @@ def measuring(supports):
                     count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
                     if count == 0:
                         doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                        # The base, -|volume| less the other three, must be clear too: a flat tetrahedron's sign is noise.
+                        # The base, -|volume| less the other three, must be clear too: flat ones have the sign of noise.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
                             status = INSIDE

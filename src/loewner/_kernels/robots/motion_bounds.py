@@ -8,7 +8,8 @@ its second derivative at most
     A = sum over turning joints j of R_j w_j (w_j + 2 W_j) + sum over sliding joints j of 2 s_j W_j
 
 with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still. A planar joint
-is one that slides and then one that turns, seen from its parent; and so is a floating one. docs/certified.md, "Motions".
+is one that slides and then one that turns, seen from its parent; and so is a floating one. docs/certified.md,
+"Motions".
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +34,8 @@ SLERP_ROUNDINGS = 256.0 * UNIT_ROUNDOFF  # derived 64, certified.md B27
 NORM_SHARE = 16.0  # derived 6.2, certified.md B28
 
 # What poses accepted as rigid stretch ways by, and the few dozen roundings that rates and bounds are formed by.
-UPWARD = 1.0 + 1e-5  # derived 3.2e-6, certified.md B29
+STRETCH = 1e-5  # derived 3.2e-6, certified.md B29
+UPWARD = 1.0 + STRETCH
 
 SMALLEST_TURN = 1e-15  # rad; more than an angle between two equal quaternions is off by
 
@@ -148,7 +150,7 @@ def rates_of(tree, ends, rates):
 
 @inline
 def uncertainty(tables, travel, angles, places):
-    """How far any computed point of the robot may be from where it is on the real motion [m]; and the chain's length."""
+    """How far a computed point of the robot may be from where it is on the real motion [m]; and the chain's length."""
     length = tables.chain[1] + travel
     return (JOINT_ROUNDINGS * tables.chain[0] + TURN * angles) * length + 2.0 * places, length
 

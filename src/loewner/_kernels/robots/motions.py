@@ -49,8 +49,8 @@ from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_li
 from loewner._kernels.simd.vectors import LANES, lowest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Further verdicts: the motion would have to be cut into too many intervals; it collides, but that was so near to contact
-# that only the careful search said so, and another start of it may not.
+# Further verdicts: the motion would have to be cut into too many intervals; it collides, but so near to contact that
+# only the careful search said so, and another start of it may not.
 TOO_LONG, BY_CARE = 3, 4
 
 # How far points may be from their chords [m] in the first intervals; a choice.
@@ -822,7 +822,9 @@ def _certify(motion, tally):
 
 
 @njit()
-def certify_motions(start, stop, Q0, Q1, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory):
+def certify_motions(
+    start, stop, Q0, Q1, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
+):
     """Settle the straight motions start .. stop at every one of their configurations.
 
     Parameters

@@ -49,7 +49,8 @@ _SHAPE = 3 * STRIDE
 PIECE = 9 * STRIDE
 
 # Radii and half widths are widened by this, for what poses accepted as rigid stretch them by, and rounding.
-WIDER = 1.0 + 1e-5  # derived 1.7e-6, certified.md B31
+STRETCH = 1e-5  # derived 1.7e-6, certified.md B31
+WIDER = 1.0 + STRETCH
 
 TINY = 1e-300
 
@@ -176,7 +177,11 @@ def sweep(problem, pieces, to):
 def near_standing(problem, body, k, keep, to):
     """Intervals, as bits, in which a body that moves may come within `keep` of the one that stands in row k."""
     at, still = body * BODY, problem.standing
-    middle = load(to.bodies, at + _MIDDLE), load(to.bodies, at + _MIDDLE + LANES), load(to.bodies, at + _MIDDLE + 2 * LANES)
+    middle = (
+        load(to.bodies, at + _MIDDLE),
+        load(to.bodies, at + _MIDDLE + LANES),
+        load(to.bodies, at + _MIDDLE + 2 * LANES),
+    )
     r = minus(middle, (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
     far = load(to.bodies, at + _HALF_CHORD) + (problem.ball[body, 3] + np.float64(still[k, WIDE]) + keep)
     far = far * WIDER
@@ -196,7 +201,7 @@ def near_standing(problem, body, k, keep, to):
 
 @inline
 def _near_balls(rows, at, center, radii, keep):
-    """Intervals in which a ball, its center in the rows from `at` on, may come within `keep` of one that stands still."""
+    """Intervals in which a ball, its center in the rows from `at` on, may come within `keep` of one that stands."""
     first, last = _load_three(rows, at), _load_three(rows, at + 1)
     way = minus(last, first)
     r = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]), 0.5 * (first[2] + last[2])
