@@ -417,17 +417,16 @@ class CollisionChecker:
         True
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
-        a, b, shape = _motions(self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1"), 40)
+        a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
+        shape: tuple[int, ...] = ()
+        if a.ndim == 1 and b.ndim == 1:
+            a, b = a[None], b[None]
+        else:
+            a, b, shape = _motions(a, b, 40)
         ready = self._ready()
-        verdicts, fractions, pairs, work = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
-        self._confirm(a, b, verdicts, fractions)
-        names = np.array([*ready.names, ""])[np.append(ready.pairs, [[-1, -1]], axis=0)[pairs]]
-        if shape:
-            columns = verdicts, fractions, work[:, 0], work[:, 1]
-            verdict, fraction, poses, searches = (column.reshape(shape) for column in columns)
-            return CertifiedMotions(verdict, fraction, names.reshape(*shape, 2), poses, searches)
-        pair = tuple(names[0].tolist())
-        return CertifiedMotions(Verdict(int(verdicts[0])), float(fractions[0]), pair, int(work[0, 0]), int(work[0, 1]))
+        found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
+        self._confirm(a, b, found.verdicts, found.fractions)
+        return found.of_shape(shape, ready)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

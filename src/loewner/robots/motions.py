@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._native import entries
 from loewner._threads import in_shares
-from loewner._validate import Floats
+from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
 from loewner.errors import InputError
+from loewner.queries import Verdict
 from loewner.robots.checked_pairs import CheckedPairs
 
 # Motions a thread takes at a time, at least: some 0.3 ms of work.
@@ -20,6 +22,8 @@ LEAST_SHARE = 16
 
 # Further verdicts, as `robots.motions` of the kernels calls them.
 TOO_LONG, BY_CARE = 3, 4
+
+MOST_INTERVALS = 7 * 2**16  # that a motion is cut into before any is halved, likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +54,42 @@ class CertifiedMotions:
         return _validate.brief(self)
 
 
-def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> tuple[Any, ...]:
-    """Verdicts, fractions, pairs (-1: none) and work, shape (N, 2), of N motions between configurations a and b.
+class Found(NamedTuple):
+    """What the kernel says of N motions.
 
-    A verdict may be BY_CARE: COLLIDING if `collide` says so.
+    Attributes
+    ----------
+    verdicts : ndarray of int8, shape (N,)
+        As of `CertifiedMotions`, or BY_CARE: COLLIDING if `collide` says so.
+    fractions : ndarray, shape (N,)
+    pairs : ndarray of int64, shape (N,)
+        Numbers of the pairs; -1 for none.
+    work : ndarray of int64, shape (N, 2)
+        Poses and searches.
+    """
+
+    verdicts: NDArray[np.int8]
+    fractions: Floats
+    pairs: Ints
+    work: Ints
+
+    def of_shape(self, shape: tuple[int, ...], ready: CheckedPairs) -> CertifiedMotions:
+        """The same as users see it: of one motion, whose shape is (), no arrays."""
+        if not shape:
+            pair = int(self.pairs[0])
+            names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
+            poses, searches = self.work[0].tolist()
+            return CertifiedMotions(Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, poses, searches)
+        pairs = np.append(ready.pairs, [[-1, -1]], axis=0)[self.pairs]
+        poses, searches = self.work.T.reshape(2, *shape)
+        return CertifiedMotions(
+            self.verdicts.reshape(shape), self.fractions.reshape(shape),
+            np.array([*ready.names, ""])[pairs].reshape(*shape, 2), poses, searches,
+        )  # fmt: skip
+
+
+def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
+    """Settle the motions between configurations a and b, shape (N, dof) each.
 
     Raises
     ------
@@ -61,21 +97,24 @@ def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> tupl
         If a motion is too long to be cut into intervals.
     """
     total = len(a)
-    verdicts, fractions = np.empty(total, dtype=np.int8), np.empty(total)
-    pairs, work = np.empty(total, dtype=np.int64), np.empty((total, 2), dtype=np.int64)
-    motions = ready.motions
+    found = Found(
+        np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
+        np.empty((total, 2), dtype=np.int64),
+    )  # fmt: skip
+    prepared = ready.motions
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(
-            first, last, a, b, tolerance, ready.bodies._packed.handle, ready.handle, motions.handle, verdicts,
-            fractions, pairs, work, workspace(motions.memory),
+            first, last, a, b, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
+            workspace(prepared.memory),
         )  # fmt: skip
 
     in_shares(share, total, LEAST_SHARE)
-    if (verdicts == TOO_LONG).any():
-        k = int(np.argmax(verdicts == TOO_LONG))
+    too_long = found.verdicts == TOO_LONG
+    if too_long.any():
+        k = int(np.argmax(too_long))
         raise InputError(
-            f"expected motions short enough to be proven in 458752 intervals, found number {k}, which goes "
+            f"expected motions short enough to be proven in {MOST_INTERVALS} intervals, found number {k}, which goes "
             f"{np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
         )
-    return verdicts, fractions, pairs, work
+    return found
