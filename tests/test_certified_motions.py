@@ -1,6 +1,7 @@
 """Motions proven free are free at every sample, those found colliding collide there, and nothing else is left open."""
 
 import copy
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from families import translation
 from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
 from loewner._kernels import columns
+from loewner._kernels.robots import motions, sweeps
 from loewner.robots import motion_tables
 from motion_oracle import (
     AFLOAT,
@@ -161,8 +163,8 @@ def test_a_ball_beside_a_wall(machine, along, gap, allowed):
     scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0))
     checker = CollisionChecker(ball_only(machine), scene)
     x = 0.3 - RADIUS - gap
-    motions = {"y": ([x, -0.9, 0.0], [x, 0.9, 0.0]), "x": ([-0.8, 0.1, 0.0], [x, 0.1, 0.0])}
-    found = checker.certify_edges(*motions[along])
+    ends = {"y": ([x, -0.9, 0.0], [x, 0.9, 0.0]), "x": ([-0.8, 0.1, 0.0], [x, 0.1, 0.0])}
+    found = checker.certify_edges(*ends[along])
     assert found.verdict in allowed
     if found.verdict != FREE:
         assert found.names == ("ball", "wall")
@@ -352,7 +354,9 @@ def test_threads(arms, rng):
             found.append(checker.certify_edges(Q, end))
     finally:
         loewner.set_num_threads(before)
+    prepared = checker._ready().motions
     checker.collide(checker.robot.random_configurations(2000))  # from which the order of pairs is learnt
+    assert checker._ready().motions is prepared
     found.append(copy.copy(checker).certify_edges(Q[::-1], end[::-1]))
     for other in found[1:]:
         order = slice(None, None, -1) if other is found[-1] else slice(None)
@@ -387,6 +391,14 @@ def test_a_tolerance_below_rounding(machine):
     found = checker.certify_edges([x, -0.3, -1.0], [x, -0.3, 1.0], tolerance=1e-300)
     assert found.verdict in (AMBIGUOUS, COLLIDING)
     assert found.poses < 10_000
+
+
+def test_memory_suffices():
+    """Cuts in eight end where no double is left between two; each leaves at most three intervals behind."""
+    cuts = math.ceil((53 - math.log2(sweeps.INTERVALS)) / math.log2(motions.PARTS))
+    assert cuts + 1 < motions.DEPTH - 1
+    assert 1 + math.log2(motions.PARTS) * (motions.DEPTH - 1) < motions.STACK
+    assert 2 * motions.LANES < motions.WAITING
 
 
 def test_work_is_bounded(arms, rng):

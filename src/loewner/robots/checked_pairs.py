@@ -108,7 +108,10 @@ class CheckedPairs:
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""
-        return replace(self, order=np.argsort(-self.hits, kind="stable"))
+        ordered = replace(self, order=np.argsort(-self.hits, kind="stable"))
+        if "motions" in vars(self):  # which has an order of its own
+            vars(ordered)["motions"] = self.motions
+        return ordered
 
     def placed(self, scene: Scene, version: int) -> CheckedPairs:
         """The same with the bodies that stand still where the scene has them now.
