@@ -1026,8 +1026,8 @@ LINES: dict[str, Call] = {
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
-    "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet", "paper.Experiment", "paper.Pairs",
-    "paper.Result",
+    "CertifiedMotions", "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet",
+    "paper.Experiment", "paper.Pairs", "paper.Result",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body"}

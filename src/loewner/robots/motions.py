@@ -42,6 +42,16 @@ class CertifiedMotions:
         The pair that collides or is ambiguous there; empty where FREE.
     poses, searches : int or ndarray of int64
         Work done: configurations that the robot was placed at, and searches on single pairs of pieces.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> found = checker.certify_edges([0.0, 1.57], [0.5, 1.57])
+    >>> print(found.verdict, found.fraction, found.names)
+    FREE nan ('', '')
     """
 
     verdict: Any
