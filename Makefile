@@ -5,43 +5,58 @@
 #   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
 #   make docs     the documentation, as pages in docs/_build/html
+#   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
+#   make test-wheel    the quick suite against that wheel, installed
 # PYTHON=python3.13 chooses the interpreter that .venv is made with.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+# Byte code is made of what is imported, when it is: making all of it takes longer than all else that pip does.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
 
-.PHONY: help demo test verify fuzz bounds bench check docs clean
+# The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
+# now; beside a library that does nothing.
+BUILD := $(BIN)/python native/build.py || true
+COMPILE := $(BIN)/python -m loewner compile
+
+.PHONY: help demo test verify fuzz bounds bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 8
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 10
 
 # What compiling does not need is installed beside it.
-demo: $(VENV)/.core
-	@$(BIN)/python -m loewner compile --only verdicts robots fits paper & compiling=$$!; \
-	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$compiling && exit $$installed
+demo: $(VENV)/.compiler
+	@{ $(BUILD); } & building=$$!; \
+	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$building; exit $$installed
+	$(COMPILE) --only verdicts robots fits paper
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 verify: $(VENV)/.dev
+	$(BUILD)
 	$(PYTEST) -s -m verify tests
 
 fuzz: $(VENV)/.dev
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
 
 # Compiled code of its own: Numba puts a check before every access to an array.
+bounds: export LOEWNER_JIT := 1
+bounds: export NUMBA_BOUNDSCHECK := 1
 bounds: $(VENV)/.dev
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m loewner compile
-	NUMBA_BOUNDSCHECK=1 $(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+	$(COMPILE)
+	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
 bench: $(VENV)/.bench
+	$(BUILD)
 	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/run.py
 
@@ -50,15 +65,46 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m loewner compile
+	$(BUILD)
+	$(COMPILE)
 	$(PYTEST) -q src
 
 # Every warning is an error, a link that leads nowhere among them. Nothing is downloaded.
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
 
+# auditwheel names the oldest C library of Linux that will do; elsewhere the tag is that of this machine.
+wheel: $(VENV)/.wheel
+	rm -rf build/wheel dist/*.whl
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/wheel .
+	@if [ "$$(uname -s)" = Linux ]; then \
+	  PATH="$(CURDIR)/$(BIN):$$PATH"; auditwheel show build/wheel/*.whl && auditwheel repair --wheel-dir dist build/wheel/*.whl; \
+	else mkdir -p dist && cp build/wheel/*.whl dist/; fi
+	$(BIN)/python native/check_wheel.py dist/*.whl
+
+# A wheel that is built from the sources in dist/ holds the same files as one from this folder.
+sdist: $(VENV)/.wheel
+	rm -rf build/sdist dist/*.tar.gz
+	$(BIN)/python -m build --sdist --no-isolation --outdir dist .
+	ls build/wheel/*.whl >/dev/null 2>&1 || $(MAKE) --no-print-directory wheel
+	mkdir -p build/sdist/tree && tar -xzf dist/*.tar.gz -C build/sdist/tree --strip-components 1
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/sdist build/sdist/tree
+	$(BIN)/python native/check_wheel.py --same-as build/wheel/*.whl build/sdist/*.whl
+
+# The quick suite where `import loewner` finds the wheel, not these sources; the other packages are those of .venv.
+test-wheel: $(VENV)/.dev
+	@ls dist/*.whl >/dev/null 2>&1 || $(MAKE) --no-print-directory wheel
+	rm -rf .venv-wheel
+	$(BIN)/python -m venv --without-pip .venv-wheel
+	$(BIN)/python -m pip --disable-pip-version-check --quiet --python .venv-wheel/bin/python install --no-deps dist/*.whl
+	@seen=$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))'); \
+	  into=$$(.venv-wheel/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))'); \
+	  echo "$$seen" >"$$into/_seen.pth" && cp "$$seen"/cmeel.pth "$$into"
+	cd .venv-wheel && LOEWNER_NATIVE=required LOEWNER_INSTALLED=required bin/python -m pytest $(PYTEST_OPTIONS) \
+	  -c ../pyproject.toml --rootdir .. -n $(THREADS) --dist loadfile -m "not verify and not fuzz" ../tests
+
 clean:
-	rm -rf $(VENV) docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
+	rm -rf $(VENV) .venv-wheel build dist docs/_build docs/measured.md docs/reference/command.md docs/reference/generated .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks demo-out
 
 # A stamp file says that what it depends on was installed; a half-done installation leaves none.
 $(BIN)/python:
@@ -66,9 +112,14 @@ $(BIN)/python:
 	  { echo "loewner needs Python >= 3.11; try make PYTHON=python3.13 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.core: requirements/core.txt pyproject.toml | $(BIN)/python
+# What builds the native library; the rest can be installed meanwhile.
+$(VENV)/.compiler: requirements/core.txt | $(BIN)/python
+	$(PIP) --constraint requirements/core.txt numba
+	@touch $@
+
+$(VENV)/.core: requirements/core.txt pyproject.toml $(VENV)/.compiler
 	$(PIP) -r requirements/core.txt
-	$(PIP) --no-deps --editable .
+	LOEWNER_BUILD=pure $(PIP) --no-deps --editable .
 	@touch $@
 
 $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
@@ -78,10 +129,15 @@ $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 	$(PIP) -r requirements/dev.txt
+	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true  # tests start hundreds of interpreters
 	@touch $@
 
 $(VENV)/.bench: requirements/bench.txt $(VENV)/.dev
 	$(PIP) --no-deps -r requirements/bench.txt
+	@touch $@
+
+$(VENV)/.wheel: requirements/wheel.txt $(VENV)/.core
+	$(PIP) -r requirements/wheel.txt
 	@touch $@
 
 $(VENV)/.docs: requirements/docs.txt $(VENV)/.demo

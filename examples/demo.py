@@ -8,6 +8,7 @@ import os
 import sys
 import time
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,11 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
 
     console.rule("1. Two meshes of the Panda arm become bodies")
-    link, hand = (fitted(name, out, not chosen.hull, threshold) for name, threshold in (("link5", 0.1), ("hand", 0.2)))
+    with ProcessPoolExecutor(2) as pool:  # decomposing keeps one processor busy
+        parts = [pool.submit(fitted, name, out, not chosen.hull, at) for name, at in (("link5", 0.1), ("hand", 0.2))]
+        for part in parts:
+            console.print("\n".join(part.result()), markup=False)
+    link, hand = (loewner.Body.load(out / f"{name}.npz") for name in ("link5", "hand"))
 
     console.rule(f"2. Are they in collision, at {chosen.poses:,} poses?")
     poses = random_poses(link, hand, chosen.poses)
@@ -67,8 +72,8 @@ def main() -> None:
     )
 
 
-def fitted(name: str, out: Path, decompose: bool, threshold: float) -> loewner.Body:
-    """Decompose a link into convex pieces (fewer with a higher threshold), fit them, save the body, read it back."""
+def fitted(name: str, out: Path, decompose: bool, threshold: float) -> list[str]:
+    """Decompose a link into convex pieces (fewer with a higher threshold), fit them, save the body; tell about it."""
     mesh = panda(f"visual/{name}.dae")
     started = time.perf_counter()
     with warnings.catch_warnings(record=True) as told:
@@ -76,23 +81,16 @@ def fitted(name: str, out: Path, decompose: bool, threshold: float) -> loewner.B
         body = loewner.Body.from_mesh(mesh, decompose=decompose, threshold=threshold)
     seconds = time.perf_counter() - started
     body.save(out / f"{name}.npz")
-    body = loewner.Body.load(out / f"{name}.npz")
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
     covering = body.covering
     assert covering is not None  # the body was made of a mesh
     holds = "hold the whole mesh" if covering.exact else f"miss up to {covering.max_uncovered:.2g} m of it"
-    console.print(
+    holes = "the mesh has holes (it was made to be looked at); what is checked are its convex pieces"
+    return [
         f"{name}: {len(body.pieces)} convex pieces, {vertices:,} vertices, {holds}; "
-        f"{seconds:.1f} s; saved as {out / name}.npz"
-    )
-    for warning in told:
-        if "has holes" in str(warning.message):
-            console.print(
-                f"{name}: the mesh has holes (it was made to be looked at); what is checked are its convex pieces"
-            )
-        else:
-            console.print(f"{name}: {warning.message}", markup=False)
-    return body
+        f"{seconds:.1f} s; saved as {out / name}.npz",
+        *(f"{name}: {holes if 'has holes' in str(one.message) else one.message}" for one in told),
+    ]
 
 
 def random_poses(a: loewner.Body, b: loewner.Body, count: int) -> np.ndarray:

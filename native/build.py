@@ -2,8 +2,9 @@
 
     python native/build.py                     for this machine's level, if it is not there already
     python native/build.py --levels all        for all levels of this architecture, as a wheel has them
+    python native/build.py --to FOLDER         somewhere else than beside `src/loewner/_native/library.py`
 
-It takes Numba, NumPy's headers and a C compiler. What is built goes beside `src/loewner/_native/library.py`.
+It takes Numba, NumPy's headers and a C compiler.
 """
 
 import argparse
@@ -37,11 +38,17 @@ LEVELS = {
 }
 CPU_OF = {"arm64": "generic"}
 
-# Entries that one process compiles: those of a file share what they call, which is compiled once. The rest is another.
+# Entries that one process compiles; another has the rest, which takes it as long. Those of a file stay together, since
+# what they call is compiled once.
 FIRST = (
-    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "first_fault",
-    "body_boxes", "curve_order", "box_tree", "meeting_boxes",
+    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "link_poses",
+    "first_fault", "body_boxes", "curve_order", "box_tree", "meeting_boxes", "piece_trees", "direction_map",
+    "contact_of_pairs", "near_points_of_pairs",
+    "detector_1", "detector_2", "detector_3", "detector_4", "estimates_of_pairs",
 )  # fmt: skip
+
+
+EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
 
 
 class BuildError(Exception):
@@ -58,7 +65,8 @@ def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
-    for path in sorted([*HERE.glob("*.py"), *HERE.glob("*.c"), SOURCES / "loewner" / "_native" / "entries.py"]):
+    written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
+    for path in sorted([*written, SOURCES / "loewner" / "_native" / "entries.py"]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -161,7 +169,10 @@ def compile_extension(to: Path) -> None:
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([HERE / "call.c", f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"], to)
+    compile_c(
+        [*(HERE / name for name in EXTENSION), f"-I{headers.parent}", f"-I{numpy.get_include()}", *undefined, "-ldl"],
+        to,
+    )
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
@@ -172,12 +183,12 @@ def link(objects: list[Path], level: str, to: Path) -> None:
 
 def compile_c(what: list[Path | str], to: Path) -> None:
     """Call the C compiler: that of the environment, or `cc`."""
-    compiler = shlex.split(os.environ.get("CC", "cc"))
+    compiler = shlex.split(os.environ.get("CC") or "cc")
     command = [*compiler, "-O2", "-std=gnu11", "-Wall", "-fPIC", "-shared", "-s", "-o", str(to), *map(str, what)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        why = f"expected a C compiler, found no {compiler[0]} ({error.strerror}); install one, or set CC"
+        why = f"expected a C compiler, found no {compiler[0]} ({error.strerror}); install gcc or clang, or set CC"
         raise BuildError(why) from None
     if done.returncode:
         raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()[-4000:]}")
@@ -187,7 +198,9 @@ def main() -> int:
     """Build what is asked for, unless it is there."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--levels", default="machine", help="'machine' (default), 'all', or names with commas")
-    asked = parser.parse_args().levels
+    parser.add_argument("--to", type=Path, default=HOME, metavar="FOLDER", help="where what is built goes")
+    arguments = parser.parse_args()
+    asked, home = arguments.levels, arguments.to
     try:
         known = LEVELS.get(architecture())
         if known is None:
@@ -195,9 +208,9 @@ def main() -> int:
         levels = list(known) if asked == "all" else [machine_level()] if asked == "machine" else asked.split(",")
         if any(level not in known for level in levels):
             raise BuildError(f"--levels: expected some of {', '.join(known)}, found {asked}")
-        if not is_built(levels):
+        if not is_built(levels, home):
             start = time.perf_counter()
-            made = build(levels)
+            made = build(levels, home)
             size = sum(path.stat().st_size for path in made)
             print(f"native library: {', '.join(levels)}, {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
     except BuildError as error:

@@ -1,33 +1,22 @@
-/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it.
+/* How Python calls the native library: `Library` opens one, `Kernel` calls one function of it. `pairs.c` and
+   `configurations.c` have queries that are one call from the arguments to the answer.
 
    A function of the library is  int32 loewner_NAME(const int64 *arguments, int64 *results).  A number takes a slot; an
    array takes its address, then its lengths. As a result an array is preceded by the address of the description of its
    memory, which is given back by  loewner_release. Nothing here depends on Numba, and the library not on Python. */
 
-#define PY_SSIZE_T_CLEAN
-#define NPY_NO_DEPRECATED_API NPY_1_23_API_VERSION
-#include <Python.h>
+#define HOLDS_ARRAY_API
+#include "single.h"
+
 #include <dlfcn.h>
-#include <numpy/arrayobject.h>
 #include <stddef.h>
-#include <stdint.h>
 #include <string.h>
 
-#define MOST_WORDS 24 /* arguments of a kernel */
 #define MOST_SLOTS 96
-
-typedef int32_t (*Function)(const int64_t *, int64_t *);
 
 /* -- what a kernel takes and gives ------------------------------------------------------------------------------- */
 
-typedef struct {
-    char kind; /* i, f or b for a number; A for an array */
-    char constant;
-    int type, axes;
-} Word;
-
-/* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
-static int read_words(const char *text, Word *words, int most)
+int read_words(const char *text, Word *words, int most)
 {
     int count = 0;
     while (*text) {
@@ -67,16 +56,6 @@ static int slots_of(const Word *words, int count, int extra)
 }
 
 /* -- Kernel -------------------------------------------------------------------------------------------------------- */
-
-typedef struct {
-    PyObject_HEAD
-    vectorcallfunc vectorcall;
-    Function function;
-    void (*release)(void *);
-    PyObject *library, *name;
-    int arguments, results;
-    Word argument[MOST_WORDS], result[MOST_WORDS];
-} Kernel;
 
 static int put_array(Kernel *kernel, int n, PyObject *given, int64_t **slot)
 {
@@ -181,24 +160,25 @@ static PyObject *kernel_call(PyObject *self, PyObject *const *given, size_t flag
     return tuple;
 }
 
-static void kernel_free(Kernel *kernel)
+static void kernel_free(PyObject *self)
 {
+    Kernel *kernel = (Kernel *)self;
     Py_XDECREF(kernel->library);
     Py_XDECREF(kernel->name);
-    Py_TYPE(kernel)->tp_free((PyObject *)kernel);
+    Py_TYPE(self)->tp_free(self);
 }
 
-static PyObject *kernel_repr(Kernel *kernel)
+static PyObject *kernel_repr(PyObject *self)
 {
-    return PyUnicode_FromFormat("<native kernel %U>", kernel->name);
+    return PyUnicode_FromFormat("<native kernel %U>", ((Kernel *)self)->name);
 }
 
-static PyTypeObject KernelType = {
+PyTypeObject KernelType = {
     PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Kernel",
     .tp_doc = "A function of the native library; arguments are checked, the interpreter lock is let go.",
     .tp_basicsize = sizeof(Kernel),
-    .tp_dealloc = (destructor)kernel_free,
-    .tp_repr = (reprfunc)kernel_repr,
+    .tp_dealloc = kernel_free,
+    .tp_repr = kernel_repr,
     .tp_call = PyVectorcall_Call,
     .tp_vectorcall_offset = offsetof(Kernel, vectorcall),
     .tp_flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_VECTORCALL | Py_TPFLAGS_DISALLOW_INSTANTIATION,
@@ -235,8 +215,9 @@ static PyObject *library_new(PyTypeObject *type, PyObject *arguments, PyObject *
     return (PyObject *)library;
 }
 
-static PyObject *library_kernel(Library *library, PyObject *arguments)
+static PyObject *library_kernel(PyObject *self, PyObject *arguments)
 {
+    Library *library = (Library *)self;
     const char *name, *takes, *gives;
     if (!PyArg_ParseTuple(arguments, "sss", &name, &takes, &gives))
         return NULL;
@@ -265,8 +246,8 @@ static PyObject *library_kernel(Library *library, PyObject *arguments)
 }
 
 static PyMethodDef library_methods[] = {
-    {"kernel", (PyCFunction)library_kernel, METH_VARARGS, "kernel(name, arguments, results): see `entries.py`."},
-    {NULL},
+    {"kernel", library_kernel, METH_VARARGS, "kernel(name, arguments, results): see `entries.py`."},
+    {NULL, NULL, 0, NULL},
 };
 
 static PyTypeObject LibraryType = {
@@ -280,7 +261,7 @@ static PyTypeObject LibraryType = {
 
 /* -- levels of processors ------------------------------------------------------------------------------------------ */
 
-static PyObject *levels(PyObject *module, PyObject *nothing)
+static PyObject *levels(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(nothing))
 {
 #if defined(__x86_64__)
     __builtin_cpu_init();
@@ -300,7 +281,7 @@ static PyObject *levels(PyObject *module, PyObject *nothing)
 
 static PyMethodDef functions[] = {
     {"levels", levels, METH_NOARGS, "Levels whose code this processor runs, the best first."},
-    {NULL},
+    {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef definition = {
@@ -312,7 +293,8 @@ PyMODINIT_FUNC PyInit__call(void)
 {
     import_array();
     PyObject *module = PyModule_Create(&definition);
-    if (module == NULL || PyModule_AddType(module, &KernelType) < 0 || PyModule_AddType(module, &LibraryType) < 0)
+    if (module == NULL || PyModule_AddType(module, &KernelType) < 0 || PyModule_AddType(module, &LibraryType) < 0 ||
+        prepare_single() < 0 || add_pairs(module) < 0 || add_configurations(module) < 0)
         Py_CLEAR(module);
     return module;
 }

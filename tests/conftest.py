@@ -1,11 +1,14 @@
 """Shared set-up: the oracles and families beside this file are importable, Hypothesis is repeatable."""
 
+import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+import loewner
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
@@ -18,6 +21,12 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("repeatable")
+
+
+if os.environ.get("LOEWNER_INSTALLED") == "required":  # by `make test-wheel`
+    SOURCES = Path(__file__).parents[1] / "src"
+    if SOURCES in Path(loewner.__file__).parents:
+        raise pytest.UsageError(f"expected an installed loewner, found {loewner.__file__}")
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import math
 import pickle
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from checker_oracle import (
     simple_bodies,
 )  # fmt: skip
 from families import translation
+from gantry import gantry
 from loewner import (
     Body,
     CollisionChecker,
@@ -38,6 +40,7 @@ from loewner import (
     pairs_by_sampling,
     queries,
 )
+from loewner.robots import edges
 
 SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
 
@@ -553,3 +556,20 @@ def test_no_answers_of_another_scene_or_robot(bodies, tmp_path):
         checker.scene = Scene()
     with pytest.raises(AttributeError):
         checker.robot = robot.placed(translation(1.0, 0.0, 0.0))
+
+
+def test_a_motion_alone_is_divided_as_in_a_batch(tmp_path):
+    """Also where a length is a whole number of steps but for its rounding, and one step more would see a collision."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    a, b = np.random.default_rng(5).uniform(-1, 1, size=(2, 2000, 3))
+    for count in (3, 7, 10, 49):
+        for x, y in zip(a, b, strict=True):
+            step = math.dist(x, y) / count
+            alone = edges.steps(checker.robot._distances(x, y), step)
+            assert edges.steps(checker._lengths(x[None], y[None], step), step)[0] == alone
+
+
+def test_quotients_that_rounding_may_move_are_found():
+    """Whole numbers but for a rounding, and what overflowed."""
+    assert edges.nearly_whole(np.array([0.5, 2.0, 3.0 - 1e-13, np.inf, 7.1])).tolist() == [1, 2, 3]

@@ -231,7 +231,7 @@ def test_coal_agrees_on_ellipsoids():
 def both_depths(a: Bodies, Ta: np.ndarray, b: Bodies, Tb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Status and depth of the fast search, depth of the careful one, pair by pair."""
     A, B = a._packed.kernel, b._packed.kernel
-    W, K = epa_fast.workspace(True)
+    W, K = epa_fast.workspace()
     work = epa_robust.workspace(True)
     found = np.empty((len(Ta), 3))
     result = np.empty(9)

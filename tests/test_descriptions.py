@@ -11,7 +11,6 @@ import warnings
 import numpy as np
 import pytest
 
-import loewner
 from loewner import (
     Body,
     CollisionChecker,
@@ -223,7 +222,7 @@ def test_meshes_that_cannot_be_read_name_their_link(cache, tmp_path, monkeypatch
     """A file that is there and gives an error when it is read."""
     if not os.path.exists("/proc/self/mem"):
         pytest.skip("no such file here")
-    monkeypatch.setattr(loewner.robots.link_bodies, "CACHE_FOLDER", tmp_path / "kept")
+    monkeypatch.setenv("LOEWNER_CACHE_DIR", str(tmp_path / "kept"))
     (tmp_path / "mem.stl").symlink_to("/proc/self/mem")
     mesh = '<collision><geometry><mesh filename="mem.stl"/></geometry></collision>'
     with pytest.raises(FileError, match="robot.urdf, line 2, link 'a': .*mem.stl"):
@@ -381,7 +380,7 @@ def test_a_watch_says_of_one_what_it_says_of_many(rng):
     lower, upper = np.array(pairs).T
     n = len(pairs)
     watch = Watch("r", [f"j{k}" for k in range(n)], lower, upper, rng.random(n) < 0.5, rng.random(n) < 0.2)
-    least, most = watch._range
+    least, most = watch.range
     Q = rng.choice([-1e308, -1e9, -60.0, -9.0, 0.0, 9.0, 60.0, 1e9, 1e308, np.nan, np.inf], (500, n))
     for q in (*Q, np.clip(0.0, least, most)):
         assert watch.passes_one(q.tolist()) == watch.passes(q)

@@ -6,6 +6,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -322,6 +323,46 @@ def test_an_unknown_part_is_told():
     known = "verdicts, crowds, robots, fits, distances, estimates, paper"
     with pytest.raises(loewner.UnknownNameError, match=f"{known}, found 'verdict'"):
         compilation.compile_kernels(["verdict"])
+
+
+def test_nothing_is_kept_where_the_sources_cannot_be_told(tmp_path: Path):
+    """From a zip, where two versions could not be told apart, nothing is written and nothing read."""
+    archive, home = tmp_path / "app.zip", Path(loewner.__file__).parent
+    with zipfile.ZipFile(archive, "w") as zipped:
+        for path in home.rglob("*.py"):
+            zipped.write(path, Path("loewner") / path.relative_to(home))
+    query = (
+        "import sys, numpy as np; sys.path.insert(0, sys.argv[1]); import loewner; assert '.zip' in loewner.__file__; "
+        "loewner._validate.rigid_motions(np.eye(4)[None], 'T')"
+    )
+    env = {**os.environ, "LOEWNER_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    done = subprocess.run([sys.executable, "-c", query, str(archive)], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not list((tmp_path / "cache").rglob("*.kernel"))
+
+
+def test_no_home_is_no_error(tmp_path: Path):
+    """A user without a folder and without an entry in the list of users imports, asks, and keeps nothing."""
+    code = """
+import os, sys
+try:
+    import pwd
+except ImportError:
+    sys.exit()
+def nobody(uid):
+    raise KeyError(uid)
+pwd.getpwuid = nobody
+for name in ("HOME", "LOEWNER_CACHE_DIR", "XDG_CACHE_HOME"):
+    os.environ.pop(name, None)
+import loewner
+from loewner._kernels import _sources
+ball = loewner.Body.sphere(1.0)
+assert loewner.collide(ball, None, ball, None)
+assert not _sources.cache_folder().exists()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.verify

@@ -154,6 +154,22 @@ def test_a_broken_list_is_refused(copied, content):
 
 
 @needs_library
+@pytest.mark.parametrize("files", [[], "text", None, 3, {"a": 1}])
+def test_a_list_of_odd_types_is_refused(copied, files):
+    """What is not as it was written is left aside, whatever it is."""
+    relist(copied, files=files)
+    assert library.level() is None
+    assert library.why_not()
+
+
+@needs_library
+def test_a_list_nested_too_deep_is_refused(copied):
+    """No more than any other broken list."""
+    (copied / library.LIST).write_text("[" * 100_000)
+    assert library.level() is None
+
+
+@needs_library
 def test_nothing_built_for_this_processor_is_told(copied, monkeypatch):
     """The reason names what the processor runs and what was built."""
     built = json.loads((copied / library.LIST).read_text())

@@ -22,6 +22,7 @@ from loewner import (
     Robot,
     UnknownNameError,
 )
+from loewner._kernels import _sources
 from loewner._kernels._jit import njit
 from loewner._kernels.robots import kinematics
 from loewner._kernels.simd.trig import sine_cosine
@@ -420,8 +421,8 @@ def test_ros_packages_are_found(tmp_path, monkeypatch):
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """An empty folder for fits."""
-    monkeypatch.setattr(link_bodies, "CACHE_FOLDER", tmp_path / "kept")
-    return tmp_path / "kept"
+    monkeypatch.setenv("LOEWNER_CACHE_DIR", str(tmp_path / "kept"))
+    return tmp_path / "kept" / "bodies"
 
 
 def test_fits_are_kept_by_content(kept, tmp_path, monkeypatch):
@@ -452,10 +453,18 @@ def test_fits_are_kept_by_content(kept, tmp_path, monkeypatch):
     assert made(cache=False) == (6, 6.0)
 
 
+def test_fits_of_unknown_code_are_not_kept(kept, tmp_path, monkeypatch):
+    """Where the sources are no files, as in a zip, nobody could tell what made a fit."""
+    monkeypatch.setattr(_sources, "source_hash", lambda: "")
+    block(tmp_path)
+    assert read(tmp_path, f'<link name="a">{shape("""<mesh filename="block.stl"/>""")}</link>').bodies
+    assert not kept.exists()
+
+
 def test_no_place_for_fits_is_no_error(tmp_path, monkeypatch):
     """The robot is read all the same."""
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(link_bodies, "CACHE_FOLDER", tmp_path / "file" / "below")
+    monkeypatch.setenv("LOEWNER_CACHE_DIR", str(tmp_path / "file" / "below"))
     block(tmp_path)
     assert read(tmp_path, f'<link name="a">{shape("""<mesh filename="block.stl"/>""")}</link>').bodies
 

@@ -424,3 +424,27 @@ def test_processors_are_counted_by_what_this_python_has(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr(os, "cpu_count", lambda: None)
     assert _threads._processors() == 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers that send signals here")
+def test_a_handler_may_ask_while_threads_start():
+    """A signal's handler that asks a batch does not wait for the thread that it interrupted."""
+    code = """
+import faulthandler, signal, sys
+import numpy as np
+import loewner
+faulthandler.dump_traceback_later(60, exit=True)
+ball, T = loewner.Body.sphere(0.5), np.tile(np.eye(4), (100_000, 1, 1))
+T[:, 0, 3] = np.linspace(0, 3, len(T))
+loewner.set_num_threads(1)
+expected = loewner.collide(ball, None, ball, T)
+handled = []
+signal.signal(signal.SIGALRM, lambda *_: handled.append(loewner.collide(ball, None, ball, T[:10_000]).sum()))
+loewner.set_num_threads(64)
+signal.setitimer(signal.ITIMER_REAL, float(sys.argv[1]))
+assert (loewner.collide(ball, None, ball, T) == expected).all()
+signal.setitimer(signal.ITIMER_REAL, 0)
+"""
+    for delay in ("0.0005", "0.001", "0.002", "0.004"):
+        done = subprocess.run([sys.executable, "-c", code, delay], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr

@@ -78,6 +78,11 @@ class Watch:
     free : sequence of bool
         Which entries belong to joints without limits in any unit: planar and floating ones.
 
+    Attributes
+    ----------
+    range : ndarray, shape (2, dof)
+        Least and largest values that nothing is said about; the array stays, and its entries may move outwards.
+
     Notes
     -----
     It warns once and then looks for numbers that cannot be taken only. Copies of a robot share it.
@@ -94,6 +99,7 @@ class Watch:
     ) -> None:
         self._robot, self._names, self._turns = robot, tuple(names), tuple(turns)
         self._limits = lower, upper
+        self.range = np.empty((2, len(lower)))
         from_below, from_above = lower > -FARTHEST_LIMIT, upper < FARTHEST_LIMIT
         span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
         room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
@@ -104,9 +110,8 @@ class Watch:
         self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
 
     def _look_for(self, least: Floats, most: Floats) -> None:
-        least, most = least.clip(-LARGEST_VALUE, LARGEST_VALUE), most.clip(-LARGEST_VALUE, LARGEST_VALUE)
-        self._range = least, most
-        self._least, self._most = least.tolist(), most.tolist()
+        self.range[:] = np.clip([least, most], -LARGEST_VALUE, LARGEST_VALUE)
+        self._least, self._most = self.range.tolist()
 
     def passes_one(self, values: list[float]) -> bool:
         """Whether nothing is to be said about one configuration."""
@@ -114,7 +119,7 @@ class Watch:
 
     def passes(self, Q: Floats) -> bool:
         """Whether nothing is to be said about many configurations, shape (..., dof)."""
-        least, most = self._range
+        least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
     def refused(self, Q: Floats) -> tuple[int, ...] | None:
@@ -124,7 +129,7 @@ class Watch:
 
     def tell(self, Q: Floats, name: str) -> None:
         """Warn about the configurations that did not pass, and never again."""
-        least, most = self._range
+        least, most = self.range
         *row, k = (int(i) for i in np.argwhere((least > Q) | (most < Q))[0])
         value, (lower, upper) = Q[(*row, k)], self._limits
         self._look_for(np.full(len(least), -np.inf), np.full(len(least), np.inf))

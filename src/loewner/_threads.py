@@ -236,8 +236,7 @@ class _Helpers:
     """Threads that wait for something to do. They end with the process: nobody leaves `in_shares` before they idle."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self.lock = threading.Lock()
+        self.started: list[threading.Thread] = []
         self.tasks: SimpleQueue[Callable[[], None]] = SimpleQueue()
 
     def serve(self) -> None:
@@ -260,13 +259,15 @@ if hasattr(os, "register_at_fork"):
 def _lend_a_hand(task: Callable[[], None], times: int) -> None:
     """Have a task called on so many other threads, or on fewer, where no more can be started."""
     helpers = _helpers
-    with helpers.lock:
-        while helpers.count < times:
-            try:
-                threading.Thread(target=helpers.serve, name="loewner", daemon=True).start()
-            except RuntimeError:  # no memory for its stack: those that are there do it
-                times = helpers.count
-                break
-            helpers.count += 1
+    # Without a lock: a signal's handler may ask for threads while this thread starts one, and would wait for itself.
+    # Two callers at once may start more than they need, which then idle.
+    while len(helpers.started) < times:
+        thread = threading.Thread(target=helpers.serve, name="loewner", daemon=True)
+        try:
+            thread.start()
+        except RuntimeError:  # no memory for its stack: those that are there do it
+            times = len(helpers.started)
+            break
+        helpers.started.append(thread)
     for _ in range(times):
         helpers.tasks.put(task)

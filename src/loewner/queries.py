@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
-from loewner._native import entries
+from loewner._native import entries, singles
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
+from loewner._workspaces import workspace
 from loewner.bodies import Bodies, Body, Packed, take
 from loewner.errors import ConvergenceError, InputError, PoseError
 
@@ -74,7 +75,7 @@ class Verdict(IntEnum):
         return self.name
 
 
-_VERDICTS = tuple(Verdict)
+VERDICTS = tuple(Verdict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,11 +343,14 @@ def classify(
     >>> classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
     <Verdict.FREE: 0>
     """
+    found = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
+    if found is not None:
+        return VERDICTS[found]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     if pairs is None:
         one = _settle_one(codes.CERTIFY, keep, a, T_world_a, b, T_world_b)
         if one >= 0:
-            return _VERDICTS[one]
+            return VERDICTS[one]
     return _classified(keep, a, T_world_a, b, T_world_b, pairs)
 
 
@@ -427,6 +431,9 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
+    found = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
+    if found is not None:
+        return found
     exact = _validate.choice(method, "method", METHODS) == "exact"
     keep = _validate.positive_scalar(margin, "margin", zero=True)
     if exact and pairs is None:
@@ -517,7 +524,6 @@ def distance(
     exact: bool, pairs: ArrayLike | None = ...,
 ) -> Distance: ...
 # fmt: on
-@guarded
 def distance(
     a: Body | Bodies,
     T_world_a: Poses,
@@ -561,8 +567,15 @@ def distance(
     >>> round(distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True).distance, 12)
     1.5
     """
+    found: Distance | None = singles.distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)
+    return _measured(a, T_world_a, b, T_world_b, exact, pairs) if found is None else found
+
+
+@guarded
+def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen: Any) -> Distance:
+    """Bounds on distances, and the distances themselves."""
     exact = _validate.flag(exact, "exact")
-    asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=pairs)
+    asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.shape
     if asked.rows.shape[1]:
         asked = _copied(asked, np.arange(asked.total))
@@ -573,7 +586,8 @@ def distance(
     results = (*numbers, *vectors, status)
 
     def run(first: int, last: int) -> None:
-        pieces, values = entries.distance_range(exact, first, last, *asked.operands, *results)
+        memory = workspace(entries.memory_of_distances())
+        pieces, values = entries.distance_range(exact, first, last, *asked.operands, memory, *results)
         if len(pieces):
             entries.measure_left(pieces, values, *asked.operands[1:], *results[3:])
 

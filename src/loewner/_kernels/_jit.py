@@ -109,6 +109,8 @@ class _KernelCache(NullCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         target_context.refresh()
+        if not _sources.source_hash():
+            return None
         path = self._path(sig, target_context.codegen())
         try:
             name, *parts = pickle.loads(_sealed.read(path))
@@ -129,8 +131,8 @@ class _KernelCache(NullCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if data.lifted or data.library.has_dynamic_globals:
-            return  # holds addresses of this process
+        if data.lifted or data.library.has_dynamic_globals or not _sources.source_hash():
+            return  # holds addresses of this process, or nobody could tell what it was made from
         try:
             CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
             path = self._path(sig, data.codegen)

@@ -30,7 +30,8 @@ ENTRIES = {
         Entry("robots.motions", "motion_memory", "i i i", "i"),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
-        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "memory_of_distances", "", "i"),
         Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
@@ -85,5 +86,5 @@ def expect_numba() -> None:
     except ImportError:
         raise MissingExtraError(
             f"expected loewner's native library, or Numba to compile its kernels; found no library to use "
-            f"({library.why_not()}) and no Numba: pip install 'loewner[jit]'"
+            f"({library.why_not()}) and no Numba: pip install 'loewner[jit]', or install loewner again"
         ) from None

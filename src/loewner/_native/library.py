@@ -52,6 +52,11 @@ def why_not() -> str:
     return "" if library is not None else text
 
 
+def extension() -> Any:
+    """Return the extension that calls the library in use; None if there is none."""
+    return None if _opened()[0] is None else _extension(_listed())
+
+
 def levels() -> tuple[str, ...]:
     """Levels of the library that this processor runs, the best first; empty where there is nothing to ask."""
     try:
@@ -68,7 +73,7 @@ def built_with() -> str:
 @cache
 def _opened() -> tuple[Any, str]:
     """Return the library and its level, or None and why there is none."""
-    forced = os.environ.get("LOEWNER_JIT", "0")
+    forced = os.environ.get("LOEWNER_JIT") or "0"
     if forced not in ("0", "1"):
         raise InputError(f"LOEWNER_JIT: expected 0 or 1, found {forced!r}")
     if forced == "1":
@@ -87,10 +92,12 @@ def _listed() -> dict[str, Any]:
     """Read what was built, if it was built from the sources that are here."""
     try:
         built = json.loads((HOME / LIST).read_text(encoding="utf-8"))
-        sources, _, _ = built["sources"], built["files"], built["numba"]
+        sources, files, _ = built["sources"], built["files"], built["numba"]
+        if not isinstance(files, dict):
+            raise TypeError(f"files: expected an object, found {type(files).__name__}")
     except FileNotFoundError:
         raise _Refused("it was not built") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise _Refused(f"{HOME / LIST} cannot be read ({error})") from None
     if sources != source_hash():
         raise _Refused("it was built from other sources")
@@ -124,8 +131,7 @@ def _extension(built: dict[str, Any]) -> Any:
 
 def _best(levels: tuple[str, ...], built: dict[str, Any]) -> str:
     """Choose the best level of those that the processor runs and that were built."""
-    most = os.environ.get("LOEWNER_LEVEL")
-    if most is not None:
+    if most := os.environ.get("LOEWNER_LEVEL"):
         if most not in levels:
             runs = ", ".join(levels) or "none"
             raise InputError(f"LOEWNER_LEVEL: expected a level that this processor runs ({runs}), found {most!r}")

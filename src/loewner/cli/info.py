@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import platform
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -11,6 +13,7 @@ import loewner
 from loewner._kernels._sources import cache_folder
 from loewner._native import library
 from loewner._threads import get_num_threads
+from loewner.errors import LoewnerError
 
 # What each extra installs.
 EXTRAS = {
@@ -31,8 +34,10 @@ def add(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    for name, text in _lines():
-        print(f"{name + ':':<12}{text}")
+    lines = _lines()
+    width = max(len(name) for name, _ in lines) + 3
+    for name, text in lines:
+        print(f"{name + ':':<{width}}{text}")
     return 0
 
 
@@ -40,16 +45,25 @@ def _lines() -> list[tuple[str, str]]:
     """What is printed, by line."""
     return [
         ("loewner", loewner.__version__),
-        ("kernels", _kernels()),
+        ("kernels", _told(_kernels)),
         (
             "processor",
             f"{platform.machine()}; levels of the library that it runs: {', '.join(library.levels()) or 'none'}",
         ),
-        ("threads", str(get_num_threads())),
+        ("threads", _told(lambda: str(get_num_threads()))),
         ("python", f"{platform.python_version()}, numpy {_version('numpy')}, scipy {_version('scipy')}"),
         ("cache", str(cache_folder())),
+        *((name, value) for name, value in sorted(os.environ.items()) if name.startswith("LOEWNER_")),
         *((f"[{extra}]", ", ".join(f"{name} {_version(name)}" for name in names)) for extra, names in EXTRAS.items()),
     ]
+
+
+def _told(what: Callable[[], str]) -> str:
+    """What is to be told, or what is wrong with a setting that it depends on."""
+    try:
+        return what()
+    except LoewnerError as error:
+        return f"error: {error}"
 
 
 def _kernels() -> str:

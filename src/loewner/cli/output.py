@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from contextlib import nullcontext
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import loewner
-from loewner.errors import MissingExtraError, installing
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -18,33 +19,61 @@ if TYPE_CHECKING:
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
 
-def progress_bar() -> Progress:
-    """Progress on standard error, so that standard output stays the answer."""
-    expect_rich()
-    from rich.console import Console
-    from rich.progress import Progress
+class PlainTable:
+    """A table in plain text, where Rich is not installed."""
 
+    def __init__(self, *columns: str, title: str | None = None) -> None:
+        self._title, self._rows = title, [columns]
+
+    def add_row(self, *cells: str) -> None:
+        """Add a row of as many cells as there are columns, or fewer."""
+        self._rows.append(cells)
+
+    def __str__(self) -> str:
+        widths = [max(map(len, column)) for column in zip_longest(*self._rows, fillvalue="")]
+        lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=False)) for row in self._rows]
+        return "\n".join(line.rstrip() for line in [*([self._title] if self._title else []), *lines])
+
+
+class NoProgress(nullcontext["NoProgress"]):
+    """What stands for a bar where Rich is not installed: nothing is shown."""
+
+    def __init__(self) -> None:
+        super().__init__(self)
+
+    def add_task(self, *_: Any, **__: Any) -> Any:
+        """Begin something."""
+
+    def update(self, *_: Any, **__: Any) -> None:
+        """Tell how far it is."""
+
+    advance = update
+
+
+def progress_bar() -> Progress | NoProgress:
+    """Progress on standard error, so that standard output stays the answer."""
+    try:
+        from rich.console import Console
+        from rich.progress import Progress
+    except ImportError:
+        return NoProgress()
     return Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
 
 
-def new_table(*columns: str, title: str | None = None) -> Table:
-    """Make a table without rows, to fill before it is printed."""
-    expect_rich()
-    from rich.table import Table
-
+def new_table(*columns: str, title: str | None = None) -> Table | PlainTable:
+    """Make a table without rows, to fill and to print."""
+    try:
+        from rich.table import Table
+    except ImportError:
+        return PlainTable(*columns, title=title)
     return Table(*columns, title=title)
 
 
-def expect_rich() -> None:
-    """Raise unless Rich is there. Every command that needs it finds out before its work."""
-    try:
-        import rich  # noqa: F401
-    except ImportError:
-        raise MissingExtraError(f"tables and progress need Rich: {installing('cli')}") from None
-
-
-def print_table(table: Table) -> None:
-    """Print a table."""
+def print_table(table: Table | PlainTable) -> None:
+    """Print a table on standard output."""
+    if isinstance(table, PlainTable):
+        print(table)
+        return
     from rich.console import Console
 
     console = Console()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loewner import _validate
 from loewner._kernels import columns, records, tolerances
 from loewner._kernels.records import MotionTables
-from loewner._native import entries
+from loewner._native import entries, singles
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
@@ -75,6 +75,10 @@ class CheckedPairs:
         Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
     handle : int
         The arrays, for the kernel; good for as long as this lives.
+    memory : int
+        Bytes that the kernel writes to.
+    single : object
+        Queries of one configuration or motion, see `loewner._native.singles`.
     """
 
     robot: Robot
@@ -93,6 +97,7 @@ class CheckedPairs:
     hits: Ints
     handle: int = field(init=False)
     memory: int = field(init=False)
+    single: Any = field(init=False, repr=False)
     _table: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -105,6 +110,13 @@ class CheckedPairs:
         object.__setattr__(self, "handle", table.ctypes.data)
         memory = entries.memory_size(self.bodies._packed.handle, self.handle, self.robot.dof)
         object.__setattr__(self, "memory", memory)
+        held = table, arrays, self.bodies._packed
+        plain = self.robot._watch.range if self.robot.runs_straight else None
+        counts = np.diff(self.bodies._packed.piece_start)
+        piece_pairs = int(counts[self.pairs].prod(axis=1).sum())
+        pack = self.bodies._packed.handle
+        single = singles.configurations(pack, self.handle, memory, piece_pairs, plain, self.hits, held)
+        object.__setattr__(self, "single", single)
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""

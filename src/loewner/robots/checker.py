@@ -24,7 +24,7 @@ from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
 from loewner._workspaces import workspace
 from loewner.bodies import Bodies
 from loewner.errors import ConvergenceError, InputError
-from loewner.queries import NOTHING, Exact, Vector, Verdict
+from loewner.queries import NOTHING, VERDICTS, Exact, Vector, Verdict
 from loewner.robots import edges, motions
 from loewner.robots.checked_pairs import CheckedPairs, prepared
 from loewner.robots.motions import CertifiedMotions
@@ -261,6 +261,12 @@ class CollisionChecker:
         UserWarning
             Once for a robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
+        ready = self._at_hand()
+        if ready is not None:
+            collides = ready.single.collide(Q)
+            if collides is not None:
+                self._learn(ready, 1)
+                return collides
         checked = self.robot.checked(Q)
         out, _ = self._settle(codes.EXACT, checked)
         return _collisions(out, checked)
@@ -282,6 +288,12 @@ class CollisionChecker:
         InputError, UnknownNameError
             As for `collide`.
         """
+        ready = self._at_hand()
+        if ready is not None:
+            verdict = ready.single.classify(Q)
+            if verdict is not None:
+                self._learn(ready, 1)
+                return VERDICTS[verdict]
         checked = self.robot.checked(Q)
         out, _ = self._settle(codes.CERTIFY, checked)
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
@@ -359,13 +371,18 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
+        ready = self._at_hand()
+        if ready is not None:
+            settled = ready.single.motion(Q0, Q1, resolution, edges.coarse_first)
+            if settled is not None:
+                self._learn(ready, abs(settled))
+                return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
         if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
             return self._valid_edge(a, b, step)
         a, b, shape = _motions(a, b, 40)
-        lengths: Floats = self.robot._distances(a, b)
-        parts = edges.steps(lengths, step)
+        parts = edges.steps(self._lengths(a, b, step), step)
         valid = np.ones(len(a), dtype=bool)
         for edge, at in edges.rounds(parts, valid):
             out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
@@ -598,6 +615,14 @@ class CollisionChecker:
         except ConvergenceError:
             return False
 
+    def _lengths(self, a: Floats, b: Floats, step: float) -> Floats:
+        """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""
+        lengths = np.asarray(self.robot._distances(a, b))
+        if self.robot.runs_straight:
+            for k in edges.nearly_whole(lengths / step):
+                lengths[k] = self.robot._distances(a[k], b[k])
+        return lengths
+
     def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
         """One configuration that the fast searches left open, by each of its pairs."""
         verdicts = _pair_verdicts(ready, _listed(ready), ready.poses(q[None])[0])
@@ -613,13 +638,18 @@ class CollisionChecker:
             self._next_look = 2 * self._seen
             self._prepared = ready.ordered()
 
+    def _at_hand(self) -> CheckedPairs | None:
+        """What the kernel takes, if nothing has changed since it was made."""
+        ready = self._prepared
+        return ready if ready is not None and ready.version == self._scene._version else None
+
     def _ready(self) -> CheckedPairs:
         """What the kernel takes, made anew if the scene has changed."""
-        ready = self._prepared
-        if ready is not None and ready.version == self._scene.version:
+        ready = self._at_hand()
+        if ready is not None:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
-        scene = self._scene.snapshot()
+        scene, ready = self._scene.snapshot(), self._prepared
         if ready is None or ready.structure_version != scene.structure_version:
             ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK

@@ -22,6 +22,9 @@ AT_LEAST = 64
 # Configurations of edges that are made at a time, unless there are more edges: of ten joints, they take 80 MB.
 MOST_AT_ONCE = 2**20
 
+# A quotient of a length and a step so near to a whole number may be rounded to either side of it.
+NEARLY_WHOLE = 1e-9
+
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
 
@@ -46,6 +49,13 @@ def steps(lengths: float | Floats, step: float) -> int | Ints:
     if isinstance(lengths, np.ndarray):
         return np.maximum(np.ceil(lengths / step), 1).astype(np.int64)
     return max(math.ceil(lengths / step), 1)
+
+
+def nearly_whole(quotients: Floats) -> Ints:
+    """Places of quotients that rounding may put on either side of a whole number, or that overflowed."""
+    with np.errstate(invalid="ignore"):
+        far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
+    return np.flatnonzero(~far)
 
 
 def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:

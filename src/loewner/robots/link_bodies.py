@@ -23,9 +23,6 @@ from loewner.coverage import Covering
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots.urdf import Description, Shape
 
-# Next to the compiled kernels, in the user's cache folder of the platform or $LOEWNER_CACHE_DIR.
-CACHE_FOLDER = _sources.cache_folder() / "bodies"
-
 # glTF files may keep their points in other files, so that their own bytes do not tell their content.
 NOT_CACHED = (".gltf", ".glb")
 
@@ -130,9 +127,9 @@ def _body(
             raise type(error)(f"{urdf}, line {shape.line}, link {link!r}: {error}") from None
     file = mesh_file(shape, link, urdf, folders)
     try:
-        if not cache or file.suffix.lower() in NOT_CACHED:
+        if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
             return _mesh_body(file, shape, decompose, tol)
-        kept = CACHE_FOLDER / f"{_key(file, shape, decompose, tol)}.npz"
+        kept = _sources.cache_folder() / "bodies" / f"{_key(file, shape, decompose, tol)}.npz"
         with suppress(FileError):  # none there yet, or a damaged one
             return Body.load(kept)
         body = _mesh_body(file, shape, decompose, tol)

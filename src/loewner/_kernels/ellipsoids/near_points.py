@@ -390,7 +390,7 @@ def _newton(F1, G1, F2, G2, r, last, angle):
                 # Near the maximum g itself is flat to rounding; there its slope decides.
                 w = minus(x2, x1)
                 d1, d2 = across(m)
-                moved = math.hypot(dot(d1, w), dot(d2, w)) <= 0.7 * steepness
+                moved = math.sqrt(dot(d1, w) ** 2 + dot(d2, w) ** 2) <= 0.7 * steepness
             if moved:
                 break
             t *= 0.5

@@ -24,7 +24,8 @@ from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
-from loewner._kernels.simd.vectors import broadcast, load, mask, maximum, minimum, movemask, select, store
+from loewner._kernels.simd.memory import floats_at, integers_at
+from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
 SETTLED, UNSETTLED = 0, 1
@@ -56,6 +57,8 @@ _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
 _INTEGERS = _RIM_FROM + 3 * MAX_FACES
+
+SIZE = 8 * (_FLOATS + _INTEGERS)  # bytes of both
 
 # A face whose normal is shorter than this, relative to its longest side squared, has no direction worth the name.
 FLAT_FACE = 1e-10
@@ -114,16 +117,6 @@ def _first_bit(typingctx, x):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
 
     return signature(types.int64, types.int64), generate
-
-
-@intrinsic
-def _lanes(typingctx, x):
-    """Mask of eight lanes from the low eight bits of an integer."""
-
-    def generate(context, builder, sig, args):
-        return builder.bitcast(builder.trunc(args[0], ir.IntType(8)), ir.VectorType(ir.IntType(1), 8))
-
-    return signature(mask, types.int64), generate
 
 
 @inline
@@ -284,7 +277,7 @@ def _nearest(W, live):
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
-        least = minimum(select(_lanes(live >> c), load(W, _OFFSET + c), least), least)
+        least = minimum(select(mask_of(live >> c), load(W, _OFFSET + c), least), least)
     bound = _lowest(least)
     return _first_bit(_not_above(W, live, bound)), bound
 
@@ -472,6 +465,12 @@ def _witness(W, K, live, f, window, result):
 
 
 @njit()
-def workspace(wanted):
+def workspace():
     """Arrays that `overlap_depth` writes to; one set serves any number of calls in turn."""
-    return np.empty(_FLOATS if wanted else 1), np.empty(_INTEGERS if wanted else 1, np.int64)
+    return np.empty(_FLOATS), np.empty(_INTEGERS, np.int64)
+
+
+@inline
+def workspace_at(address):
+    """The same at the address of `SIZE` bytes."""
+    return floats_at(address, (_FLOATS,)), integers_at(address + 8 * _FLOATS, (_INTEGERS,))

@@ -17,7 +17,7 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, sc
 from loewner._kernels.narrow.gjk_robust import APART, DISTANCE_TOLERANCE, ERROR_SHARE, TOUCHING, UNSETTLED
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
 from loewner._kernels.pieces.shapes import placed_support
-from loewner._kernels.simd.support import aligned, entry_of, farthest, place_vertices
+from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 NEAREST, INSIDE = 3, 4  # further answers of `measure`: the distance is final; the cores overlap for sure
@@ -45,12 +45,6 @@ _PATH = 3 * PLACED
 
 
 ENTRIES = _PATH + 6 * MEASURE_ROUNDS
-
-
-@njit()
-def workspace():
-    """Make the array that the searches write to; one serves any number of pairs in turn."""
-    return aligned(ENTRIES)
 
 
 @inline

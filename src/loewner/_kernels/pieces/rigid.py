@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import LAST_ROW, NOT_FINITE, NOT_ORTHONORMAL, REFLECTION, RIGID
 from loewner._kernels.simd.vectors import ALL, LANES, absolute, gather_transpose, movemask
 from loewner._kernels.tolerances import ROTATION_TOLERANCE
@@ -73,10 +73,22 @@ SINGLE_ROOM = 0.4 * ROTATION_TOLERANCE  # derived 3e-7, certified.md B20
 is_rigid_single = _rigid(ROTATION_TOLERANCE - SINGLE_ROOM, 1e30)
 
 
+@inline
+def _fault_among(Ts, start, stop):
+    """Index, kind and size of the first fault of a range; index `stop` if all are rigid."""
+    for k in range(start, stop):
+        kind, size = fault(Ts[k])
+        if kind != RIGID:
+            return k, kind, size
+    return stop, RIGID, 0.0
+
+
 @njit()
 def first_fault(Ts):
     """Index, kind and size of the first fault in a batch (N, 4, 4); index N if all are rigid."""
     total = Ts.shape[0]
+    if total < LANES:
+        return _fault_among(borrowed(Ts), 0, total)
     rows = np.arange(LANES)
     for start in range(0, total, LANES):
         stop = min(start + LANES, total)
@@ -85,9 +97,8 @@ def first_fault(Ts):
             if movemask(_is_surely_rigid(p, q)) == ALL:
                 rows += LANES
                 continue
-        for k in range(start, stop):
-            kind, size = fault(Ts[k])
-            if kind != RIGID:
-                return k, kind, size
+        k, kind, size = _fault_among(Ts, start, stop)
+        if kind != RIGID:
+            return k, kind, size
         rows += LANES
     return total, RIGID, 0.0

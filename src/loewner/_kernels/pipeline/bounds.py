@@ -14,12 +14,13 @@ from loewner._kernels.ellipsoids.contact import gap_bound, nearness, newton_step
 from loewner._kernels.linalg3 import apply, dot, rotated_shape
 from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.simd.vectors import broadcast, mask_of, select, store
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
 
-BOUND_STEPS = 12  # Newton steps for the contact function of a single pair
+BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; an even number
 POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
 
 # Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
@@ -33,6 +34,9 @@ BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
 P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
 ROWS = 102
+
+# A single pair has eight lanes for itself: the outer ellipsoids take the first four, the inner ones the others.
+SINGLE, INNER_LANE, INNER_LANES = 8, 4, 0xF0
 
 # Rows of the queue: which pair, pieces and poses each lane stands for. The last two have an entry for each lane that
 # the fast searches of `distances` could not settle: whether its cores overlap for sure, and which lane it is.
@@ -160,12 +164,23 @@ def _polynomials(S, count):
 
 @njit()
 def _newton(S, count):
-    """All steps to the maximum of F. One loop over the lanes per step: unrolled steps would not be vectorised."""
-    for _ in range(BOUND_STEPS):
+    """All steps to the maximum of F. One loop over the lanes per two steps: unrolled ones would not be vectorised.
+
+    Where two steps lead back to where they began, as they do when all that is left to change are the last bits, so do
+    all others: the rest is left out, and what comes out is the same to the bit.
+    """
+    for _ in range(BOUND_STEPS // 2):
+        moved = 0
         for lane in range(count):
             k = POLYNOMIALS * LANES + lane
             cubic = S[k], S[k + LANES], S[k + 2 * LANES], S[k + 3 * LANES]
-            S[k + 7 * LANES] = newton_step(cubic, three(S, POLYNOMIALS + 4, lane), S[k + 7 * LANES])
+            quadratic = three(S, POLYNOMIALS + 4, lane)
+            s = S[k + 7 * LANES]
+            t = newton_step(cubic, quadratic, newton_step(cubic, quadratic, s))
+            S[k + 7 * LANES] = t
+            moved += t != s
+        if moved == 0:
+            break
 
 
 @inline
@@ -267,12 +282,57 @@ def _polish_upper_bounds(S, count):
         _put_three(S, TRIED, lane, n)
 
 
+@inline
+def _spread(S, row, value):
+    """Give the lanes of a single pair one value."""
+    store(S, row * LANES, broadcast(value))
+
+
+@inline
+def _halves(S, row, outer, inner):
+    """Give the lanes of a single pair two values: one for the outer ellipsoids, one for the inner ones."""
+    store(S, row * LANES, select(mask_of(np.int64(INNER_LANES)), broadcast(inner), broadcast(outer)))
+
+
 @njit()
-def write_bounds(count, queue, operands, S):
-    """Both bounds for the queued piece pairs, to the scratch array."""
+def _load_one(queue, operands, S):
+    """What the bounds take of a single piece pair: its outer and its inner ellipsoids are worked on at once."""
     queue, S, Ta, Tb = borrowed(queue), borrowed(S), borrowed(operands.poses_a), borrowed(operands.poses_b)
     ta, tb = pieces_of(operands.a).table, pieces_of(operands.b).table
-    padded = (count + 7) // 8 * 8
+    i, j, ka, kb = queue[PIECE_A, 0], queue[PIECE_B, 0], queue[POSE_A, 0], queue[POSE_B, 0]
+    for r in range(3):
+        for c in range(3):
+            _spread(S, ROT_A + 3 * r + c, Ta[ka, r, c])
+            _spread(S, ROT_B + 3 * r + c, Tb[kb, r, c])
+    apart = 0.0
+    for c in range(3):
+        shift = Tb[kb, c, 3] - Ta[ka, c, 3]
+        _spread(S, SHIFT + c, shift)
+        apart += abs(shift)
+    _spread(S, SIZE, apart + ta[i, REACH] + tb[j, REACH])
+    for c in range(3):
+        _halves(S, OUTER_A + c, ta[i, OUTER_CENTER + c], ta[i, INNER_CENTER + c])
+        _halves(S, OUTER_B + c, tb[j, OUTER_CENTER + c], tb[j, INNER_CENTER + c])
+    for c in range(6):
+        _halves(S, OUTER_A + 3 + c, ta[i, OUTER_SHAPE + c], ta[i, INNER_SHAPE + c])
+        _halves(S, OUTER_B + 3 + c, tb[j, OUTER_SHAPE + c], tb[j, INNER_SHAPE + c])
+    _spread(S, SIGMA_A, ta[i, INNER_SIGMA])
+    _spread(S, SIGMA_B, tb[j, INNER_SIGMA])
+
+
+@njit()
+def _take_inner(S):
+    """Let a single pair's inner ellipsoids, and where F is greatest for them, take the place of the outer ones."""
+    for row in range(P, R + 3):
+        _spread(S, row, S[row * LANES + INNER_LANE])
+    _spread(S, POLYNOMIALS + 7, S[(POLYNOMIALS + 7) * LANES + INNER_LANE])
+
+
+@njit()
+def _load(count, padded, queue, operands, S):
+    """What the bounds take of the queued piece pairs."""
+    queue, S, Ta, Tb = borrowed(queue), borrowed(S), borrowed(operands.poses_a), borrowed(operands.poses_b)
+    ta, tb = pieces_of(operands.a).table, pieces_of(operands.b).table
     for lane in range(padded):
         # Whole vectors: what is left over is filled up with the last pair.
         k = min(lane, count - 1)
@@ -297,22 +357,49 @@ def write_bounds(count, queue, operands, S):
         _put(S, INNER_B + 3, lane, tb, j, INNER_SHAPE, 6)
         S[SIGMA_A * LANES + lane] = ta[i, INNER_SIGMA]
         S[SIGMA_B * LANES + lane] = tb[j, INNER_SIGMA]
+
+
+@inline
+def _some_positive(S, row, count):
+    """Whether a quantity is positive for one of the first lanes."""
+    found = False
+    for lane in range(count):
+        found |= S[row * LANES + lane] > 0.0
+    return found
+
+
+@njit()
+def write_bounds(count, queue, operands, S):
+    """Both bounds for the queued piece pairs, to the scratch array."""
+    S = borrowed(S)
+    if count == 1:
+        padded = SINGLE
+        _load_one(queue, operands, S)
+    else:
+        padded = (count + 7) // 8 * 8
+        _load(count, padded, queue, operands, S)
     _outer_a(S, padded)
     _outer_b(S, padded)
     _between(S, padded)
     _polynomials(S, padded)
     _newton(S, padded)
     _first_lower_bounds(S, padded)
-    for _ in range(POLISH_ROUNDS):
-        _polish_lower_bounds(S, padded)
-    _inner_a(S, padded)
-    _inner_b(S, padded)
-    _between(S, padded)
-    _polynomials(S, padded)
-    _newton(S, padded)
+    # Where no bound is positive, no round changes one: they are of overlapping ellipsoids, or depths.
+    if _some_positive(S, BELOW, count):
+        for _ in range(POLISH_ROUNDS):
+            _polish_lower_bounds(S, padded)
+    if count == 1:
+        _take_inner(S)
+    else:
+        _inner_a(S, padded)
+        _inner_b(S, padded)
+        _between(S, padded)
+        _polynomials(S, padded)
+        _newton(S, padded)
     _first_upper_bounds(S, padded)
-    for _ in range(POLISH_ROUNDS):
-        _polish_upper_bounds(S, padded)
+    if _some_positive(S, ABOVE, count):
+        for _ in range(POLISH_ROUNDS):
+            _polish_upper_bounds(S, padded)
     for lane in range(count):
         if not S[BELOW * LANES + lane] > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
             S[BELOW * LANES + lane] = -2.0 * S[SIZE * LANES + lane]

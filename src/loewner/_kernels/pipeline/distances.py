@@ -13,12 +13,13 @@ from loewner._kernels.columns import KIND, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
+from loewner._kernels.narrow.epa_fast import SIZE as DEPTH_SIZE
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
+from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
+from loewner._kernels.narrow.gjk_fast import ENTRIES, NEAREST, begin, measure
 from loewner._kernels.narrow.gjk_fast import INSIDE as CORES_OVERLAP
-from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure
-from loewner._kernels.narrow.gjk_fast import workspace as points_workspace
 from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import prefetch_points, radius
@@ -48,6 +49,7 @@ from loewner._kernels.pipeline.bounds import (
     write_bounds,
 )
 from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.simd.memory import floats_at, integers_at, whole_lines
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
@@ -69,6 +71,13 @@ SETTLED_CURVED = 1e-3
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
+
+# The memory of a query: the scratch array of the bounds, the queue, and what the fast searches write to.
+_QUEUE = whole_lines(8 * ROWS * LANES)
+_VERTICES = _QUEUE + whole_lines(8 * QUEUE * LANES)
+_DEPTH = _VERTICES + whole_lines(8 * ENTRIES)
+_RESULT = _DEPTH + whole_lines(DEPTH_SIZE)
+MEMORY = _RESULT + whole_lines(8 * 9)  # bytes
 
 
 class Bounds(NamedTuple):
@@ -101,7 +110,7 @@ class Exact(NamedTuple):
 
 
 class Searches(NamedTuple):
-    """What the fast searches write to: `gjk_fast.workspace`, both arrays of `epa_fast.workspace`, and a result.
+    """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast.workspace`, and a result.
 
     The result is a normal and two witnesses, nine numbers.
     """
@@ -243,7 +252,7 @@ def _measure_near(count, queue, operands, S, searches, exact):
 def _measure_late(late, queue, operands, S, exact):
     """Exact distances of the lanes that the fast search left; only they need the large work space."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
-    faces, edges = depth_workspace(True)
+    faces, edges = depth_workspace()
     result, work = np.empty(9), workspace(True)
     for m in range(late):
         lane, inside = queue[LATE, m], queue[INSIDE, m] == 1
@@ -318,7 +327,7 @@ def _room(kept, left):
 
 @njit()
 def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact):
-    """Measure the queued piece pairs and merge them into the results of their pairs; how many are left by now."""
+    """Measure the queued piece pairs and merge them into the results of their pairs; what is left by now."""
     write_bounds(count, queue, operands, S)
     lower, upper, estimate = bounds.lower, bounds.upper, bounds.estimate
     for lane in range(count):
@@ -330,8 +339,10 @@ def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, ex
         estimate[k] = min(estimate[k], max(below, min(above, estimated_distance(S, lane))))
     if wanted:
         late = _measure_near(count, queue, operands, S, searches, exact)
-        kept = _leave(late, queue, S, kept, left)
-    return kept
+        if late > 0:
+            left = _room(kept, left)
+            kept = _leave(late, queue, S, kept, left)
+    return kept, left
 
 
 @njit()
@@ -346,8 +357,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
     enqueue(queue, np.int64(0), k, i, j, ka, kb)
     found = np.int64(1)
     while found > 0:
-        left = _room(kept, left)
-        kept = _measure(wanted, found, queue, operands, S, searches, kept, left, bounds, exact)
+        kept, left = _measure(wanted, found, queue, operands, S, searches, kept, left, bounds, exact)
         cut = bounds.upper[k]
         if wanted:
             cut = min(cut, exact.distance[k] + SETTLED * numbers[piece_tree.SIZE])
@@ -356,11 +366,18 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
 
 
 @njit()
-def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, lower, upper, estimate, distance,
+def memory_of_distances():
+    """Tell Python how many bytes the memory of `distance_range` has to have."""
+    return MEMORY
+
+
+@njit()
+def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lower, upper, estimate, distance,
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
-    Operands as in `verdicts`; the arrays of `Exact`, the last five, are written only if `wanted`.
+    Operands as in `verdicts`; the arrays of `Exact`, the last five, are written only if `wanted`. `memory` is the
+    address of MEMORY bytes to write to; one thread uses them at a time.
 
     Returns
     -------
@@ -371,11 +388,12 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, lower, upp
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S = np.empty(ROWS * LANES)
-    queue = np.empty((QUEUE, LANES), np.int64)
-    faces, edges = depth_workspace(wanted)
-    searches = Searches(points_workspace(), faces, edges, np.empty(9))
-    left = Left(np.empty((0, LATE), np.int64), np.empty((0, 2 * KEPT)))
+    S = floats_at(memory, (ROWS * LANES,))
+    queue = integers_at(memory + _QUEUE, (QUEUE, LANES))
+    faces, edges = depth_workspace_at(memory + _DEPTH)
+    searches = Searches(floats_at(memory + _VERTICES, (ENTRIES,)), faces, edges, floats_at(memory + _RESULT, (9,)))
+    # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
+    left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = np.int64(0), np.int64(0)
     for k in range(start, stop):
         ia = row_of(k, shape, body_a)
@@ -388,9 +406,8 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, lower, upp
         if wanted:
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
-        left = _room(kept, left)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
-            kept = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+            kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
             count = np.int64(0)
             kept, left = _measure_many(
                 wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept, left, bounds, exact
@@ -401,10 +418,9 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, lower, upp
                 enqueue(queue, count, k, i, j, ka, kb)
                 count += 1
                 if count == LANES:
-                    kept = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+                    kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
                     count = np.int64(0)
-                    left = _room(kept, left)
-    kept = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+    kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
     return left.pieces[:kept], left.values[:kept]  # no record: Python would make it by a slow call
 
 

@@ -30,14 +30,6 @@ def entry_of(column):
     return 3 * (column & ~(BLOCK - 1)) + (column & (BLOCK - 1))
 
 
-@inline
-def aligned(count):
-    """Make an uninitialised flat array of float64 that starts at a cache line."""
-    raw = np.empty(count + LINE)
-    skip = -raw.ctypes.data % CACHE_LINE // 8
-    return raw[skip : skip + count]
-
-
 def _data(context, builder, array_type, array):
     return context.make_array(array_type)(context, builder, array).data
 

@@ -298,6 +298,16 @@ def movemask(typingctx, m):
 
 
 @intrinsic
+def mask_of(typingctx, x):
+    """Mask of eight lanes from the low eight bits of an integer."""
+
+    def generate(context, builder, sig, args):
+        return builder.bitcast(builder.trunc(args[0], ir.IntType(8)), ir.VectorType(ir.IntType(1), 8))
+
+    return signature(mask, types.int64), generate
+
+
+@intrinsic
 def masked_store(typingctx, array, at, m, code):
     """Write a code to those of consecutive bytes that the mask names."""
 

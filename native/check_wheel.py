@@ -1,0 +1,86 @@
+"""Check a wheel: what is in it, how large it is, and what its libraries need of a system.
+
+python native/check_wheel.py dist/*.whl
+python native/check_wheel.py --same-as other.whl dist/*.whl     besides, that both hold the same files
+"""
+
+import argparse
+import json
+import sys
+import zipfile
+from hashlib import sha256
+from importlib.machinery import EXTENSION_SUFFIXES
+from io import BytesIO
+from pathlib import Path
+
+from build import LEVELS, architecture  # type: ignore[attr-defined]  # the file beside this one
+from elftools.elf.dynamic import DynamicSection
+from elftools.elf.elffile import ELFFile
+
+LARGEST = 3_000_000  # bytes
+ALLOWED = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0"}
+HOME = "loewner/_native/"
+
+
+def faults(path: Path) -> list[str]:
+    """What is wrong with a wheel."""
+    wheel, names, found = zipfile.ZipFile(path), files(path), list[str]()
+    if (size := path.stat().st_size) >= LARGEST:
+        found.append(f"expected less than {LARGEST:,} bytes, found {size:,}")
+    if foreign := sorted(name for name in names if not _belongs(name)):
+        found.append(f"expected nothing but the package, found {', '.join(foreign)}")
+    if not any(name.endswith("/licenses/LICENSE") for name in names):
+        found.append("expected a LICENSE, found none")
+    wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {f"_call{EXTENSION_SUFFIXES[0]}"}
+    libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
+    if libraries != wanted:
+        found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
+    listed = json.loads(wheel.read(f"{HOME}built.json"))["files"]
+    for name in sorted(libraries):
+        content = wheel.read(HOME + name)
+        if sha256(content).hexdigest() != listed.get(name):
+            found.append(f"{name} is not as it was built")
+        if strange := needed(content) - ALLOWED:
+            found.append(f"{name}: expected to need nothing but the C library, found {', '.join(sorted(strange))}")
+    return found
+
+
+def files(path: Path) -> set[str]:
+    """Names of a wheel's files."""
+    return {name for name in zipfile.ZipFile(path).namelist() if not name.endswith("/")}
+
+
+def _belongs(name: str) -> bool:
+    """Tell whether a file may be in a wheel."""
+    top, _, rest = name.partition("/")
+    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json")
+    return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
+
+
+def needed(content: bytes) -> set[str]:
+    """Libraries that a library of ELF needs; those of other systems are not looked into."""
+    if not content.startswith(b"\x7fELF"):
+        return set()
+    sections = [one for one in ELFFile(BytesIO(content)).iter_sections() if isinstance(one, DynamicSection)]
+    return {tag.needed for section in sections for tag in section.iter_tags("DT_NEEDED")}
+
+
+def main() -> int:
+    """Check a wheel, and print what is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("wheel", type=Path)
+    parser.add_argument("--same-as", type=Path, metavar="WHEEL", help="another wheel, which holds the same files")
+    options = parser.parse_args()
+    found = faults(options.wheel)
+    other = options.same_as or options.wheel
+    if apart := sorted(files(options.wheel) ^ files(other)):
+        found.append(f"expected the files of {other}, found in one only: {', '.join(apart)}")
+    for fault in found:
+        print(f"{options.wheel.name}: {fault}", file=sys.stderr)
+    unpacked = sum(one.file_size for one in zipfile.ZipFile(options.wheel).infolist())
+    print(f"{options.wheel}: {options.wheel.stat().st_size:,} bytes, {unpacked:,} unpacked")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

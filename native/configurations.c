@@ -1,0 +1,265 @@
+/* Queries of one configuration of a robot, and of one motion, each as one call from Python: the usual case.
+
+   `Configurations` has what `CheckedPairs` prepared: it is made anew whenever that is. */
+
+#include "single.h"
+
+#include <math.h>
+
+/* -- arguments of the kernels -------------------------------------------------------------------------------------- */
+
+#define CHECK_TAKES "i i i F2 i i B1 B1 I1 i"
+typedef struct {
+    int64_t mode, first, last;
+    Array2 configurations;
+    int64_t pack, problem;
+    Array1 out, tiers, hits;
+    void *memory;
+} CheckArguments;
+
+#define MOTION_TAKES "F1 F1 F1 i i B1 I1 i"
+#define MOTION_GIVES "i i"
+typedef struct {
+    Array1 start, end, fractions;
+    int64_t pack, problem;
+    Array1 out, hits;
+    void *memory;
+} MotionArguments;
+
+typedef struct {
+    int64_t verdict, settled;
+} MotionResults;
+
+/* -- Configurations ------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *held; /* whatever owns the memory behind the rest */
+    Function check_configurations, check_motion;
+    int64_t pack, problem, memory, width, piece_pairs;
+    const double *least, *most; /* of values that nothing has to be said about: `Watch` may move them outwards */
+    Array1 hits;
+} Configurations;
+
+/* Pairs of pieces above which other threads may run meanwhile. */
+#define MANY 64
+
+/* The entries of a configuration if it is a usual one, of values that neither are refused nor warned about. */
+static const double *take_configuration(const Configurations *self, PyObject *given)
+{
+    if (!is_plain(given, 1) || PyArray_DIM((PyArrayObject *)given, 0) != self->width)
+        return NULL;
+    const double *entries = PyArray_DATA((PyArrayObject *)given);
+    for (int64_t k = 0; k < self->width; k++)
+        if (!(self->least[k] <= entries[k] && entries[k] <= self->most[k])) /* neither holds for NaN */
+            return NULL;
+    return entries;
+}
+
+/* The verdict of a configuration; -1 if that takes the long way. */
+static int verdict_of(const Configurations *self, int mode, PyObject *given)
+{
+    const double *entries = take_configuration(self, given);
+    int8_t verdict = AMBIGUOUS, tier;
+    int64_t nothing;
+    if (entries == NULL)
+        return -1;
+    CheckArguments arguments = {
+        mode, 0, 1, {entries, 1, self->width}, self->pack, self->problem, {&verdict, 1}, {&tier, 1}, self->hits,
+        thread_memory(self->memory),
+    };
+    if (arguments.memory == NULL ||
+        call_kernel(self->check_configurations, &arguments, &nothing, self->piece_pairs > MANY) != 0)
+        return -1;
+    return mode == EXACT && verdict == AMBIGUOUS ? -1 : verdict;
+}
+
+/* collide(q): a bool, or None. */
+static PyObject *configurations_collide(Configurations *self, PyObject *q)
+{
+    int verdict = verdict_of(self, EXACT, q);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyBool_FromLong(verdict == COLLIDING);
+}
+
+/* classify(q): the number of a verdict, or None. */
+static PyObject *configurations_classify(Configurations *self, PyObject *q)
+{
+    int verdict = verdict_of(self, CERTIFY, q);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyLong_FromLong(verdict);
+}
+
+/* -- motions ------------------------------------------------------------------------------------------------------- */
+
+/* Steps of a motion at most: the results of more are not worth keeping with a thread. */
+#define MOST_STEPS 4096
+
+/* A quotient of a length and a step so near to a whole number may be rounded to either side of it. */
+#define NEARLY_WHOLE 1e-9
+
+static PyObject *dist; /* math.dist */
+
+static PyObject *tuple_of(const double *entries, int64_t count)
+{
+    PyObject *tuple = PyTuple_New(count);
+    for (int64_t k = 0; tuple != NULL && k < count; k++) {
+        PyObject *entry = PyFloat_FromDouble(entries[k]);
+        if (entry == NULL)
+            Py_CLEAR(tuple);
+        else
+            PyTuple_SET_ITEM(tuple, k, entry);
+    }
+    return tuple;
+}
+
+/* The distance of two points as Python computes it, to the last bit; NaN if it cannot. */
+static double exact_length(const double *a, const double *b, int64_t count)
+{
+    PyObject *first = tuple_of(a, count), *second = tuple_of(b, count);
+    PyObject *found = first && second ? PyObject_CallFunctionObjArgs(dist, first, second, NULL) : NULL;
+    double length = found != NULL ? PyFloat_AsDouble(found) : NAN;
+    Py_XDECREF(first);
+    Py_XDECREF(second);
+    Py_XDECREF(found);
+    return length;
+}
+
+/* In how many steps a motion is divided, as `edges.steps` does it; 0 if that takes the long way. */
+static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
+{
+    double squared = 0;
+    for (int64_t k = 0; k < count; k++)
+        squared += (a[k] - b[k]) * (a[k] - b[k]);
+    double steps = sqrt(squared) / step;
+    if (fabs(steps - nearbyint(steps)) <= NEARLY_WHOLE * (1 + steps))
+        steps = exact_length(a, b, count) / step;
+    return steps <= MOST_STEPS ? (int64_t)fmax(ceil(steps), 1) : 0;
+}
+
+/* Call what gives the fractions of a motion of so many steps; a new reference to an array, or NULL. */
+static PyObject *fractions_of(PyObject *order, int64_t steps)
+{
+    PyObject *number = steps > 0 ? PyLong_FromLongLong(steps) : NULL;
+    PyObject *fractions = number != NULL ? PyObject_CallOneArg(order, number) : NULL;
+    Py_XDECREF(number);
+    if (fractions != NULL && !(is_plain(fractions, 1) && PyArray_DIM((PyArrayObject *)fractions, 0) == steps + 1))
+        Py_CLEAR(fractions);
+    return fractions;
+}
+
+/* How many configurations of a motion were looked at, less than 0 if the last ones collide; 0 is the long way. */
+static int64_t looked_at(const Configurations *self, const double *start, const double *end, PyArrayObject *fractions)
+{
+    int64_t count = PyArray_DIM(fractions, 0);
+    char *memory = thread_memory(self->memory + count);
+    if (memory == NULL)
+        return 0;
+    MotionResults results;
+    MotionArguments arguments = {
+        {start, self->width}, {end, self->width}, {PyArray_DATA(fractions), count}, self->pack, self->problem,
+        {memory + self->memory, count}, self->hits, memory,
+    };
+    if (call_kernel(self->check_motion, &arguments, &results, 1) != 0 || results.verdict == AMBIGUOUS)
+        return 0;
+    return results.verdict == COLLIDING ? -results.settled : results.settled;
+}
+
+/* motion(q0, q1, resolution, order): configurations looked at, less than 0 if they collide; or None.
+
+   order(steps) gives the fractions of the way in the order that they are looked at. It is Python's: what it raises, an
+   interrupt for one, goes on to the caller. */
+static PyObject *configurations_motion(Configurations *self, PyObject *const *given, Py_ssize_t count)
+{
+    if (count != 4 || !PyFloat_CheckExact(given[2]))
+        Py_RETURN_NONE;
+    double step = PyFloat_AS_DOUBLE(given[2]);
+    if (!(step > 0 && step < INFINITY))
+        Py_RETURN_NONE;
+    const double *start = take_configuration(self, given[0]), *end = take_configuration(self, given[1]);
+    if (start == NULL || end == NULL)
+        Py_RETURN_NONE;
+    int64_t steps = steps_of(start, end, self->width, step);
+    PyObject *fractions = fractions_of(given[3], steps);
+    /* Once more: Python ran meanwhile, and could have changed them. */
+    start = take_configuration(self, given[0]);
+    end = take_configuration(self, given[1]);
+    int64_t found =
+        fractions != NULL && start != NULL && end != NULL ? looked_at(self, start, end, (PyArrayObject *)fractions) : 0;
+    Py_XDECREF(fractions);
+    if (found != 0)
+        return PyLong_FromLongLong(found);
+    if (PyErr_Occurred())
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+/* -- the type ------------------------------------------------------------------------------------------------------ */
+
+static PyObject *configurations_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
+{
+    PyObject *check, *motion, *range, *hits, *held;
+    long long pack, problem, memory, piece_pairs;
+    static char *known[] = {
+        "check_configurations", "check_motion", "pack", "problem", "memory", "piece_pairs", "range", "hits", "held", NULL,
+    };
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOLLLLO!O!O", known, &check, &motion, &pack, &problem, &memory,
+                                     &piece_pairs, &PyArray_Type, &range, &PyArray_Type, &hits, &held) ||
+        !is_kernel(check, CHECK_TAKES, "") || !is_kernel(motion, MOTION_TAKES, MOTION_GIVES))
+        return NULL;
+    if (!is_plain(range, 2) || PyArray_DIM((PyArrayObject *)range, 0) != 2 || PyArray_NDIM((PyArrayObject *)hits) != 1 ||
+        PyArray_TYPE((PyArrayObject *)hits) != NPY_INT64 || !PyArray_ISCARRAY((PyArrayObject *)hits)) {
+        PyErr_SetString(PyExc_TypeError, "expected a range of shape (2, dof) of float64, and hits of int64");
+        return NULL;
+    }
+    Configurations *made = (Configurations *)type->tp_alloc(type, 0);
+    if (made == NULL)
+        return NULL;
+    made->held = PyTuple_Pack(5, check, motion, range, hits, held);
+    made->check_configurations = ((Kernel *)check)->function;
+    made->check_motion = ((Kernel *)motion)->function;
+    made->pack = pack;
+    made->problem = problem;
+    made->memory = memory;
+    made->piece_pairs = piece_pairs;
+    made->width = PyArray_DIM((PyArrayObject *)range, 1);
+    made->least = PyArray_DATA((PyArrayObject *)range);
+    made->most = made->least + made->width;
+    made->hits = (Array1){PyArray_DATA((PyArrayObject *)hits), PyArray_DIM((PyArrayObject *)hits, 0)};
+    if (made->held == NULL)
+        Py_CLEAR(made);
+    return (PyObject *)made;
+}
+
+static void configurations_free(PyObject *self)
+{
+    Py_XDECREF(((Configurations *)self)->held);
+    Py_TYPE(self)->tp_free(self);
+}
+
+static PyMethodDef configurations_methods[] = {
+    {"collide", (PyCFunction)(void (*)(void))configurations_collide, METH_O, "collide(q): a bool, or None"},
+    {"classify", (PyCFunction)(void (*)(void))configurations_classify, METH_O, "classify(q): a number, or None"},
+    FAST_METHOD("motion", configurations_motion, "motion(q0, q1, resolution, order): see `singles.py`"),
+    {NULL, NULL, 0, NULL},
+};
+
+static PyTypeObject ConfigurationsType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Configurations",
+    .tp_doc = "Queries of one configuration or motion; made by `singles.configurations`.",
+    .tp_basicsize = sizeof(Configurations),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_new = configurations_new,
+    .tp_dealloc = configurations_free,
+    .tp_methods = configurations_methods,
+};
+
+int add_configurations(PyObject *module)
+{
+    PyObject *math = PyImport_ImportModule("math");
+    dist = math != NULL ? PyObject_GetAttrString(math, "dist") : NULL;
+    Py_XDECREF(math);
+    return dist == NULL ? -1 : PyModule_AddType(module, &ConfigurationsType);
+}

@@ -1,0 +1,373 @@
+/* Queries of one pair of bodies, each as one call from Python: the usual case from the arguments to the answer. */
+
+#include "single.h"
+
+#include <math.h>
+#include <string.h>
+
+/* -- arguments of the kernels -------------------------------------------------------------------------------------- */
+
+#define SETTLE_TAKES "i f i i I2 I2 i F3 i F3 B1 I1 i"
+typedef struct {
+    int64_t mode;
+    double margin;
+    int64_t first, last;
+    Array2 plan, rows;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    Array1 out, tally;
+    void *memory;
+} SettleArguments;
+
+#define DISTANCE_TAKES "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1"
+typedef struct {
+    int64_t wanted, first, last;
+    Array2 plan;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    void *memory;
+    Array1 lower, upper, estimate, distance;
+    Array2 witness_a, witness_b, normal;
+    Array1 status;
+} DistanceArguments;
+
+typedef struct {
+    void *memory; /* its description, to be released */
+    Array2 array;
+} Given2;
+
+#define DISTANCE_GIVES "I2 F2"
+typedef struct {
+    Given2 pieces, values;
+} DistanceResults;
+
+#define LEFT_TAKES "I2 F2 i F3 i F3 F1 F2 F2 F2 B1"
+typedef struct {
+    Array2 pieces, values;
+    int64_t a;
+    Poses poses_a;
+    int64_t b;
+    Poses poses_b;
+    Array1 distance;
+    Array2 witness_a, witness_b, normal;
+    Array1 status;
+} LeftArguments;
+
+#define FAULT_TAKES "F3"
+#define FAULT_GIVES "i i f"
+typedef struct {
+    int64_t row, kind;
+    double size;
+} FaultResults;
+
+/* What `_settle.py` calls ONE_PAIR and NO_ROWS, and a pose that does nothing. */
+static const int64_t one_pair[5] = {1, 0, 0, 0, 0}, no_rows[1];
+static const double identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+
+#define ONE_PAIR ((Array2){one_pair, 5, 1})
+#define NO_ROWS ((Array2){no_rows, 2, 0})
+
+/* -- bodies and poses ---------------------------------------------------------------------------------------------- */
+
+/* Pairs of pieces above which other threads may run meanwhile: below, letting them costs more than it gains. */
+#define MANY 64
+
+static PyObject *word_exact, *name_packed, *name_handle;
+
+/* One side of a query: a body and where it is. */
+typedef struct {
+    PyObject *packed; /* held, whatever else happens to the body */
+    int64_t handle;
+    Poses poses;
+} Side;
+
+static int take_pose(PyObject *given, Poses *poses)
+{
+    *poses = (Poses){identity, 1, 4, 4};
+    if (given == Py_None)
+        return 1;
+    if (!is_plain(given, 2))
+        return 0;
+    PyArrayObject *array = (PyArrayObject *)given;
+    poses->data = PyArray_DATA(array);
+    return PyArray_DIM(array, 0) == 4 && PyArray_DIM(array, 1) == 4;
+}
+
+/* Take a body, exactly of the class Body, and its pose; false if they are unusual. */
+static int take_side(PyObject *class, PyObject *body, PyObject *pose, Side *side)
+{
+    side->packed = NULL;
+    if ((PyObject *)Py_TYPE(body) != class || !take_pose(pose, &side->poses))
+        return 0;
+    side->packed = PyObject_GetAttr(body, name_packed);
+    PyObject *handle = side->packed == NULL ? NULL : PyObject_GetAttr(side->packed, name_handle);
+    side->handle = handle == NULL ? -1 : PyLong_AsLongLong(handle);
+    Py_XDECREF(handle);
+    if (side->handle != -1)
+        return 1;
+    PyErr_Clear();
+    return 0;
+}
+
+static int take_sides(PyObject *class, PyObject *const *given, Side *a, Side *b)
+{
+    b->packed = NULL;
+    return take_side(class, given[0], given[1], a) && take_side(class, given[2], given[3], b);
+}
+
+static void leave_sides(Side *a, Side *b)
+{
+    Py_XDECREF(a->packed);
+    Py_XDECREF(b->packed);
+}
+
+static int take_margin(PyObject *given, double *margin)
+{
+    if (!PyFloat_CheckExact(given))
+        return 0;
+    *margin = PyFloat_AS_DOUBLE(given);
+    return *margin >= 0 && *margin < INFINITY;
+}
+
+/* How many pieces a body has: the rows of the first array behind its handle, see `records.py`. */
+static int64_t piece_count(const Side *side)
+{
+    return ((const int64_t *)side->handle)[1];
+}
+
+static int is_long(const Side *a, const Side *b)
+{
+    return piece_count(a) * piece_count(b) > MANY;
+}
+
+/* -- verdicts ------------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    PyObject_HEAD
+    PyObject *kernels; /* a tuple that keeps the library */
+    Function settle_range, distance_range, measure_left, first_fault;
+    void (*release)(void *);
+    int64_t settle_memory, distance_memory; /* bytes that `settle_range` and `distance_range` write to */
+} Pairs;
+
+/* The verdict of two bodies; -1 if that takes the long way. */
+static int settled(const Pairs *self, int mode, double margin, const Side *a, const Side *b)
+{
+    int8_t verdict = AMBIGUOUS;
+    int64_t tally[TIERS] = {0}, are_rigid = 0;
+    SettleArguments arguments = {
+        mode, margin, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses,
+        {&verdict, 1}, {tally, TIERS}, thread_memory(self->settle_memory),
+    };
+    if (arguments.memory == NULL || call_kernel(self->settle_range, &arguments, &are_rigid, is_long(a, b)) != 0 ||
+        !(are_rigid & 1))
+        return -1;
+    /* What the fast searches left open is for the fallback. */
+    return mode == EXACT && (tally[OPEN] != 0 || verdict == AMBIGUOUS) ? -1 : verdict;
+}
+
+/* collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs): a bool, or None. */
+static PyObject *pairs_collide(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    double margin;
+    if (count != 8 || given[7] != Py_None || !take_margin(given[6], &margin))
+        Py_RETURN_NONE;
+    if (given[5] != word_exact && !(PyUnicode_CheckExact(given[5]) && PyUnicode_Compare(given[5], word_exact) == 0))
+        Py_RETURN_NONE;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, EXACT, margin, &a, &b) : -1;
+    leave_sides(&a, &b);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyBool_FromLong(verdict == COLLIDING);
+}
+
+/* classify(Body, a, T_world_a, b, T_world_b, margin, pairs): the number of a verdict, or None. */
+static PyObject *pairs_classify(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    double margin;
+    if (count != 7 || given[6] != Py_None || !take_margin(given[5], &margin))
+        Py_RETURN_NONE;
+    int verdict = take_sides(given[0], given + 1, &a, &b) ? settled(self, CERTIFY, margin, &a, &b) : -1;
+    leave_sides(&a, &b);
+    if (verdict < 0)
+        Py_RETURN_NONE;
+    return PyLong_FromLong(verdict);
+}
+
+/* -- distances ----------------------------------------------------------------------------------------------------- */
+
+/* Numbers and vectors of a `loewner.Distance`, in its order. */
+enum { LOWER, UPPER, ESTIMATE, VALUE, NUMBERS };
+enum { WITNESS_A, WITNESS_B, NORMAL, VECTORS };
+static const char *const field_texts[NUMBERS + VECTORS] = {
+    "lower", "upper", "estimate", "distance", "witness_a", "witness_b", "normal",
+};
+static PyObject *field_names[NUMBERS + VECTORS], *no_arguments;
+
+typedef struct {
+    double number[NUMBERS], vector[VECTORS][3];
+} Found;
+
+static int is_rigid(const Pairs *self, const Poses *poses)
+{
+    FaultResults fault;
+    return poses->data == identity ||
+           (self->first_fault((const int64_t *)poses, (int64_t *)&fault) == 0 && fault.row == poses->count);
+}
+
+/* Measure the piece pairs that the fast searches left. */
+static int finished(const Pairs *self, const DistanceArguments *asked, const DistanceResults *left)
+{
+    LeftArguments arguments = {
+        left->pieces.array, left->values.array, asked->a, asked->poses_a, asked->b, asked->poses_b,
+        asked->distance, asked->witness_a, asked->witness_b, asked->normal, asked->status,
+    };
+    int64_t nothing;
+    return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
+}
+
+/* Measure two bodies at poses that are rigid motions; false if that takes the long way. */
+static int measured(const Pairs *self, int wanted, const Side *a, const Side *b, Found *found)
+{
+    int8_t status = 0;
+    DistanceResults left;
+    double *number = found->number;
+    DistanceArguments arguments = {
+        wanted, 0, 1, ONE_PAIR, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
+        {&number[LOWER], 1}, {&number[UPPER], 1}, {&number[ESTIMATE], 1}, {&number[VALUE], wanted},
+        {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
+        {&status, wanted},
+    };
+    if (arguments.memory == NULL || call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
+        return 0;
+    int is_whole = finished(self, &arguments, &left) && status == 0;
+    self->release(left.pieces.memory);
+    self->release(left.values.memory);
+    if (!is_whole || !isfinite(number[LOWER]) || !isfinite(number[UPPER]) || !isfinite(number[ESTIMATE]))
+        return 0;
+    if (!wanted)
+        return 1;
+    if (!isfinite(number[VALUE]))
+        return 0;
+    /* The bounds are proven, the value is computed: where rounding puts it outside, they know better. */
+    number[VALUE] = fmax(number[LOWER], fmin(number[VALUE], number[UPPER]));
+    return number[VALUE] != 0; /* which of two zeros is taken, where their signs differ, is for NumPy to say */
+}
+
+static PyObject *vector_of(const double *entries)
+{
+    npy_intp length = 3;
+    PyObject *array = PyArray_SimpleNew(1, &length, NPY_DOUBLE);
+    if (array != NULL)
+        memcpy(PyArray_DATA((PyArrayObject *)array), entries, 3 * sizeof *entries);
+    return array;
+}
+
+/* A field of a Distance, by its place; what was not asked for is None. */
+static PyObject *field_of(const Found *found, int place, int wanted)
+{
+    if (place >= VALUE && !wanted)
+        return Py_NewRef(Py_None);
+    return place < NUMBERS ? PyFloat_FromDouble(found->number[place]) : vector_of(found->vector[place - NUMBERS]);
+}
+
+/* What the class would make of the fields, which it guards against change, not against being made. */
+static PyObject *distance_of(PyObject *class, const Found *found, int wanted)
+{
+    PyObject *made = PyBaseObject_Type.tp_new((PyTypeObject *)class, no_arguments, NULL);
+    for (int place = 0; made != NULL && place < NUMBERS + VECTORS; place++) {
+        PyObject *field = field_of(found, place, wanted);
+        if (field == NULL || PyObject_GenericSetAttr(made, field_names[place], field) < 0)
+            Py_CLEAR(made);
+        Py_XDECREF(field);
+    }
+    return made;
+}
+
+/* distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs): a Distance, or None. */
+static PyObject *pairs_distance(Pairs *self, PyObject *const *given, Py_ssize_t count)
+{
+    Side a, b;
+    Found found;
+    if (count != 8 || given[7] != Py_None || !PyBool_Check(given[6]) || !PyType_Check(given[1]))
+        Py_RETURN_NONE;
+    int wanted = given[6] == Py_True;
+    int is_found = take_sides(given[0], given + 2, &a, &b) && is_rigid(self, &a.poses) && is_rigid(self, &b.poses) &&
+                   measured(self, wanted, &a, &b, &found);
+    leave_sides(&a, &b);
+    PyObject *made = is_found ? distance_of(given[1], &found, wanted) : NULL;
+    if (made != NULL)
+        return made;
+    PyErr_Clear(); /* out of memory: so will the long way be, or not */
+    Py_RETURN_NONE;
+}
+
+/* -- the type ------------------------------------------------------------------------------------------------------ */
+
+static PyObject *pairs_new(PyTypeObject *type, PyObject *arguments, PyObject *names)
+{
+    PyObject *settle, *distance, *left, *fault;
+    long long settle_memory, distance_memory;
+    static char *known[] = {
+        "settle_range", "distance_range", "measure_left", "first_fault", "settle_memory", "distance_memory", NULL,
+    };
+    if (!PyArg_ParseTupleAndKeywords(arguments, names, "OOOOLL", known, &settle, &distance, &left, &fault,
+                                     &settle_memory, &distance_memory) ||
+        !is_kernel(settle, SETTLE_TAKES, "b") || !is_kernel(distance, DISTANCE_TAKES, DISTANCE_GIVES) ||
+        !is_kernel(left, LEFT_TAKES, "") || !is_kernel(fault, FAULT_TAKES, FAULT_GIVES))
+        return NULL;
+    Pairs *made = (Pairs *)type->tp_alloc(type, 0);
+    if (made == NULL)
+        return NULL;
+    made->kernels = PyTuple_Pack(4, settle, distance, left, fault);
+    made->settle_range = ((Kernel *)settle)->function;
+    made->distance_range = ((Kernel *)distance)->function;
+    made->measure_left = ((Kernel *)left)->function;
+    made->first_fault = ((Kernel *)fault)->function;
+    made->release = ((Kernel *)distance)->release;
+    made->settle_memory = settle_memory;
+    made->distance_memory = distance_memory;
+    if (made->kernels == NULL)
+        Py_CLEAR(made);
+    return (PyObject *)made;
+}
+
+static void pairs_free(PyObject *self)
+{
+    Py_XDECREF(((Pairs *)self)->kernels);
+    Py_TYPE(self)->tp_free(self);
+}
+
+static PyMethodDef pairs_methods[] = {
+    FAST_METHOD("collide", pairs_collide, "collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)"),
+    FAST_METHOD("classify", pairs_classify, "classify(Body, a, T_world_a, b, T_world_b, margin, pairs)"),
+    FAST_METHOD("distance", pairs_distance, "distance(Body, Distance, a, T_world_a, b, T_world_b, exact, pairs)"),
+    {NULL, NULL, 0, NULL},
+};
+
+static PyTypeObject PairsType = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "loewner._native._call.Pairs",
+    .tp_doc = "Queries of one pair of bodies; made by `singles.py`.",
+    .tp_basicsize = sizeof(Pairs),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_new = pairs_new,
+    .tp_dealloc = pairs_free,
+    .tp_methods = pairs_methods,
+};
+
+int add_pairs(PyObject *module)
+{
+    word_exact = PyUnicode_InternFromString("exact");
+    name_packed = PyUnicode_InternFromString("_packed");
+    name_handle = PyUnicode_InternFromString("handle");
+    no_arguments = PyTuple_New(0);
+    for (int place = 0; place < NUMBERS + VECTORS; place++)
+        field_names[place] = PyUnicode_InternFromString(field_texts[place]);
+    return PyErr_Occurred() ? -1 : PyModule_AddType(module, &PairsType);
+}
