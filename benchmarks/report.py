@@ -33,6 +33,7 @@ REQUIRED = {
     "crowd": 5.0,
     "robot vs AABB tree": 10.0,
     "planner": 5.0,
+    "motions vs samples": 1.0,
 }
 
 PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree", "pin", "ompl")

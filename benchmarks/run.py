@@ -18,6 +18,7 @@ import crowd
 import figures
 import growth
 import memory
+import motions
 import pairs
 import pieces
 import report
@@ -37,6 +38,7 @@ BENCHMARKS = {
     "pieces": ("two bodies of many pieces, one thread", pieces.run),
     "crowd": ("all overlapping pairs among many ellipsoids, one thread", crowd.run),
     "robots": ("robots in scenes, per configuration, one thread", robots.run),
+    "motions": ("motions proven free, beside samples, per motion, one thread", motions.run),
     "robot-batches": ("cost of a configuration against the size of the batch, one thread", robots.batches),
 }
 FIGURES = {"vertices": figures.vertices, "batches": figures.batches, "robot-batches": figures.robot_batches}

@@ -22,7 +22,7 @@ from loewner.errors import (
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.robots import CollisionChecker, Robot, Settled, StateDistance, pairs_by_sampling
+from loewner.robots import CertifiedMotions, CollisionChecker, Robot, Settled, StateDistance, pairs_by_sampling
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
 
@@ -33,6 +33,7 @@ __all__ = [
     "Bodies",
     "Body",
     "BodyIndexError",
+    "CertifiedMotions",
     "CollisionChecker",
     "Contact",
     "ConvergenceError",

@@ -101,6 +101,7 @@ def _robots() -> None:
     checker = loewner.CollisionChecker(robot, skip_adjacent=False)
     checker.collide([[0.0], [5.0]])
     checker.valid_edges([5.0], [6.0], resolution=0.5)
+    checker.certify_edges([5.0], [6.0])
 
 
 _PARTS = {

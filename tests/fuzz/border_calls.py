@@ -762,6 +762,10 @@ CALLS: dict[str, Call] = {
         on(checker, "valid_edges"),
         {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "resolution": positive()},
     ),
+    "CollisionChecker.certify_edges": Call(
+        on(checker, "certify_edges"),
+        {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "tolerance": positive()},
+    ),
     "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.distance": Call(on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag()}),
@@ -1022,8 +1026,8 @@ LINES: dict[str, Call] = {
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
-    "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet", "paper.Experiment", "paper.Pairs",
-    "paper.Result",
+    "CertifiedMotions", "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet",
+    "paper.Experiment", "paper.Pairs", "paper.Result",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body"}

@@ -83,3 +83,35 @@ class Problem(NamedTuple):
     standing: Any
     standing_rows: Any
     standing_poses: Any
+
+
+class MotionTables(NamedTuple):
+    """What `robots.motions` needs besides a `Problem`.
+
+    Attributes
+    ----------
+    path_start : ndarray of int64, shape (L + 1,)
+    path_link : ndarray of int64
+        Joints between the world and link l, those next to the world first: entries path_start[l] .. path_start[l + 1].
+        A joint is called by the link that it moves.
+    reach : ndarray, shape (bodies, L)
+        The farthest that a body gets from the axis of a turning joint, however the joints between the two turn, while
+        sliding joints stand at 0; seen from the other side of the joint.
+    standing_rows : ndarray, shape (pieces of standing bodies, HOT)
+        Ellipsoids in world coordinates, in double precision.
+    sizes : ndarray, shape (standing bodies,)
+        Sums of lengths that places of their points are made of.
+    order : ndarray of int64, shape (pairs,)
+        In which pairs are taken.
+    chain : ndarray, shape (3,)
+        Of the longest chain of joints: how many and one more, and the sum of its lengths with sliding joints at 0; and
+        how far the rotations of all links together may be from orthonormal.
+    """
+
+    path_start: Any
+    path_link: Any
+    reach: Any
+    standing_rows: Any
+    sizes: Any
+    order: Any
+    chain: Any

@@ -9,10 +9,12 @@ SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 # derived 24, certified.md B2
 
 # The same for positions (translation, rotated center, dot product), in units of the lengths that
-# were added. Of gaps between ellipsoids, of support planes of vertices, and of boxes of trees.
+# were added. Of gaps between ellipsoids, of support planes of vertices, of boxes of trees, and of support planes of
+# vertices at two poses.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 32, certified.md B14
 # derived 11, certified.md B19
+# derived 52, certified.md B30
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
 # How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through

@@ -26,6 +26,8 @@ ENTRIES = {
         Entry("robots.configurations", "check_configurations", "i i i F2 i i B1 B1 I1 i", ""),
         Entry("robots.configurations", "check_motion", "F1 F1 F1 i i B1 I1 i", "i i"),
         Entry("robots.configurations", "memory_size", "i i i", "i"),
+        Entry("robots.motions", "certify_motions", "i i F2 F2 f i i i B1 F1 I1 I2 i", ""),
+        Entry("robots.motions", "motion_memory", "i i i", "i"),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),

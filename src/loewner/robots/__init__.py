@@ -5,7 +5,8 @@ motions (prepared by `checked_pairs`, ordered by `edges`), `sampling` finds pair
 """
 
 from loewner.robots.checker import CollisionChecker, Settled, StateDistance
+from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
 
-__all__ = ["CollisionChecker", "Robot", "Settled", "StateDistance", "pairs_by_sampling"]
+__all__ = ["CertifiedMotions", "CollisionChecker", "Robot", "Settled", "StateDistance", "pairs_by_sampling"]

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
 from loewner._kernels import columns, records, tolerances
+from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.errors import InputError, UnknownNameError
+from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot
 from loewner.scenes import Scene
 
@@ -31,6 +34,26 @@ MOST_PAIRS = 2**24
 # Entries of a symmetric matrix in the order of the kernels, and back.
 _UPPER = np.triu_indices(3)
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+class PreparedMotions(NamedTuple):
+    """What the kernel takes besides to prove motions.
+
+    Attributes
+    ----------
+    tables : MotionTables
+    handle : int
+        Their arrays, for the kernel; good for as long as this lives.
+    memory : int
+        Bytes that the kernel works in.
+    table : ndarray
+        What the handle points to.
+    """
+
+    tables: MotionTables
+    handle: int
+    memory: int
+    table: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +120,10 @@ class CheckedPairs:
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""
-        return replace(self, order=np.argsort(-self.hits, kind="stable"))
+        ordered = replace(self, order=np.argsort(-self.hits, kind="stable"))
+        if "motions" in vars(self):  # which has an order of its own
+            vars(ordered)["motions"] = self.motions
+        return ordered
 
     def placed(self, scene: Scene, version: int) -> CheckedPairs:
         """The same with the bodies that stand still where the scene has them now.
@@ -120,6 +146,24 @@ class CheckedPairs:
                 rows[p] = _single(row)
             standing[k, :7] = _single(_bounds(packed, start[k], placed, poses[k]))
         return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
+
+    @cached_property
+    def motions(self) -> PreparedMotions:
+        """What certifying motions takes besides; made when it is first needed."""
+        packed = self.bodies._packed
+        start = packed.piece_start[len(self.link) :]
+        rows = [
+            _placed_row(packed.kernel.hot[p], T)
+            for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
+            for p in range(start[k], start[k + 1])
+        ]
+        tables = motion_tables(
+            self.robot.tree, packed, self.link, self.balls, self.pairs, self.standing.astype(np.float64),
+            self.standing_poses, np.array(rows).reshape(-1, columns.HOT),
+        )  # fmt: skip
+        table = records.table_of(tables)
+        memory = entries.motion_memory(packed.handle, self.handle, self.robot.dof)
+        return PreparedMotions(tables, table.ctypes.data, memory, table)
 
     def poses(self, Q: Floats) -> Floats:
         """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""

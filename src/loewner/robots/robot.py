@@ -622,10 +622,9 @@ class Robot:
         _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
         Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
         for quaternion in self._quaternions.values():
-            p, q = a[..., quaternion], b[..., quaternion]
-            cosine = (p * q).sum(axis=-1, keepdims=True)
-            q, cosine = np.where(cosine < 0, -q, q), np.minimum(np.abs(cosine), 1.0)
-            angle = np.arccos(cosine)
+            p = a[..., quaternion]
+            q, cosine = _nearer(p, b[..., quaternion])
+            angle = np.arccos(np.minimum(cosine, 1.0))
             # For a small angle the chord is the arc.
             sine = np.maximum(np.sin(angle), 1e-12)
             straight = angle < 1e-6
@@ -635,6 +634,15 @@ class Robot:
             Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
         return np.ascontiguousarray(Q)
 
+    def _on_the_way(self, Q0: Floats, Q1: Floats) -> Floats:
+        """Q1, its quaternions with the sign with which `between` goes to them: at half a turn, rounding chooses."""
+        if self.runs_straight:
+            return Q1
+        ends = Q1.copy()
+        for quaternion in self._quaternions.values():
+            ends[..., quaternion], _ = _nearer(Q0[..., quaternion], Q1[..., quaternion])
+        return ends
+
     @cached_property
     def _quaternions(self) -> dict[str, slice]:
         """Columns of the orientations of floating joints."""
@@ -642,3 +650,9 @@ class Robot:
         return {
             joint: slice(at.start + 3, at.stop) for joint, at in self._columns.items() if at.stop - at.start == width
         }
+
+
+def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """Of the quaternions q and -q those nearer to p, and the cosines of the angles between the two."""
+    cosine = (p * q).sum(axis=-1, keepdims=True)
+    return np.where(cosine < 0, -q, q), np.abs(cosine)

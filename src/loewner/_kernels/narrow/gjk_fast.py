@@ -269,6 +269,137 @@ def _squared_off(n, u, w):
     return n
 
 
+def measuring(supports):
+    """The search below, among the support points that a function like `_supports` finds."""
+
+    @inline
+    def search(A, B, shift, W, ends, n, error, reach, far, result):
+        """As `measure`; returns besides the last direction, a unit vector from A to B."""
+        p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
+        first = p
+        k = 0
+        # The simplex b, c, e, the newest first, and the rounds its points come from.
+        b = c = e = (0.0, 0.0, 0.0)
+        from_b = from_c = from_e = 0
+        largest = 0.0
+        lower = -np.inf
+        length = np.inf
+        status = UNSETTLED
+        for r in range(MEASURE_ROUNDS):
+            o = p
+            if r == 1:
+                # The first direction is good already, that of the first point poor: between them is what saves a round.
+                o = (
+                    KEPT * first[0] + (1.0 - KEPT) * p[0],
+                    KEPT * first[1] + (1.0 - KEPT) * p[1],
+                    KEPT * first[2] + (1.0 - KEPT) * p[2],
+                )
+            s, t = supports(A, B, shift, W, ends, o)
+            m = _PATH + 6 * r
+            W[m], W[m + 1], W[m + 2] = s
+            W[m + 3], W[m + 4], W[m + 5] = t
+            a = minus(s, t)
+            plane = dot(p, a)
+            closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
+            if r == 1:
+                if closed:
+                    continue  # no nearer to the origin; nor is the plane a bound, as it is square to another direction
+            else:
+                if plane - error > lower:
+                    lower = plane - error
+                if lower > far:
+                    status = APART
+                    break
+                if k > 0:
+                    if closed:
+                        status = NEAREST
+                        break
+                    if a == b or (k > 1 and a == c) or (k > 2 and a == e):
+                        if length - lower <= LAST_GAP * error:
+                            status = NEAREST
+                        break
+            largest = max(largest, abs(a[0]) + abs(a[1]) + abs(a[2]))
+            if k == 0:
+                k = 1
+                n = a
+            elif k == 1:
+                k, n = _edge(a, b)
+                if k == 2:
+                    c, from_c = b, from_b
+            else:
+                if k == 3:
+                    ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
+                    face_bc = cross(ab, ac)
+                    # Positive: the origin lies beyond the face opposite e, b, c.
+                    volume = dot(face_bc, ae)
+                    sign = np.copysign(1.0, volume)
+                    beyond_e = sign * dot(face_bc, a)
+                    beyond_b = sign * dot(cross(ac, ae), a)
+                    beyond_c = sign * dot(cross(ae, ab), a)
+                    count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
+                    if count == 0:
+                        doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
+                        # The base, -|volume| less the other three, must be clear too: flat ones have the sign of noise.
+                        base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
+                        if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
+                            status = INSIDE
+                        break
+                    if count == 1:
+                        face = (beyond_b > 0.0) + 2 * (beyond_c > 0.0)
+                    else:
+                        face = _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e)
+                    if face == 1:
+                        b, from_b = e, from_e
+                    elif face == 2:
+                        c, from_c = e, from_e
+                part, n = _triangle(a, b, c)
+                if part < 0:
+                    break
+                if part == 3:
+                    k = 3
+                    u, w = minus(b, a), minus(c, a)
+                    if dot(n, n) < THIN * (dot(u, u) * dot(w, w)):
+                        n = _squared_off(n, u, w)
+                    e, from_e = c, from_c
+                    c, from_c = b, from_b
+                elif part == 0:
+                    k = 1
+                else:
+                    k = 2
+                    if part == 1:
+                        c, from_c = b, from_b
+            b, from_b = a, r
+            before = length
+            p = scaled(1.0 / np.sqrt(dot(n, n)), n)
+            length = dot(p, b)
+            if length <= reach:
+                status = TOUCHING
+                break
+            # No progress, or too near to contact for these products: `gjk_robust.run` is more careful.
+            if not (4.0 * error < length < before):
+                break
+        if status == NEAREST:
+            weight_b, weight_c, weight_e = 1.0, 0.0, 0.0
+            if k == 2:
+                weight_c = segment_weight(b, c)
+                weight_b = 1.0 - weight_c
+            elif k == 3:
+                weight_b, weight_c, weight_e = triangle_weights(b, c, e)
+            result[0], result[1], result[2] = negated(p)
+            for m in range(6):
+                result[3 + m] = (
+                    weight_b * W[_PATH + 6 * from_b + m]
+                    + weight_c * W[_PATH + 6 * from_c + m]
+                    + weight_e * W[_PATH + 6 * from_e + m]
+                )
+        return status, lower, length, negated(p)
+
+    return search
+
+
+_measure = measuring(_supports)
+
+
 @inline
 def measure(A, B, shift, W, ends, n, error, reach, far, result):
     """Distance of two cores, or on which side of a margin it is.
@@ -292,121 +423,5 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
     lower, upper : float
         Bounds on the distance of the cores.
     """
-    p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
-    first = p
-    k = 0
-    # The simplex b, c, e, the newest first, and the rounds its points come from.
-    b = c = e = (0.0, 0.0, 0.0)
-    from_b = from_c = from_e = 0
-    largest = 0.0
-    lower = -np.inf
-    length = np.inf
-    status = UNSETTLED
-    for r in range(MEASURE_ROUNDS):
-        o = p
-        if r == 1:
-            # The first direction is good already, that of the first point poor: between them lies what saves a round.
-            o = (
-                KEPT * first[0] + (1.0 - KEPT) * p[0],
-                KEPT * first[1] + (1.0 - KEPT) * p[1],
-                KEPT * first[2] + (1.0 - KEPT) * p[2],
-            )
-        s, t = _supports(A, B, shift, W, ends, o)
-        m = _PATH + 6 * r
-        W[m], W[m + 1], W[m + 2] = s
-        W[m + 3], W[m + 4], W[m + 5] = t
-        a = minus(s, t)
-        plane = dot(p, a)
-        closed = length - plane <= DISTANCE_TOLERANCE * length + ERROR_SHARE * error
-        if r == 1:
-            if closed:
-                continue  # no nearer to the origin; nor is the plane a bound, as it is square to another direction
-        else:
-            if plane - error > lower:
-                lower = plane - error
-            if lower > far:
-                status = APART
-                break
-            if k > 0:
-                if closed:
-                    status = NEAREST
-                    break
-                if a == b or (k > 1 and a == c) or (k > 2 and a == e):
-                    if length - lower <= LAST_GAP * error:
-                        status = NEAREST
-                    break
-        largest = max(largest, abs(a[0]) + abs(a[1]) + abs(a[2]))
-        if k == 0:
-            k = 1
-            n = a
-        elif k == 1:
-            k, n = _edge(a, b)
-            if k == 2:
-                c, from_c = b, from_b
-        else:
-            if k == 3:
-                ab, ac, ae = minus(b, a), minus(c, a), minus(e, a)
-                face_bc = cross(ab, ac)
-                # Positive: the origin lies beyond the face opposite e, b, c.
-                volume = dot(face_bc, ae)
-                sign = np.copysign(1.0, volume)
-                beyond_e = sign * dot(face_bc, a)
-                beyond_b = sign * dot(cross(ac, ae), a)
-                beyond_c = sign * dot(cross(ae, ab), a)
-                count = (beyond_e > 0.0) + (beyond_b > 0.0) + (beyond_c > 0.0)
-                if count == 0:
-                    doubt = VOLUME_ERROR * UNIT_ROUNDOFF * largest * largest * largest
-                    # The base, -|volume| less the other three, must be clear too: a flat tetrahedron's sign is noise.
-                    base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
-                    if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
-                        status = INSIDE
-                    break
-                if count == 1:
-                    face = (beyond_b > 0.0) + 2 * (beyond_c > 0.0)
-                else:
-                    face = _nearest_face(beyond_e, beyond_b, beyond_c, a, b, c, e)
-                if face == 1:
-                    b, from_b = e, from_e
-                elif face == 2:
-                    c, from_c = e, from_e
-            part, n = _triangle(a, b, c)
-            if part < 0:
-                break
-            if part == 3:
-                k = 3
-                u, w = minus(b, a), minus(c, a)
-                if dot(n, n) < THIN * (dot(u, u) * dot(w, w)):
-                    n = _squared_off(n, u, w)
-                e, from_e = c, from_c
-                c, from_c = b, from_b
-            elif part == 0:
-                k = 1
-            else:
-                k = 2
-                if part == 1:
-                    c, from_c = b, from_b
-        b, from_b = a, r
-        before = length
-        p = scaled(1.0 / np.sqrt(dot(n, n)), n)
-        length = dot(p, b)
-        if length <= reach:
-            status = TOUCHING
-            break
-        # No progress, or too near to contact for these products: `gjk_robust.run` is more careful.
-        if not (4.0 * error < length < before):
-            break
-    if status == NEAREST:
-        weight_b, weight_c, weight_e = 1.0, 0.0, 0.0
-        if k == 2:
-            weight_c = segment_weight(b, c)
-            weight_b = 1.0 - weight_c
-        elif k == 3:
-            weight_b, weight_c, weight_e = triangle_weights(b, c, e)
-        result[0], result[1], result[2] = negated(p)
-        for m in range(6):
-            result[3 + m] = (
-                weight_b * W[_PATH + 6 * from_b + m]
-                + weight_c * W[_PATH + 6 * from_c + m]
-                + weight_e * W[_PATH + 6 * from_e + m]
-            )
+    status, lower, length, _ = _measure(A, B, shift, W, ends, n, error, reach, far, result)
     return status, lower, length

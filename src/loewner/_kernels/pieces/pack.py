@@ -1,7 +1,7 @@
 """Packed pieces, and what to check, by one number: see `records`."""
 
 from loewner._kernels._jit import borrowed, inline
-from loewner._kernels.records import ENTRIES, Pieces, Placed, Problem, Tree
+from loewner._kernels.records import ENTRIES, MotionTables, Pieces, Placed, Problem, Tree
 from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
 
 
@@ -61,4 +61,19 @@ def problem_of(handle):
         singles_at(t[11, 0], (t[11, 1], t[11, 2])),
         singles_at(t[12, 0], (t[12, 1], t[12, 2])),
         floats_at(t[13, 0], (t[13, 1], t[13, 2])),
+    )
+
+
+@inline
+def motion_tables_of(handle):
+    """What `motions` needs besides, from the handle of its arrays."""
+    t = integers_at(handle, (7, ENTRIES))
+    return MotionTables(
+        integers_at(t[0, 0], (t[0, 1],)),
+        integers_at(t[1, 0], (t[1, 1],)),
+        floats_at(t[2, 0], (t[2, 1], t[2, 2])),
+        floats_at(t[3, 0], (t[3, 1], t[3, 2])),
+        floats_at(t[4, 0], (t[4, 1],)),
+        integers_at(t[5, 0], (t[5, 1],)),
+        floats_at(t[6, 0], (t[6, 1],)),
     )

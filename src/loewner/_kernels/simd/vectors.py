@@ -215,6 +215,16 @@ def _both(builder, sig, args):
 
 
 @intrinsic
+def rounded_product(typingctx, x, y):
+    """x * y of two floats, rounded by itself: never part of a fused multiply-add, so that it is what NumPy computes."""
+
+    def generate(context, builder, sig, args):
+        return builder.fmul(*args)
+
+    return types.float64(types.float64, types.float64), generate
+
+
+@intrinsic
 def maximum(typingctx, x, y):
     """x if x > y, else y: a NaN in x gives y, one in y stays."""
 

@@ -1,0 +1,62 @@
+"""GJK between a piece and the hull of another one at two poses: is there a plane between them?"""
+
+from loewner._kernels._jit import inline
+from loewner._kernels.linalg3 import dot, minus, negated, plus
+from loewner._kernels.narrow.gjk_fast import ENTRIES, measuring
+from loewner._kernels.narrow.gjk_robust import APART, rounding_error, swollen_radii
+from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.shapes import placed_support, radius
+from loewner._kernels.simd.memory import floats_at
+
+SIZE = 8 * (ENTRIES + 16)  # bytes of memory that `separated` writes to
+
+
+@inline
+def _supports(A, B, shift, W, ends, n):
+    """Points of A, and of B at its two poses, whose difference lies least far along n."""
+    a = placed_support(A, negated(n))
+    first, last = B
+    b = plus(placed_support(first, n), shift[0])
+    c = plus(placed_support(last, n), shift[1])
+    if dot(minus(c, b), n) > 0.0:
+        b = c
+    return a, b
+
+
+_search = measuring(_supports)
+
+
+@inline
+def separated(A, first, last, n, keep, stretch, memory):
+    """Is a piece farther than `keep` from the hull of another one at two poses? Proven if so.
+
+    Parameters
+    ----------
+    A, first, last : Placed
+        The piece that stands still, and the other one at both poses.
+    n : tuple of 3 float
+        First direction, from A to the hull; any will do.
+    keep : float
+        Distance, >= 0.
+    stretch : float
+        What poses between the two may stretch radii by, beyond what these poses do.
+    memory : int
+        Address of SIZE bytes to write to.
+
+    Returns
+    -------
+    yes : bool
+    n : tuple of 3 float
+        Unit direction that was reached.
+    """
+    if not dot(n, n) > 0.0:
+        n = (1.0, 0.0, 0.0)
+    shift = shift_between(A, first), shift_between(A, last)
+    error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))
+    radii = radius(A) + radius(last)
+    far = keep
+    if radii > 0.0:
+        far += max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
+    W, result = floats_at(memory, (ENTRIES,)), floats_at(memory + 8 * ENTRIES, (9,))
+    status, _, _, n = _search(A, (first, last), shift, W, 0, n, error, keep + radii, far, result)
+    return status == APART, n

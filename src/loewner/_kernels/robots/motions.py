@@ -1,0 +1,866 @@
+"""Is a motion free at every one of its configurations: proven by planes, not by samples.
+
+A motion is cut into intervals, seven at a time. Over an interval of width w every point of a body, seen from another
+one, stays within A w² / 8 of its chord (`motion_bounds`). So a plane fixed in the frame of one body that has the other
+one beyond it at both ends, by more than the margin and A w² / 8, proves the pair for the whole interval.
+
+cull
+    balls and boxes about what bodies sweep, and planes between their ellipsoids, seven intervals at a time (`sweeps`).
+search
+    a plane between the pieces themselves (`narrow.gjk_swept`), for what is left, piece pair by piece pair.
+test
+    the exact answer at both ends of an interval that is not proven.
+halve
+    what is still neither, until there is a plane, a collision, or nothing to tell apart within the tolerance.
+
+docs/certified.md, "Motions", derives the bounds, and that this ends.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
+from loewner._kernels.columns import CACHE_LINE, OUTER_RADIUS
+from loewner._kernels.ellipsoids.contact import position_error
+from loewner._kernels.linalg3 import negated
+from loewner._kernels.narrow import exact, gjk_swept
+from loewner._kernels.narrow.exact import exact_piece_pair
+from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, TOUCHING, run
+from loewner._kernels.narrow.gjk_swept import separated
+from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
+from loewner._kernels.robots.kinematics import place_links, workspace_size
+from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between
+from loewner._kernels.robots.motion_path import configuration_at
+from loewner._kernels.robots.sweeps import (
+    BODY,
+    INTERVALS,
+    PIECE,
+    Swept,
+    near_moving,
+    near_piece,
+    near_standing,
+    place_pieces,
+    see_piece,
+    sweep,
+)
+from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.vectors import LANES, lowest_bit
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+
+# Further verdicts: the motion would have to be cut into too many intervals; it collides, but so near to contact that
+# only the careful search said so, and another start of it may not.
+TOO_LONG, BY_CARE = 3, 4
+
+# How far points may be from their chords [m] in the first intervals; a choice.
+FIRST_OFF = 0.01
+MOST_BLOCKS = 2**16  # of seven intervals
+
+# Neighbouring intervals that one plane is looked for together, if points are then no farther off than this [m].
+MERGED_OFF = 0.005
+
+# What `collide` may take for touching, and then some: a motion that is free has no such configuration.
+CLEAR_ROUNDINGS = TOUCH_ROUNDINGS + 64.0  # derived 130, certified.md B32
+
+# An interval that fails is AMBIGUOUS once its points move by less than this share of the tolerance; the rest is left
+# for the search to converge in.
+DECIDED = 0.5
+
+# Intervals that are not proven, of one block, that wait to be halved. When there are more, they are halved at once.
+WAITING = 256
+
+PARTS = 8  # that an interval is cut into at a time
+# A cut divides a width by eight, and seconds of 1 have 53 bits: after seventeen there is no number between the ends.
+DEPTH = 20
+STACK = 4 * DEPTH  # a halved interval leaves one, three times in a cut
+
+_POSES = 2 * (PARTS + 1)
+
+
+class Motion(NamedTuple):
+    """One motion: what is asked, and where to work.
+
+    Attributes
+    ----------
+    pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
+    tolerance : m
+    rounding : what computed poses may be off by, and what places of the robot's points round by [m]
+    counts : how much there is of everything
+    work : address of the memory that `_..._of` divide up
+    """
+
+    pack: Any
+    problem: Any
+    tables: Any
+    tolerance: Any
+    rounding: Any
+    counts: Any
+    work: Any
+
+
+class Counts(NamedTuple):
+    """How much there is of everything: decides the size of the memory."""
+
+    links: Any
+    dof: Any
+    moving: Any
+    moving_pieces: Any
+    standing: Any
+
+
+class Near(NamedTuple):
+    """Two pieces of a pair of bodies, and what is known of their ways.
+
+    Attributes
+    ----------
+    pair : number of the pair of bodies
+    i, j : the pieces; i moves
+    bend, speed : `Ways` of i as j sees it
+    margin : m that they must keep
+    slack : m that rounding takes, at most
+    """
+
+    pair: Any
+    i: Any
+    j: Any
+    bend: Any
+    speed: Any
+    margin: Any
+    slack: Any
+
+
+# -- memory -----------------------------------------------------------------------------------
+
+
+# What does not depend on the robot comes first.
+_ROWS = 0
+_NUMBERS = _ROWS + whole_lines(8 * LANES)
+_TIMES = _NUMBERS + whole_lines(8 * LANES)
+_SCRATCH = _TIMES + whole_lines(8 * LANES)
+_NORMALS = _SCRATCH + whole_lines(8 * PIECE)
+_RELATIVE = _NORMALS + whole_lines(8 * 3 * LANES)
+_AT_WAITING = _RELATIVE + whole_lines(8 * 16 * 4)
+_WAITING_WAYS = _AT_WAITING + whole_lines(8 * 4 * WAITING)
+_CUT_TIMES = _WAITING_WAYS + whole_lines(8 * 8 * WAITING)
+_CUT_POSES = _CUT_TIMES + whole_lines(8 * (PARTS + 1) * DEPTH)
+_AT_STACK = _CUT_POSES + whole_lines(8 * 16 * _POSES * DEPTH)
+_STACK_NORMALS = _AT_STACK + whole_lines(8 * 3 * STACK)
+_GJK = _STACK_NORMALS + whole_lines(8 * 3 * STACK)
+_EXACT = _GJK + whole_lines(gjk_swept.SIZE)
+_CAREFUL = _EXACT + whole_lines(exact.SIZE)
+_REST = _CAREFUL + 2 * CACHE_LINE + whole_lines(8 * 4 * 9)
+
+
+@inline
+def _sizes(counts):
+    """Bytes of what does depend on it, in order."""
+    links, moving = counts.links, counts.moving
+    return (
+        lines(8 * 2 * counts.dof),
+        lines(8 * LANES * counts.dof),
+        lines(8 * workspace_size(links, counts.dof)),
+        lines(8 * workspace_size(links, counts.dof)),
+        lines(8 * 3 * links),
+        lines(8 * 2 * moving),
+        lines(8 * moving),
+        lines(8 * 16 * LANES * moving),
+        lines(8 * BODY * moving),
+        lines(8 * PIECE * counts.moving_pieces),
+    )
+
+
+@inline
+def _at(motion, k):
+    """Address of the k-th of these; of their end, if there are k."""
+    address = motion.work + _REST
+    sizes = _sizes(motion.counts)
+    for n in range(k):
+        address += sizes[n]
+    return address
+
+
+@inline
+def _rows_of(motion):
+    """Rows of the configurations."""
+    return integers_at(motion.work + _ROWS, (LANES,))
+
+
+@inline
+def _times_of(motion):
+    """Of the block."""
+    return floats_at(motion.work + _TIMES, (LANES,))
+
+
+@inline
+def _scratch_of(motion):
+    """A piece as another body sees it."""
+    return floats_at(motion.work + _SCRATCH, (PIECE,))
+
+
+@inline
+def _normals_of(motion):
+    """Directions from `sweeps.near_piece`."""
+    return floats_at(motion.work + _NORMALS, (3 * LANES,))
+
+
+@inline
+def _relative_of(motion):
+    """The identity, and two poses of a body as another one sees it."""
+    return floats_at(motion.work + _RELATIVE, (4, 4, 4))
+
+
+@inline
+def _waiting_of(motion):
+    """Piece pairs that wait to be halved: pair, i, j, the interval's number."""
+    return integers_at(motion.work + _AT_WAITING, (WAITING, 4))
+
+
+@inline
+def _waiting_ways_of(motion):
+    """Their normals, `Ways`, margin and slack."""
+    return floats_at(motion.work + _WAITING_WAYS, (WAITING, 8))
+
+
+@inline
+def _cut_times_of(motion):
+    """Of the intervals that are cut, by depth."""
+    return floats_at(motion.work + _CUT_TIMES, (DEPTH, PARTS + 1))
+
+
+@inline
+def _cut_poses_of(motion):
+    """For each depth the poses of both bodies at the times: those of the first in rows 0 .. 8, then the other's."""
+    return floats_at(motion.work + _CUT_POSES, (DEPTH * _POSES, 4, 4))
+
+
+@inline
+def _stack_of(motion):
+    """Intervals to be halved: depth, first and last time."""
+    return integers_at(motion.work + _AT_STACK, (STACK, 3))
+
+
+@inline
+def _stack_normals_of(motion):
+    """Their normals."""
+    return floats_at(motion.work + _STACK_NORMALS, (STACK, 3))
+
+
+@inline
+def _ends_of(motion):
+    """Both ends."""
+    return floats_at(_at(motion, 0), (2, motion.counts.dof))
+
+
+@inline
+def _configurations_of(motion):
+    """Eight configurations on the way."""
+    return floats_at(_at(motion, 1), (LANES, motion.counts.dof))
+
+
+@inline
+def _links_of(motion):
+    """Links at those of a block, see `kinematics`."""
+    return floats_at(_at(motion, 2), (workspace_size(motion.counts.links, motion.counts.dof),))
+
+
+@inline
+def _cut_links_of(motion):
+    """Links at those of an interval that is cut."""
+    return floats_at(_at(motion, 3), (workspace_size(motion.counts.links, motion.counts.dof),))
+
+
+@inline
+def _rates_of(motion):
+    """What joints do."""
+    rates = floats_at(_at(motion, 4), (3, motion.counts.links))
+    return Rates(rates[0], rates[1], rates[2])
+
+
+@inline
+def _ways_of(motion):
+    """How the bodies that move do, seen from the world: shape (moving, 2)."""
+    return floats_at(_at(motion, 5), (motion.counts.moving, 2))
+
+
+@inline
+def _swept_of(motion):
+    """Where everything is in a block."""
+    counts = motion.counts
+    return Swept(
+        floats_at(_at(motion, 7), (LANES * counts.moving, 4, 4)),
+        floats_at(_at(motion, 8), (BODY * counts.moving,)),
+        floats_at(_at(motion, 9), (PIECE * counts.moving_pieces,)),
+        integers_at(_at(motion, 6), (counts.moving,)),
+        _links_of(motion),
+        integers_at(motion.work + _NUMBERS, (LANES,)),
+    )
+
+
+@inline
+def _counts(pieces, problem, dof):
+    moving = problem.link.size
+    return Counts(problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing))
+
+
+@njit()
+def motion_memory(pack, problem_handle, dof):
+    """Bytes that `certify_motions` writes to."""
+    counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, counts, 0), 10)
+
+
+# -- single questions ---------------------------------------------------------------------------
+
+
+@inline
+def _standing_poses(problem):
+    """Poses of what stands, as an array like the others."""
+    return floats_at(problem.standing_poses.ctypes.data, (len(problem.standing_poses), 4, 4))
+
+
+@inline
+def _relative(poses, fixed, row, to, k):
+    """Write the pose in `row` as seen from the one in row `fixed` to row k of `to`."""
+    for r in range(3):
+        for c in range(3):
+            to[k, r, c] = (
+                poses[fixed, 0, r] * poses[row, 0, c]
+                + poses[fixed, 1, r] * poses[row, 1, c]
+                + poses[fixed, 2, r] * poses[row, 2, c]
+            )
+        to[k, r, 3] = (
+            poses[fixed, 0, r] * (poses[row, 0, 3] - poses[fixed, 0, 3])
+            + poses[fixed, 1, r] * (poses[row, 1, 3] - poses[fixed, 1, 3])
+            + poses[fixed, 2, r] * (poses[row, 2, 3] - poses[fixed, 2, 3])
+        )
+
+
+@njit()
+def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
+    """Is piece i, at two poses, apart from piece j, which stands? And the direction from j to i that was reached."""
+    pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
+    return separated(
+        placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, keep,
+        2.0 * tables.chain[2], motion.work + _GJK,
+    )  # fmt: skip
+
+
+@njit()
+def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, keep, n):
+    """The same where both move, seen from the body of j; n is in its frame."""
+    to = _relative_of(motion)
+    _relative(poses, fixed_first, first, to, 1)
+    _relative(poses, fixed_last, last, to, 2)
+    return _proven_standing(motion, i, to, np.int64(1), np.int64(2), j, to, np.int64(0), keep, n)
+
+
+@njit()
+def _collides(motion, i, poses, row, j, others, other_row, margin, n):
+    """Are two pieces within the margin, at poses of the world? n is from i to j.
+
+    FREE, COLLIDING, or BY_CARE: what only the careful search calls touching.
+    """
+    pieces = pieces_of(motion.pack)
+    A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
+    verdict, _ = exact_piece_pair(A, B, margin, n, motion.work + _EXACT)
+    if verdict == AMBIGUOUS:
+        V = floats_at(motion.work + _CAREFUL, (3, 4))
+        simplex = floats_at(motion.work + _CAREFUL + 2 * CACHE_LINE, (4, 9))
+        touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, simplex, V[0], V[1], V[2])
+        verdict = BY_CARE if touching == TOUCHING else FREE
+    return verdict
+
+
+@inline
+def _to_world(poses, row, n):
+    """A direction of a body's frame in the world."""
+    return (
+        poses[row, 0, 0] * n[0] + poses[row, 0, 1] * n[1] + poses[row, 0, 2] * n[2],
+        poses[row, 1, 0] * n[0] + poses[row, 1, 1] * n[1] + poses[row, 1, 2] * n[2],
+        poses[row, 2, 0] * n[0] + poses[row, 2, 1] * n[1] + poses[row, 2, 2] * n[2],
+    )
+
+
+@inline
+def _to_body(poses, row, n):
+    """A direction of the world in a body's frame."""
+    return (
+        poses[row, 0, 0] * n[0] + poses[row, 1, 0] * n[1] + poses[row, 2, 0] * n[2],
+        poses[row, 0, 1] * n[0] + poses[row, 1, 1] * n[1] + poses[row, 2, 1] * n[2],
+        poses[row, 0, 2] * n[0] + poses[row, 1, 2] * n[1] + poses[row, 2, 2] * n[2],
+    )
+
+
+@inline
+def _enough(motion, near):
+    """How far points may move in an interval that counts as settled [m]; see docs/certified.md."""
+    return DECIDED * max(motion.tolerance - near.slack, near.slack)
+
+
+@inline
+def _off(near, width):
+    """How far points may be from their chords in an interval."""
+    return near.bend * width * width / 8.0
+
+
+@inline
+def _moved(near, width):
+    """How far conv of both ends may be from the piece in the middle."""
+    return near.speed * width / 2.0 + _off(near, width)
+
+
+@njit()
+def _place_at(motion, W):
+    """Place the links at the configurations that are written."""
+    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), np.int64(0), W)
+
+
+@njit()
+def _confirmed(motion, near, t, n):
+    """What `CollisionChecker.collide` says of the two pieces at this fraction, as it places them: alone.
+
+    COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
+    """
+    problem = problem_of(motion.problem)
+    Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
+    for lane in range(LANES):
+        configuration_at(problem.tree, _ends_of(motion), t, Q, lane)
+    _place_at(motion, W)
+    row = np.int64((DEPTH - 1) * _POSES)
+    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, row)
+    other = problem.pairs[near.pair, 1]
+    if other < motion.counts.moving:
+        _copy_pose(W, problem.link[other], 0, poses, row + 1)
+    else:
+        _copy_standing(problem, other - motion.counts.moving, poses, row + 1)
+    verdict = _collides(motion, near.i, poses, row, near.j, poses, row + 1, near.margin, n)
+    return np.int64(AMBIGUOUS) if verdict == FREE else verdict
+
+
+@inline
+def _copy_pose(W, link, lane, poses, row):
+    """Write a link's pose in one lane to a row."""
+    at = link * 12 * LANES + lane
+    for r in range(3):
+        for c in range(3):
+            poses[row, r, c] = W[at + (3 * r + c) * LANES]
+        poses[row, r, 3] = W[at + (9 + r) * LANES]
+
+
+@inline
+def _copy_standing(problem, k, poses, row):
+    for entry in range(12):
+        poses[row, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+
+
+# -- halving ------------------------------------------------------------------------------------
+
+
+@njit()
+def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other_low, other_high):
+    """Write times and poses of an interval in eight parts to a depth; those at its ends are copied."""
+    problem = problem_of(motion.problem)
+    times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
+    ends, Q = _ends_of(motion), _configurations_of(motion)
+    link, other = problem.link[problem.pairs[near.pair, 0]], problem.pairs[near.pair, 1]
+    times[depth, 0], times[depth, PARTS] = low, high
+    for k in range(1, PARTS):
+        times[depth, k] = low + (high - low) * (k / PARTS)
+        configuration_at(problem.tree, ends, times[depth, k], Q, k - 1)
+    configuration_at(problem.tree, ends, high, Q, LANES - 1)
+    _place_at(motion, W)
+    at = depth * _POSES
+    both = at + PARTS + 1
+    for r in range(3):
+        for c in range(4):
+            to[at, r, c], to[at + PARTS, r, c] = poses[row_low, r, c], poses[row_high, r, c]
+            to[both, r, c], to[both + PARTS, r, c] = others[other_low, r, c], others[other_high, r, c]
+    for k in range(1, PARTS):
+        _copy_pose(W, link, k - 1, to, at + k)
+        if other < motion.counts.moving:
+            _copy_pose(W, problem.link[other], k - 1, to, both + k)
+        else:
+            _copy_standing(problem, other - motion.counts.moving, to, both + k)
+
+
+@njit()
+def _halve(motion, near, swept, back, low, high, k, n, tally):
+    """Settle the interval k of the block, from `low` to `high`, which a plane between its ends does not prove.
+
+    Parameters
+    ----------
+    near : Near
+    back : Ways
+        Of j as i sees it.
+    n : tuple of 3 float
+        Direction from j to i, in the frame of j's body.
+    tally : ndarray of int64
+        Poses and searches are added.
+
+    Returns
+    -------
+    verdict : int
+    t : float
+        Where it is COLLIDING or AMBIGUOUS.
+    """
+    problem = problem_of(motion.problem)
+    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    stands = other >= motion.counts.moving
+    still = _standing_poses(problem)
+    times, poses = _cut_times_of(motion), _cut_poses_of(motion)
+    stack, normals = _stack_of(motion), _stack_normals_of(motion)
+    if stands:
+        s = other - motion.counts.moving
+        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, still, s, s)
+    else:
+        o = other * LANES + k
+        _cut(motion, near, 0, low, high, swept.poses, one * LANES + k, one * LANES + k + 1, swept.poses, o, o + 1)
+    tally[0] += LANES
+    enough = _enough(motion, near)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, PARTS
+    normals[0, 0], normals[0, 1], normals[0, 2] = n
+    top = 1
+    while top > 0:
+        top -= 1
+        depth, first, last = stack[top, 0], stack[top, 1], stack[top, 2]
+        n = normals[top, 0], normals[top, 1], normals[top, 2]
+        if last - first == 1:
+            a, b = times[depth, first], times[depth, last]
+            if depth + 1 >= DEPTH - 1 or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
+                return np.int64(AMBIGUOUS), a  # no number is left between the two
+            at = depth * _POSES
+            both = at + PARTS + 1
+            _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
+            tally[0] += LANES
+            depth, first, last = depth + 1, 0, PARTS
+        at = depth * _POSES
+        both = at + PARTS + 1
+        middle = (first + last) // 2
+        t, width = times[depth, middle], times[depth, last] - times[depth, first]
+        toward = negated(n if stands else _to_world(poses, both + middle, n))
+        tally[1] += 1
+        if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, near.margin, toward) != FREE:
+            return _confirmed(motion, near, t, toward), t
+        if _off(near, width) <= motion.tolerance:
+            wide = near.margin + motion.tolerance
+            tally[1] += 1
+            if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, wide, toward) != FREE:
+                return np.int64(AMBIGUOUS), t
+        for half in range(2):
+            a, b = (middle, last) if half == 0 else (first, middle)
+            w = times[depth, b] - times[depth, a]
+            keep = near.margin + near.slack + _off(near, w)
+            tally[1] += 1
+            if stands:
+                proven, m = _proven_standing(motion, near.i, poses, at + a, at + b, near.j, poses, both + a, keep, n)
+            else:
+                proven, m = _proven_moving(
+                    motion, near.i, near.j, poses, both + a, at + a, both + b, at + b, keep, n
+                )  # fmt: skip
+            if proven:
+                continue
+            # A plane that turns with the other body.
+            keep = near.margin + near.slack + back.bend * w * w / 8.0
+            world = m if stands else _to_world(poses, both + a, m)
+            tally[1] += 1
+            found, _ = _proven_moving(
+                motion, near.j, near.i, poses, at + a, both + a, at + b, both + b, keep,
+                _to_body(poses, at + a, negated(world)),
+            )  # fmt: skip
+            if found:
+                continue
+            if _moved(near, w) <= enough:
+                return np.int64(AMBIGUOUS), 0.5 * (times[depth, a] + times[depth, b])
+            stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
+            normals[top, 0], normals[top, 1], normals[top, 2] = m
+            top += 1
+    return np.int64(FREE), np.nan
+
+
+# -- a block ------------------------------------------------------------------------------------
+
+
+class Found(NamedTuple):
+    """The worst that is known of a motion: verdict, where, and which pair of bodies."""
+
+    verdict: Any
+    t: Any
+    pair: Any
+
+
+@inline
+def _worse(found, verdict, t, pair):
+    """What is known, with one more thing; of two alike the first stays."""
+    if verdict == FREE or found.verdict == verdict or (verdict == AMBIGUOUS and found.verdict != FREE):
+        return found
+    return Found(verdict, t, pair)
+
+
+@inline
+def _hit(found):
+    """Whether nothing worse can be found."""
+    return found.verdict == COLLIDING or found.verdict == BY_CARE
+
+
+@njit()
+def _halve_waiting(motion, count, found, tally):
+    """Settle all that waits, until a collision is found."""
+    problem, tables, swept = problem_of(motion.problem), motion_tables_of(motion.tables), _swept_of(motion)
+    waiting, ways, times, rates = (
+        _waiting_of(motion), _waiting_ways_of(motion), _times_of(motion), _rates_of(motion),
+    )  # fmt: skip
+    for e in range(count):
+        pair, k = waiting[e, 0], waiting[e, 3]
+        near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6])
+        one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
+        link = problem.link[other] if other < motion.counts.moving else np.int64(-1)
+        back = ways_between(tables, rates, other, link, problem.link[one])
+        n = ways[e, 0], ways[e, 1], ways[e, 2]
+        verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
+        found = _worse(found, verdict, t, pair)
+        if _hit(found):
+            break
+    return found
+
+
+@inline
+def _proven(motion, near, swept, first, last, keep, n):
+    """Does a plane prove the intervals from configuration `first` to `last` of the block?"""
+    problem = problem_of(motion.problem)
+    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    a, b = one * LANES + first, one * LANES + last
+    if other >= motion.counts.moving:
+        still = _standing_poses(problem)
+        return _proven_standing(
+            motion, near.i, swept.poses, a, b, near.j, still, other - motion.counts.moving, keep, n
+        )  # fmt: skip
+    o = other * LANES
+    return _proven_moving(motion, near.i, near.j, swept.poses, o + first, a, o + last, b, keep, n)
+
+
+@inline
+def _collides_in_block(motion, near, swept, k, n):
+    """Do two pieces collide at configuration k of the block? n is from j to i, in j's frame."""
+    problem = problem_of(motion.problem)
+    one, other = problem.pairs[near.pair, 0], problem.pairs[near.pair, 1]
+    a = one * LANES + k
+    if other >= motion.counts.moving:
+        still = _standing_poses(problem)
+        s = other - motion.counts.moving
+        return _collides(motion, near.i, swept.poses, a, near.j, still, s, near.margin, negated(n))
+    o = other * LANES + k
+    toward = negated(_to_world(swept.poses, o, n))
+    return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, near.margin, toward)
+
+
+@njit()
+def _search(motion, near, live, found, waiting_count, tally):
+    """Prove the intervals `live` of a piece pair by planes; those left wait.
+
+    Returns
+    -------
+    found : Found
+    waiting_count : int
+    """
+    swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
+    waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
+    tested = np.int64(0)
+    width = (times[INTERVALS] - times[0]) / INTERVALS
+    while live != 0:
+        first = lowest_bit(live)
+        last = first + 1
+        while (live >> last) & 1 != 0 and _off(near, (last + 1 - first) * width) <= MERGED_OFF:
+            last += 1
+        n = N[first], N[LANES + first], N[2 * LANES + first]
+        keep = near.margin + near.slack
+        if last - first > 1:
+            tally[1] += 1
+            proven, n = _proven(motion, near, swept, first, last, keep + _off(near, times[last] - times[first]), n)
+            if proven:
+                live &= ~((np.int64(1) << last) - 1)
+                continue
+        for k in range(first, last):
+            live &= ~(np.int64(1) << k)
+            w = times[k + 1] - times[k]
+            tally[1] += 1
+            proven, n = _proven(motion, near, swept, k, k + 1, keep + _off(near, w), n)
+            if proven:
+                continue
+            for end in range(k, k + 2):
+                if (tested >> end) & 1 == 0:
+                    tested |= np.int64(1) << end
+                    tally[1] += 1
+                    if _collides_in_block(motion, near, swept, end, n) != FREE:
+                        other = problem_of(motion.problem).pairs[near.pair, 1]
+                        toward = n
+                        if other < motion.counts.moving:
+                            toward = _to_world(swept.poses, other * LANES + end, n)
+                        verdict = _confirmed(motion, near, times[end], negated(toward))
+                        found = _worse(found, verdict, times[end], near.pair)
+                        if _hit(found):
+                            return found, waiting_count
+            if _moved(near, w) <= _enough(motion, near):
+                found = _worse(found, np.int64(AMBIGUOUS), 0.5 * (times[k] + times[k + 1]), near.pair)
+                continue
+            waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
+            waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
+            e = waiting_count
+            ways[e, 0], ways[e, 1], ways[e, 2] = n
+            ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6] = near.bend, near.speed, near.margin, near.slack
+            waiting_count += 1
+    return found, waiting_count
+
+
+@njit()
+def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
+    """Settle the intervals `live` of a pair of bodies, piece by piece."""
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
+    swept, scratch, normals, times = _swept_of(motion), _scratch_of(motion), _normals_of(motion), _times_of(motion)
+    one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
+    start, moving, hot = pieces.piece_start, motion.counts.moving, pieces.hot
+    first_standing = start[moving]
+    place_pieces(problem, pieces, one, swept)
+    for i in range(start[one], start[one + 1]):
+        rows, at = swept.pieces, i * PIECE
+        if other < moving:
+            see_piece(problem, i, other, swept, scratch)
+            rows, at = scratch, np.int64(0)
+        for j in range(start[other], start[other + 1]):
+            near = Near(pair, i, j, bend, speed, margin, slack)
+            keep = margin + slack + _off(near, times[1] - times[0])
+            if other < moving:
+                left = near_piece(rows, at, hot[i, OUTER_RADIUS], hot, j, keep, live, normals)
+            else:
+                table = tables.standing_rows
+                left = near_piece(rows, at, hot[i, OUTER_RADIUS], table, j - first_standing, keep, live, normals)
+            if left != 0:
+                found, count = _search(motion, near, left, found, count, tally)
+                if _hit(found):
+                    return found, count
+                if count > WAITING - LANES:
+                    found = _halve_waiting(motion, count, found, tally)
+                    count = np.int64(0)
+                    if _hit(found):
+                        return found, count
+    return found, count
+
+
+@njit()
+def _settle_block(motion, low, high, found, tally):
+    """Settle the intervals between two times, seven in all."""
+    pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
+    swept, times, Q, ends = _swept_of(motion), _times_of(motion), _configurations_of(motion), _ends_of(motion)
+    ways, rates, scratch = _ways_of(motion), _rates_of(motion), _scratch_of(motion)
+    moving = motion.counts.moving
+    for k in range(LANES):
+        times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
+        configuration_at(problem.tree, ends, times[k], Q, k)
+    tally[0] += LANES
+    _place_at(motion, _links_of(motion))
+    sweep(problem, pieces, swept)
+    widest = 0.0
+    for k in range(INTERVALS):
+        widest = max(widest, times[k + 1] - times[k])
+    count = np.int64(0)
+    for number in range(len(tables.order)):
+        pair = tables.order[number]
+        one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
+        slack = motion.rounding + 2.0 * tables.chain[2] * margin
+        if other >= moving:
+            k = other - moving
+            bend, speed = ways[one, 0], ways[one, 1]
+            slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
+            live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
+        else:
+            seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
+            bend, speed = seen.bend, seen.speed
+            live = near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
+        if speed == 0.0:
+            live &= 1  # the pair is the same everywhere
+        if live != 0:
+            found, count = _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally)
+            if _hit(found):
+                return found
+    return _halve_waiting(motion, count, found, tally)
+
+
+@njit()
+def _certify(motion, tally):
+    """Settle one motion, the ends of which are written."""
+    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
+    rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
+    travel, angles, places = rates_of(problem.tree, ends, rates)
+    off, length = uncertainty(tables, travel, angles, places)
+    rounding = 8.0 * off + 4.0 * tables.chain[2] * length
+    rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
+    motion = Motion(
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, motion.counts, motion.work
+    )  # fmt: skip
+    most = 0.0
+    for body in range(motion.counts.moving):
+        seen = ways_between(tables, rates, body, problem.link[body], np.int64(-1))
+        ways[body, 0], ways[body, 1] = seen.bend, seen.speed
+        most = max(most, seen.bend)
+    blocks = np.int64(1)
+    while not most / (8.0 * (INTERVALS * blocks) ** 2) <= FIRST_OFF:
+        blocks *= 2
+        if blocks > MOST_BLOCKS:
+            return Found(np.int64(TOO_LONG), np.nan, np.int64(-1))
+    found = Found(np.int64(FREE), np.nan, np.int64(-1))
+    for number in range(blocks):
+        # The first, the one in the middle, those between: the bits of their numbers reversed.
+        block, bit, rest = np.int64(0), blocks // 2, number
+        while rest != 0:
+            block += bit * (rest & 1)
+            rest >>= 1
+            bit //= 2
+        found = _settle_block(motion, block / blocks, (block + 1) / blocks, found, tally)
+        if _hit(found):
+            break
+    return found
+
+
+@njit()
+def certify_motions(
+    start, stop, Q0, Q1, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
+):
+    """Settle the straight motions start .. stop at every one of their configurations.
+
+    Parameters
+    ----------
+    Q0, Q1 : ndarray, shape (N, dof)
+        Ends.
+    tolerance : float
+        m; what comes within the margin and this may be AMBIGUOUS.
+    pack : int
+        Handle of the packed bodies, as for `configurations.check_configurations`.
+    problem_handle, tables_handle : int
+        Handles of the rest, see `pack.problem_of` and `pack.motion_tables_of`.
+    out : ndarray of int8, shape (N,)
+        Receives FREE, COLLIDING, AMBIGUOUS, TOO_LONG or BY_CARE.
+    t_out : ndarray, shape (N,)
+        Receives fractions of the way where a motion is colliding or ambiguous; NaN for the others.
+    pair_out : ndarray of int64, shape (N,)
+        Receives the number of the pair that is; -1 for the others.
+    tallies : ndarray of int64, shape (N, 2)
+        Receives how many configurations were placed, and how many searches there were.
+    memory : int
+        Address of `motion_memory` bytes to write to; one thread uses them at a time.
+    """
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    counts = _counts(pieces, problem, Q0.shape[1])
+    motion = Motion(pack, problem_handle, tables_handle, tolerance, 0.0, counts, memory)
+    ends, rows, same, poses = _ends_of(motion), _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
+    for lane in range(LANES):
+        rows[lane] = lane
+    same[:] = 0.0
+    poses[:] = 0.0
+    for c in range(4):
+        same[0, c, c] = 1.0
+    for k in range(start, stop):
+        for c in range(counts.dof):
+            ends[0, c], ends[1, c] = Q0[k, c], Q1[k, c]
+        tallies[k, 0], tallies[k, 1] = 0, 0
+        found = _certify(motion, tallies[k])
+        out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair

@@ -1,0 +1,273 @@
+"""Seven intervals of a motion side by side: everything at eight configurations, and what is surely apart between two.
+
+In each interval a point stays within `grow` of its chord. So a body stays within the hull of what bounds it at both
+ends, widened by that: a ball about a segment, a box, or what a plane square to a direction leaves of two ellipsoids.
+
+Rows of vectors: a quantity at the eight configurations takes STRIDE numbers, the first eight of which count; reading
+from the second one on gives the later end of each interval, and nothing in the last lane.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE
+from loewner._kernels.ellipsoids.contact import normal_at, outward_width
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, minus, plus, rotated_shape, trace
+from loewner._kernels.robots.kinematics import rotation_of_link, translation_of_link
+from loewner._kernels.robots.placement import HALF_X, HALF_Y, HALF_Z, WIDE, X, Y, Z
+from loewner._kernels.simd.vectors import (
+    LANES,
+    absolute,
+    broadcast,
+    load,
+    maximum,
+    minimum,
+    movemask,
+    scatter_transpose,
+    share_of_roots,
+    sqrt,
+    store,
+)
+from loewner._kernels.tolerances import SHAPE_ROUNDINGS
+
+INTERVALS = LANES - 1
+EVERY = (1 << INTERVALS) - 1
+
+STRIDE = 2 * LANES
+
+# Of a body: its center and half widths at the configurations; over the intervals the middle and half the length of the
+# center's chord, and the middle and half widths of a box.
+_MIDDLE = 6 * STRIDE
+_HALF_CHORD = _MIDDLE + 3 * LANES
+_BOX = _HALF_CHORD + LANES
+BODY = _BOX + 6 * LANES
+
+# Of a piece: the center and the shape matrix of its outer ellipsoid.
+_SHAPE = 3 * STRIDE
+PIECE = 9 * STRIDE
+
+# Radii and half widths are widened by this, for what poses accepted as rigid stretch them by, and rounding.
+STRETCH = 1e-5  # derived 1.7e-6, certified.md B31
+WIDER = 1.0 + STRETCH
+
+TINY = 1e-300
+
+
+class Swept(NamedTuple):
+    """What `sweep` writes: flat arrays.
+
+    Attributes
+    ----------
+    poses : ndarray, shape (LANES * moving bodies, 4, 4)
+    bodies : ndarray, BODY numbers a body
+    pieces : ndarray, PIECE numbers a piece
+    done : ndarray of int64, an entry a body
+        Whether the pieces of a body of many are there.
+    links : ndarray
+        What the kinematics wrote.
+    numbers : ndarray of int64, shape (LANES,)
+    """
+
+    poses: Any
+    bodies: Any
+    pieces: Any
+    done: Any
+    links: Any
+    numbers: Any
+
+
+@inline
+def _store_three(rows, at, v):
+    store(rows, at, v[0])
+    store(rows, at + STRIDE, v[1])
+    store(rows, at + 2 * STRIDE, v[2])
+
+
+@inline
+def _load_three(rows, at):
+    return load(rows, at), load(rows, at + STRIDE), load(rows, at + 2 * STRIDE)
+
+
+@inline
+def _store_six(rows, at, Q):
+    _store_three(rows, at, (Q[0], Q[1], Q[2]))
+    _store_three(rows, at + 3 * STRIDE, (Q[3], Q[4], Q[5]))
+
+
+@inline
+def _load_six(rows, at):
+    return _load_three(rows, at) + _load_three(rows, at + 3 * STRIDE)
+
+
+@inline
+def _outer_shape(table, p):
+    k = OUTER_SHAPE
+    return table[p, k], table[p, k + 1], table[p, k + 2], table[p, k + 3], table[p, k + 4], table[p, k + 5]
+
+
+@inline
+def _outer_center(table, p):
+    return table[p, OUTER_CENTER], table[p, OUTER_CENTER + 1], table[p, OUTER_CENTER + 2]
+
+
+@inline
+def _place_piece(hot, p, R, t, rows):
+    """Write center and shape of a piece; returns both."""
+    center = plus(apply(R, _outer_center(hot, p)), t)
+    Q = rotated_shape(R, _outer_shape(hot, p))
+    _store_three(rows, p * PIECE, center)
+    _store_six(rows, p * PIECE + _SHAPE, Q)
+    return center, Q
+
+
+@njit()
+def place_pieces(problem, pieces, body, to):
+    """Write centers and shapes of all pieces of a body, unless they are there."""
+    if to.done[body] != 0:
+        return
+    to.done[body] = 1
+    link = problem.link[body]
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    for p in range(pieces.piece_start[body], pieces.piece_start[body + 1]):
+        _place_piece(pieces.hot, p, R, t, to.pieces)
+
+
+@njit()
+def sweep(problem, pieces, to):
+    """Write poses of all that moves, and bounds over the intervals, from the links that are placed."""
+    zero, one, nought = broadcast(0.0), broadcast(1.0), np.int64(0)
+    for body in range(problem.link.size):
+        link = problem.link[body]
+        R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+        for lane in range(LANES):
+            to.numbers[lane] = body * LANES + lane
+        upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
+        scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
+        lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
+        scatter_transpose(to.poses, 16, to.numbers, nought, np.int64(8), lower)
+        p = pieces.piece_start[body]
+        simple = pieces.piece_start[body + 1] - p == 1
+        to.done[body] = np.int64(simple)
+        ball, at = problem.ball, body * BODY
+        if simple:
+            center, Q = _place_piece(pieces.hot, p, R, t, to.pieces)
+            slack = SHAPE_ROUNDINGS * trace(Q)
+            half = sqrt(Q[0] + slack), sqrt(Q[3] + slack), sqrt(Q[5] + slack)
+        else:
+            center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
+            wide = broadcast(ball[body, 3])
+            half = wide, wide, wide
+        _store_three(to.bodies, at, center)
+        _store_three(to.bodies, at + 3 * STRIDE, half)
+        later = _load_three(to.bodies, at + 1)
+        way = minus(later, center)
+        store(to.bodies, at + _HALF_CHORD, 0.5 * sqrt(dot(way, way)))
+        for c in range(3):
+            store(to.bodies, at + _MIDDLE + c * LANES, 0.5 * (load(to.bodies, at + c * STRIDE) + later[c]))
+            first, last = load(to.bodies, at + c * STRIDE), load(to.bodies, at + c * STRIDE + 1)
+            wide, end = load(to.bodies, at + (3 + c) * STRIDE), load(to.bodies, at + (3 + c) * STRIDE + 1)
+            low, high = minimum(first - wide, last - end), maximum(first + wide, last + end)
+            store(to.bodies, at + _BOX + c * LANES, 0.5 * (low + high))
+            store(to.bodies, at + _BOX + (3 + c) * LANES, 0.5 * (high - low))
+
+
+@inline
+def near_standing(problem, body, k, keep, to):
+    """Intervals, as bits, in which a body that moves may come within `keep` of the one that stands in row k."""
+    at, still = body * BODY, problem.standing
+    middle = (
+        load(to.bodies, at + _MIDDLE),
+        load(to.bodies, at + _MIDDLE + LANES),
+        load(to.bodies, at + _MIDDLE + 2 * LANES),
+    )
+    r = minus(middle, (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
+    far = load(to.bodies, at + _HALF_CHORD) + (problem.ball[body, 3] + np.float64(still[k, WIDE]) + keep)
+    far = far * WIDER
+    near = EVERY & ~movemask(dot(r, r) > far * far)
+    if near != 0:
+        box = at + _BOX
+        x = absolute(load(to.bodies, box) - np.float64(still[k, X]))
+        y = absolute(load(to.bodies, box + LANES) - np.float64(still[k, Y]))
+        z = absolute(load(to.bodies, box + 2 * LANES) - np.float64(still[k, Z]))
+        box += 3 * LANES
+        clear = x > (load(to.bodies, box) + (np.float64(still[k, HALF_X]) + keep)) * WIDER
+        clear = clear | (y > (load(to.bodies, box + LANES) + (np.float64(still[k, HALF_Y]) + keep)) * WIDER)
+        clear = clear | (z > (load(to.bodies, box + 2 * LANES) + (np.float64(still[k, HALF_Z]) + keep)) * WIDER)
+        near &= ~movemask(clear)
+    return near
+
+
+@inline
+def _near_balls(rows, at, center, radii, keep):
+    """Intervals in which a ball, its center in the rows from `at` on, may come within `keep` of one that stands."""
+    first, last = _load_three(rows, at), _load_three(rows, at + 1)
+    way = minus(last, first)
+    r = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1]), 0.5 * (first[2] + last[2])
+    r = minus(r, center)
+    far = (0.5 * sqrt(dot(way, way)) + (radii + keep)) * WIDER
+    return EVERY & ~movemask(dot(r, r) > far * far)
+
+
+@inline
+def near_moving(problem, body, other, keep, to, scratch):
+    """The same of two bodies that move, seen from the second one."""
+    ball, link = problem.ball, problem.link[other]
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.bodies, body * BODY), t)))
+    center = ball[other, 0], ball[other, 1], ball[other, 2]
+    return _near_balls(scratch, 0, center, ball[body, 3] + ball[other, 3], keep)
+
+
+@inline
+def see_piece(problem, p, other, to, scratch):
+    """Write center and shape of piece p, that moves, as the body `other` sees them, which moves too."""
+    link = problem.link[other]
+    R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
+    _store_three(scratch, 0, apply_transposed(R, minus(_load_three(to.pieces, p * PIECE), t)))
+    back = R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
+    _store_six(scratch, _SHAPE, rotated_shape(back, _load_six(to.pieces, p * PIECE + _SHAPE)))
+
+
+@inline
+def near_piece(rows, at, radius, table, q, keep, live, normals):
+    """Of the intervals `live`, those in which two ellipsoids may come within `keep` of each other.
+
+    Parameters
+    ----------
+    rows, at :
+        Center and shape of the piece that moves, from entry `at` on.
+    radius : float
+        Of a ball about it.
+    table, q :
+        Row of the piece that stands still: a table like `Pieces.hot`.
+    keep : float
+    live : int
+        As bits.
+    normals : ndarray, shape (3 * LANES,)
+        Receives directions from the one that stands still to the other.
+    """
+    center = _outer_center(table, q)
+    live &= _near_balls(rows, at, center, radius + table[q, OUTER_RADIUS], keep)
+    if live != 0:
+        Q = _outer_shape(table, q)
+        c0, c1 = minus(_load_three(rows, at), center), minus(_load_three(rows, at + 1), center)
+        P0, P1 = _load_six(rows, at + _SHAPE), _load_six(rows, at + _SHAPE + 1)
+        r = 0.5 * (c0[0] + c1[0]), 0.5 * (c0[1] + c1[1]), 0.5 * (c0[2] + c1[2])
+        wide_p = P0[0] * r[0] * r[0] + P0[3] * r[1] * r[1] + P0[5] * r[2] * r[2]
+        wide_p = wide_p + 2.0 * (P0[1] * r[0] * r[1] + P0[2] * r[0] * r[2] + P0[4] * r[1] * r[2])
+        wide_q = Q[0] * r[0] * r[0] + Q[3] * r[1] * r[1] + Q[5] * r[2] * r[2]
+        wide_q = wide_q + 2.0 * (Q[1] * r[0] * r[1] + Q[2] * r[0] * r[2] + Q[4] * r[1] * r[2])
+        s = share_of_roots(maximum(wide_p, TINY), maximum(wide_q, TINY))
+        _, n = normal_at(P0, Q, r, s)
+        squared = dot(n, n)
+        width, _ = outward_width(Q, n, squared)
+        first, _ = outward_width(P0, n, squared)
+        last, _ = outward_width(P1, n, squared)
+        gap = minimum(dot(n, c0) - first, dot(n, c1) - last) - width
+        live &= ~movemask(gap > sqrt(squared) * (keep * WIDER))
+        store(normals, 0, n[0])
+        store(normals, LANES, n[1])
+        store(normals, 2 * LANES, n[2])
+    return live

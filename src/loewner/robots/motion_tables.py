@@ -1,0 +1,148 @@
+"""How far bodies get from the joints that turn them: what the proof of a motion takes from a robot and a scene.
+
+A ball about a body is followed along the tree of joints, from the joint next to the body on: a joint that turns sweeps
+it around its axis, and the ball about all that is swept goes on to the next one. Sliding joints stand at 0 here; what
+they travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md, "Motions".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._kernels import columns, tolerances
+from loewner._kernels.records import MotionTables, Tree
+from loewner._validate import Floats, Ints
+from loewner.bodies import Packed
+
+# An allowance for rounding, and for what a base or a body that is accepted as rigid may stretch lengths by.
+STRETCH = 1 + 8 * tolerances.ROTATION_TOLERANCE
+
+# Angles at which a joint's rotation is compared with an orthonormal one. What differs is a sum of waves of up to twice
+# the angle, and the largest value of such a sum is less than twice the largest of eight samples.
+ANGLES = np.arange(8) * (np.pi / 4)
+
+
+def motion_tables(
+    tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, standing: Floats, poses: Floats, rows: Floats
+) -> MotionTables:
+    """Prepare what `entries.certify_motions` takes besides the checked pairs.
+
+    Parameters
+    ----------
+    tree : Tree
+    packed : Packed
+        Pieces of all bodies, those that move first.
+    link, balls, pairs
+        As of `CheckedPairs`.
+    standing : ndarray, shape (bodies, BOUNDS)
+        Bounds of what stands.
+    poses : ndarray, shape (bodies, 16)
+        Where it stands.
+    rows : ndarray, shape (pieces, HOT)
+        Its ellipsoids in world coordinates.
+    """
+    start, links = _paths(tree)
+    moving = _reaches(tree, link, balls[:, :3], balls[:, 3])
+    still = _reaches(tree, np.full(len(standing), -1), standing[:, :3], standing[:, 3])
+    far = _farthest(packed)
+    depth = np.diff(start)[link]
+    return MotionTables(
+        path_start=start,
+        path_link=links,
+        reach=np.ascontiguousarray(np.concatenate([moving, still]) * STRETCH),
+        standing_rows=np.ascontiguousarray(rows),
+        sizes=far[len(link) :] + np.abs(poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1),
+        # What is far out on the robot moves most, and hits most often.
+        order=np.argsort(-depth[pairs[:, 0]], kind="stable"),
+        chain=np.array([1 + depth.max(initial=0), _longest(tree, link, far), _bend(tree)]),
+    )
+
+
+def _farthest(packed: Packed) -> Floats:
+    """How far the points of each body are from its origin, at most."""
+    table, start = packed.kernel.table, packed.piece_start
+    far = [table[i:j, columns.REACH].max(initial=0.0) for i, j in zip(start[:-1], start[1:], strict=True)]
+    return np.array(far, dtype=np.float64)
+
+
+def _paths(tree: Tree) -> tuple[Ints, Ints]:
+    """Joints between the world and each link, as `records.MotionTables` has them."""
+    paths: list[list[int]] = []
+    for link, (above, kind) in enumerate(zip(tree.parent.tolist(), tree.kind.tolist(), strict=True)):
+        paths.append((paths[above] if above >= 0 else []) + ([link] if kind != columns.FIXED else []))
+    start = np.cumsum([0, *map(len, paths)])
+    return start.astype(np.int64), np.array([k for path in paths for k in path], dtype=np.int64)
+
+
+def _reaches(tree: Tree, link: Ints, centers: Floats, radii: Floats) -> Floats:
+    """The farthest that balls get from the joints, shape (balls, links); -1 is the link of what stands in the world."""
+    count, links = len(link), len(tree.parent)
+    reach = np.zeros((count, links))
+    # The ball in the frame of each link, and in the world's behind them; only once it is known.
+    center, radius = np.full((links + 1, count, 3), np.nan), np.full((links + 1, count), np.nan)
+    for k in np.unique(link):
+        center[k, link == k], radius[k, link == k] = centers[link == k], radii[link == k]
+    joints = [_joint(tree, k) for k in range(links)]
+    for k in range(links - 1, -1, -1):  # up: from each link to its parent
+        at = np.flatnonzero(~np.isnan(radius[k]))
+        if len(at) == 0:
+            continue
+        R, t, axis = joints[k]
+        far, c, r = _swept(center[k, at], radius[k, at], axis, int(tree.kind[k]))
+        reach[at, k] = far
+        center[tree.parent[k], at], radius[tree.parent[k], at] = c @ R.T + t, r
+    for k in range(links):  # down: from each link to those that hang on it
+        at = np.flatnonzero(np.isnan(radius[k]) & ~np.isnan(radius[tree.parent[k]]))
+        if len(at) == 0:
+            continue
+        R, t, axis = joints[k]
+        above = tree.parent[k]
+        far, c, r = _swept((center[above, at] - t) @ R, radius[above, at], axis, int(tree.kind[k]))
+        reach[at, k] = far
+        center[k, at], radius[k, at] = c, r
+    return reach
+
+
+def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Floats, Floats, Floats]:
+    """How far balls are from a joint's axis, and balls about all that is swept when it turns."""
+    if kind in (columns.FIXED, columns.PRISMATIC):
+        return np.zeros(len(radius)), center, radius
+    # A floating joint may turn about any axis through its origin.
+    onto = center @ np.outer(axis, axis) if kind != columns.FLOATING else np.zeros_like(center)
+    far = np.linalg.norm(center - onto, axis=1) + radius
+    return far, onto, far
+
+
+def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
+    """Rotation and translation of a joint at 0, and the unit axis that it turns about, in the frame that it moves."""
+    row = tree.constants[link]
+    fixed = row[columns.ROTATION : columns.ROTATION + 9].reshape(3, 3)
+    R = fixed + row[columns.COSINE : columns.COSINE + 9].reshape(3, 3)
+    axis = np.zeros(3)
+    if tree.kind[link] in (columns.REVOLUTE, columns.PLANAR):
+        onto = R.T @ fixed  # axis times axis transposed
+        column = onto[:, np.argmax(np.diag(onto))]
+        axis = column / np.linalg.norm(column)
+    return R, row[columns.TRANSLATION : columns.TRANSLATION + 3], axis
+
+
+def _longest(tree: Tree, link: Ints, far: Floats) -> float:
+    """Sum of the lengths along the longest chain of links, from the world's origin to a body's farthest point."""
+    lengths = np.linalg.norm(tree.constants[:, columns.TRANSLATION : columns.TRANSLATION + 3], axis=1)
+    for k, above in enumerate(tree.parent):
+        lengths[k] += lengths[above] if above >= 0 else 0.0
+    return float((lengths[link] + far[: len(link)]).max(initial=0.0)) * STRETCH
+
+
+def _bend(tree: Tree) -> float:
+    """How far the rotations of all links together may be from orthonormal, as their constants are."""
+    total = 0.0
+    for row, kind in zip(tree.constants, tree.kind, strict=True):
+        fixed, sine, cosine = (
+            row[first : first + 9].reshape(3, 3) for first in (columns.ROTATION, columns.SINE, columns.COSINE)
+        )
+        turns = kind in (columns.REVOLUTE, columns.PLANAR)
+        angles = ANGLES if turns else ANGLES[:1] * 0
+        R = fixed + np.sin(angles)[:, None, None] * sine + np.cos(angles)[:, None, None] * cosine
+        total += 2 * float(np.linalg.norm(R.transpose(0, 2, 1) @ R - np.eye(3), axis=(1, 2)).max())
+    return total

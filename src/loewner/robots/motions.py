@@ -1,0 +1,130 @@
+"""Motions that are proven: what `CollisionChecker.certify_edges` returns, and the calls of its kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _validate
+from loewner._native import entries
+from loewner._threads import in_shares
+from loewner._validate import Floats, Ints
+from loewner._workspaces import workspace
+from loewner.errors import InputError
+from loewner.queries import Verdict
+from loewner.robots.checked_pairs import CheckedPairs
+
+# Motions a thread takes at a time, at least: some 0.3 ms of work.
+LEAST_SHARE = 16
+
+# Further verdicts, as `robots.motions` of the kernels calls them.
+TOO_LONG, BY_CARE = 3, 4
+
+MOST_INTERVALS = 7 * 2**16  # that a motion is cut into before any is halved, likewise
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedMotions:
+    """Whether motions are free at every one of their configurations.
+
+    Attributes
+    ----------
+    verdict : Verdict, or ndarray of int8
+        FREE: every pair is farther apart than its margin at every real fraction from 0 to 1, proven. COLLIDING: the
+        configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the tolerance,
+        or arithmetic could not settle it; to be treated as not free.
+    fraction : float or ndarray
+        Of the way, as `Robot.between` takes it; NaN where FREE.
+    names : tuple of str, or ndarray of str, shape (..., 2)
+        The pair that collides or is ambiguous there; empty where FREE.
+    poses, searches : int or ndarray of int64
+        Work done: configurations that the robot was placed at, and searches on single pairs of pieces.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> found = checker.certify_edges([0.0, 1.57], [0.5, 1.57])
+    >>> print(found.verdict, found.fraction, found.names)
+    FREE nan ('', '')
+    """
+
+    verdict: Any
+    fraction: Any
+    names: Any
+    poses: Any
+    searches: Any
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+class Found(NamedTuple):
+    """What the kernel says of N motions.
+
+    Attributes
+    ----------
+    verdicts : ndarray of int8, shape (N,)
+        As of `CertifiedMotions`, or BY_CARE: COLLIDING if `collide` says so.
+    fractions : ndarray, shape (N,)
+    pairs : ndarray of int64, shape (N,)
+        Numbers of the pairs; -1 for none.
+    work : ndarray of int64, shape (N, 2)
+        Poses and searches.
+    """
+
+    verdicts: NDArray[np.int8]
+    fractions: Floats
+    pairs: Ints
+    work: Ints
+
+    def of_shape(self, shape: tuple[int, ...], ready: CheckedPairs) -> CertifiedMotions:
+        """The same as users see it: of one motion, whose shape is (), no arrays."""
+        if not shape:
+            pair = int(self.pairs[0])
+            names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())
+            poses, searches = self.work[0].tolist()
+            return CertifiedMotions(Verdict(int(self.verdicts[0])), float(self.fractions[0]), names, poses, searches)
+        pairs = np.append(ready.pairs, [[-1, -1]], axis=0)[self.pairs]
+        poses, searches = self.work.T.reshape(2, *shape)
+        return CertifiedMotions(
+            self.verdicts.reshape(shape), self.fractions.reshape(shape),
+            np.array([*ready.names, ""])[pairs].reshape(*shape, 2), poses, searches,
+        )  # fmt: skip
+
+
+def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
+    """Settle the motions between configurations a and b, shape (N, dof) each.
+
+    Raises
+    ------
+    InputError
+        If a motion is too long to be cut into intervals.
+    """
+    total = len(a)
+    found = Found(
+        np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
+        np.empty((total, 2), dtype=np.int64),
+    )  # fmt: skip
+    prepared = ready.motions
+
+    def share(first: int, last: int) -> None:
+        entries.certify_motions(
+            first, last, a, b, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
+            workspace(prepared.memory),
+        )  # fmt: skip
+
+    in_shares(share, total, LEAST_SHARE)
+    too_long = found.verdicts == TOO_LONG
+    if too_long.any():
+        k = int(np.argmax(too_long))
+        raise InputError(
+            f"expected motions short enough to be proven in {MOST_INTERVALS} intervals, found number {k}, which goes "
+            f"{np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
+        )
+    return found

@@ -1,0 +1,190 @@
+"""The bounds that proofs of motions rest on hold for ways and poses computed without them, in extended precision."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from checker_oracle import random_robot, random_scene, simple_bodies
+from loewner import Body, CollisionChecker
+from loewner._kernels import columns
+from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between
+from motion_oracle import AFLOAT, example, steps, written
+
+Real = np.longdouble
+
+far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
+
+
+def rates(checker, a, b):
+    """What the kernel makes of a motion: rates of joints, and what its poses may be off by."""
+    robot, tables, b = checker.robot, checker._ready().motions.tables, checker.robot._on_the_way(a, b)
+    made = Rates(*(np.empty(len(robot.link_names)) for _ in range(3)))
+    travel, angles, places = rates_of(robot.tree, np.array([a, b]), made)
+    return tables, made, uncertainty(tables, travel, angles, places)[0]
+
+
+def real_poses(robot, a, b, times):
+    """Poses of all links on the real motion, in extended precision: (times, links, 4, 4)."""
+    tree, t = robot.tree, np.asarray(times, dtype=Real)
+    Q = a.astype(Real) + t[:, None] * (b.astype(Real) - a.astype(Real))
+    b = robot._on_the_way(a, b)
+    for quaternion in robot._quaternions.values():
+        p, q = (end[quaternion].astype(Real) / np.sqrt((end[quaternion].astype(Real) ** 2).sum()) for end in (a, b))
+        half = np.arcsin(np.sqrt(((p - q) ** 2).sum()) / 2)  # of the angle between the two
+        across = p + q
+        across /= np.sqrt((across**2).sum())
+        along = (q - p) / max(np.sqrt(((q - p) ** 2).sum()), Real(1e-30))
+        angle = (2 * t - 1)[:, None] * half
+        Q[:, quaternion] = np.cos(angle) * across + np.sin(angle) * along
+    out = np.zeros((len(t), len(tree.parent), 4, 4), dtype=Real)
+    out[..., 3, 3] = 1
+    for link, row in enumerate(tree.constants.astype(Real)):
+        fixed, sine, cosine = (row[k : k + 9].reshape(3, 3) for k in (columns.ROTATION, columns.SINE, columns.COSINE))
+        kind, at = tree.kind[link], tree.column[link]
+        value = Q[:, at] * Real(tree.multiplier[link]) + Real(tree.offset[link]) if kind else None
+        R, place = np.broadcast_to(fixed, (len(t), 3, 3)), np.broadcast_to(row[9:12], (len(t), 3)).copy()
+        if kind == columns.PLANAR:
+            place += Q[:, at, None] * row[30:33] + Q[:, at + 1, None] * row[33:36]
+            value = Q[:, at + 2]
+        if kind in (columns.REVOLUTE, columns.PLANAR):
+            R = fixed + np.sin(value)[:, None, None] * sine + np.cos(value)[:, None, None] * cosine
+        elif kind == columns.PRISMATIC:
+            place += value[:, None] * row[30:33]
+        elif kind == columns.FLOATING:
+            place += Q[:, at : at + 3] @ fixed.T
+            w, x, y, z = Q[:, at + 3 : at + 7].T
+            turned = [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+            R = fixed @ np.array(turned).transpose(2, 0, 1)
+        above = tree.parent[link]
+        if above >= 0:
+            A = out[:, above]
+            place = A[:, :3, 3] + (A[:, :3, :3] @ place[:, :, None])[..., 0]
+            R = A[:, :3, :3] @ R
+        out[:, link, :3, :3], out[:, link, :3, 3] = R, place
+    return out
+
+
+def checkers(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    bodies = simple_bodies(rng)
+    robot = random_robot(rng, tmp_path, 6, bodies)
+    return rng, CollisionChecker(robot, random_scene(rng, robot, 4, bodies), skip_adjacent=False)
+
+
+def points_of(checker):
+    """Points of each body in the frame of its link, or of its own if it stands; vertices, where there are any."""
+    ready = checker._ready()
+    found = []
+    for body in range(len(ready.names)):
+        pieces = ready.bodies[body].pieces
+        inner = [np.concatenate([p.inner.center + p.inner.factor.T, p.inner.center - p.inner.factor.T]) for p in pieces]
+        corners = [p.vertices if p.vertices is not None else points for p, points in zip(pieces, inner, strict=True)]
+        found.append(np.concatenate(corners))
+    return ready, found
+
+
+@pytest.mark.parametrize("seed", range(8))
+@far_outside
+def test_speed_and_curvature(tmp_path, seed):
+    """No point of a body is faster, or its way more bent, than the bound, as seen from any other body or the world."""
+    rng, checker = checkers(tmp_path, seed)
+    robot, (ready, points) = checker.robot, points_of(checker)
+    if robot.dof == 0:
+        pytest.skip("nothing moves")
+    t = np.linspace(0.0, 1.0, 401)
+    h = Real(t[1])
+    closest = 0.0
+    for q in robot.random_configurations(3, seed):
+        end = steps(robot, rng, q[None], rng.uniform(0.5, 6.0))[0]
+        tables, made, _ = rates(checker, q, end)
+        poses = real_poses(robot, q, end, t)
+        for a in range(len(ready.names)):
+            for b in range(len(ready.link)):
+                if a == b:
+                    continue
+                # A body that stands moves as seen from a link.
+                moves = a < len(ready.link)
+                to = np.linalg.inv(poses[:, ready.link[b]].astype(float)).astype(Real)
+                x = np.c_[points[a], np.ones(len(points[a]))].astype(Real)
+                if moves:
+                    x = np.einsum("tij,nj->tni", poses[:, ready.link[a]], x)
+                else:
+                    x = np.broadcast_to(
+                        x @ ready.standing_poses[a - len(ready.link)].reshape(4, 4).T, (len(t), *x.shape)
+                    )
+                seen = np.einsum("tij,tnj->tni", to, x)[..., :3]
+                ways = ways_between(tables, made, a, ready.link[a] if moves else -1, ready.link[b])
+                speed = np.sqrt(((seen[1:] - seen[:-1]) ** 2).sum(axis=2)).max() / h
+                bend = np.sqrt(((seen[2:] - 2 * seen[1:-1] + seen[:-2]) ** 2).sum(axis=2)).max() / h**2
+                assert speed <= ways.speed + 1e-9
+                assert bend <= ways.bend + 1e-5
+                if ways.bend > 0:
+                    closest = max(closest, float(bend / ways.bend))
+    assert closest > 0.2 or not np.isin(robot.tree.kind, (columns.REVOLUTE, columns.PLANAR, columns.FLOATING)).any()
+
+
+def largest_error(checker, a, b, times):
+    """How far points at the longest reach are from the real motion, in units of the bound."""
+    ready = checker._ready()
+    table = ready.bodies._packed.kernel.table
+    _, _, bound = rates(checker, a, b)
+    real = real_poses(checker.robot, a, b, times)[:, ready.link]
+    found = checker.robot.forward_kinematics(checker.robot.between(a, b, times))[:, ready.link]
+    start = ready.bodies._packed.piece_start
+    reach = np.array([table[start[k] : start[k + 1], columns.REACH].max() for k in range(len(ready.link))])
+    off = found.astype(Real) - real
+    turn = np.sqrt((off[..., :3, :3] ** 2).sum(axis=(2, 3)))  # Frobenius, no less than the largest of any point
+    shift = np.sqrt((off[..., :3, 3] ** 2).sum(axis=2))
+    return float((turn * reach + shift).max() / bound)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e4])
+@far_outside
+def test_rounding_of_poses(tmp_path, seed, scale):
+    """Computed poses are off by less than the bound: short motions, and values of thousands of turns and metres."""
+    rng, checker = checkers(tmp_path, seed)
+    robot = checker.robot
+    if robot.dof == 0 or not robot.bodies:
+        pytest.skip("nothing moves")
+    start = robot.random_configurations(4, seed) * max(scale, 1.0)
+    for quaternion in robot._quaternions.values():
+        start[:, quaternion] /= np.linalg.norm(start[:, quaternion], axis=1, keepdims=True)
+    for a, b in zip(start, steps(robot, rng, start, 3.0 * scale), strict=True):
+        assert largest_error(checker, a, b, rng.uniform(size=200)) < 1.0
+
+
+def test_rounding_of_a_long_chain():
+    """The same of an arm; and the bound is no more than a hundred times what is met."""
+    checker = CollisionChecker(example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf"))
+    rng = np.random.default_rng(0)
+    start = checker.robot.random_configurations(40)
+    found = [
+        largest_error(checker, a, b, rng.uniform(size=100))
+        for a, b in zip(start, steps(checker.robot, rng, start, 1.0), strict=True)
+    ]
+    assert 0.002 < max(found) < 1.0
+
+
+@pytest.mark.parametrize("astray", [1e-16, 1e-9, 9e-7])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.9e-6, 2.1e-6, 1e-3, 1.0, 3.0, np.pi])
+def test_orientations(tmp_path, angle, astray):
+    """Quaternions that are not quite of norm 1, and any angle between them, stay within the bound."""
+    robot = written(tmp_path, AFLOAT)
+    checker = CollisionChecker(replace(robot, bodies={"base": Body.box([0.2, 0.2, 0.2]), "hand": Body.sphere(0.1)}))
+    rng = np.random.default_rng(int(angle * 1e9) % 1000)
+    for _ in range(30):
+        a, b = robot.random_configurations(2, int(rng.integers(2**31)))
+        at = robot._quaternions["base"]
+        p, other = a[at], rng.normal(size=4)
+        other -= p * (p @ other)
+        other /= np.linalg.norm(other)
+        b[at] = (np.cos(angle / 2) * p + np.sin(angle / 2) * other) * rng.choice([-1.0, 1.0])
+        a[at] *= 1 + astray * rng.uniform(-1, 1)
+        b[at] *= 1 + astray * rng.uniform(-1, 1)
+        assert largest_error(checker, a, b, rng.uniform(size=50)) < 1.0
