@@ -21,3 +21,6 @@ FLAT, STALLED, UNBOUNDED = 1, 2, 3
 # ... and how a hull did: its simplices do not close up, a face does not pass through its own vertices, or the simplices
 # cannot be oriented.
 NOT_CLOSED, FACE_OFF, INSIDE_OUT = 11, 12, 13
+
+# How a search for a path ended: the trees met, all iterations are done, or the memory for trees is full.
+MET, SPENT, FULL = 0, 1, 2

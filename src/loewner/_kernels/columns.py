@@ -40,3 +40,13 @@ FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
 ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
 
 BOUNDS = 8  # of a row of bounds
+
+# -- planners: where the search for a path stands --------------------------------------------------
+
+ITERATION = 0
+STARTS, GOALS = 1, 2  # configurations in the tree from the start, and in that from the goals
+OF_START, OF_GOAL = 3, 4  # where the trees met
+MOTIONS = 5  # asked about
+RANDOM = 6  # what the next number is drawn from
+POSES, SEARCHES = 7, 8  # work that proofs took
+STATE = 9

@@ -821,6 +821,26 @@ def _certify(motion, tally):
     return found
 
 
+@inline
+def _motion(pack, problem_handle, tables_handle, tolerance, dof, memory):
+    """A motion whose ends are still to be written, in memory that is ready."""
+    counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, counts, memory)
+
+
+@njit()
+def make_ready(pack, problem_handle, dof, memory):
+    """Write to the memory what all motions leave there."""
+    motion = _motion(pack, problem_handle, 0, 0.0, dof, memory)
+    rows, same, poses = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
+    for lane in range(LANES):
+        rows[lane] = lane
+    same[:] = 0.0
+    poses[:] = 0.0
+    for c in range(4):
+        same[0, c, c] = 1.0
+
+
 @njit()
 def certify_motions(
     start, stop, Q0, Q1, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
@@ -848,19 +868,25 @@ def certify_motions(
     memory : int
         Address of `motion_memory` bytes to write to; one thread uses them at a time.
     """
-    pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    counts = _counts(pieces, problem, Q0.shape[1])
-    motion = Motion(pack, problem_handle, tables_handle, tolerance, 0.0, counts, memory)
-    ends, rows, same, poses = _ends_of(motion), _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
-    for lane in range(LANES):
-        rows[lane] = lane
-    same[:] = 0.0
-    poses[:] = 0.0
-    for c in range(4):
-        same[0, c, c] = 1.0
+    make_ready(pack, problem_handle, Q0.shape[1], memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, Q0.shape[1], memory)
+    ends = _ends_of(motion)
     for k in range(start, stop):
-        for c in range(counts.dof):
+        for c in range(motion.counts.dof):
             ends[0, c], ends[1, c] = Q0[k, c], Q1[k, c]
         tallies[k, 0], tallies[k, 1] = 0, 0
         found = _certify(motion, tallies[k])
         out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair
+
+
+@njit()
+def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memory):
+    """Verdict of one motion, as `certify_motions` has it, in memory that was made ready.
+
+    The work done is added to `tally`, shape (2,): configurations placed and searches.
+    """
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, ends.shape[1], memory)
+    own = _ends_of(motion)
+    for c in range(motion.counts.dof):
+        own[0, c], own[1, c] = ends[0, c], ends[1, c]
+    return _certify(motion, tally).verdict

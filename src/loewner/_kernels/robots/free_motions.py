@@ -1,0 +1,122 @@
+"""What planners share: random numbers, and whether a straight motion is free, proven or looked at in steps."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import FREE
+from loewner._kernels.columns import FLOATING, RANDOM
+from loewner._kernels.pieces.pack import problem_of
+from loewner._kernels.robots.configurations import check_motion
+from loewner._kernels.robots.motions import certified
+
+# Cosine of a quarter of the turn between two orientations that are half a turn apart, give or take rounding: which way
+# `Robot.between` goes is then chosen by the last bit.
+HALF_TURN = 1e-9
+
+# splitmix64, which passes the usual tests of randomness and has one word of state.
+_GAMMA, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+
+
+class Judge(NamedTuple):
+    """What a motion has to be to count as free.
+
+    Attributes
+    ----------
+    pack, problem, tables : handles, as for `motions.certify_motions`
+    tolerance : m, as for `motions.certify_motions`
+    resolution : largest distance of two configurations looked at; 0 if motions are proven instead
+    hits : ndarray of int64, shape (pairs,), where collisions found by looking are counted
+    fractions, verdicts : ndarray of float64 and of int8, memory for as many looks as the longest motion takes
+    memory : address of the bytes that both kernels write to
+    """
+
+    pack: Any
+    problem: Any
+    tables: Any
+    tolerance: Any
+    resolution: Any
+    hits: Any
+    fractions: Any
+    verdicts: Any
+    memory: Any
+
+
+@inline
+def random(state):
+    """Draw a number from 0 to 1, 1 excluded, where `state` is as `columns` describes it."""
+    bits = np.uint64(state[RANDOM]) + _GAMMA
+    state[RANDOM] = np.int64(bits)
+    bits = (bits ^ (bits >> _S30)) * _FIRST
+    bits = (bits ^ (bits >> _S27)) * _SECOND
+    return np.float64((bits ^ (bits >> _S31)) >> _S11) * 2.0**-53
+
+
+@inline
+def _coarse_first(parts, fractions):
+    """Write where to look: 0, 1, the middle, the quarters and so on, as `loewner.robots.edges.coarse_first` has it."""
+    fractions[0], fractions[1] = 0.0, 1.0
+    digits, count = 1, 2
+    while (parts - 1) >> digits != 0:
+        digits += 1
+    for number in range(1, 1 << digits):
+        place = 0
+        for k in range(digits):
+            place |= ((number >> k) & 1) << (digits - 1 - k)
+        if place < parts:
+            fractions[count] = place / parts
+            count += 1
+    return count
+
+
+@njit()
+def _looks_free(judge, ends):
+    """Are all configurations looked at free?"""
+    squares = 0.0
+    for c in range(ends.shape[1]):
+        squares += (ends[1, c] - ends[0, c]) * (ends[1, c] - ends[0, c])
+    parts = np.int64(max(np.ceil(np.sqrt(squares) / judge.resolution), 1.0))
+    if parts + 1 > len(judge.fractions):
+        return False
+    count = _coarse_first(parts, judge.fractions)
+    verdict, _ = check_motion(
+        ends[0], ends[1], judge.fractions[:count], judge.pack, judge.problem, judge.verdicts, judge.hits, judge.memory
+    )
+    return verdict == FREE
+
+
+@inline
+def turns_clearly(tree, ends):
+    """Give quaternions the sign with which `Robot.between` goes to them; False if rounding chooses it."""
+    clear = True
+    for link in range(tree.kind.size):
+        if tree.kind[link] == FLOATING:
+            at, cosine = tree.column[link] + 3, 0.0
+            for k in range(at, at + 4):
+                cosine += ends[0, k] * ends[1, k]
+            clear = clear and abs(cosine) > HALF_TURN
+            if cosine < 0.0:
+                for k in range(at, at + 4):
+                    ends[1, k] = -ends[1, k]
+    return clear
+
+
+@njit()
+def is_free(judge, ends, tally):
+    """Whether the straight motion between two configurations is free; what is not known is not.
+
+    Parameters
+    ----------
+    judge : Judge
+    ends : ndarray, shape (2, dof)
+    tally : ndarray of int64, shape (2,)
+        The work done is added here: configurations placed and searches, of motions that are proven.
+    """
+    if judge.resolution > 0.0:
+        return _looks_free(judge, ends)
+    if not turns_clearly(problem_of(judge.problem).tree, ends):
+        return False
+    verdict = certified(judge.pack, judge.problem, judge.tables, judge.tolerance, ends, tally, judge.memory)
+    return verdict == FREE

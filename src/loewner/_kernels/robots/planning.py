@@ -1,0 +1,234 @@
+"""RRT-Connect: two trees of free motions, from the start and from the goals, that grow until they meet.
+
+The smaller tree grows by a motion towards a configuration drawn at random; then the other one is led there as far as
+motions are free [1]. Configurations that failed are drawn towards only from near by: the dynamic domain [2]. Trees are
+kept column by column, so that the search for the nearest configuration runs in lanes; they are small as a rule.
+
+[1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
+[2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import FULL, MET, SPENT
+from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
+from loewner._kernels.robots.free_motions import Judge, is_free, random
+from loewner._kernels.robots.motions import make_ready
+
+# Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
+# limited to at least, and the share that a failure takes and a success gives.
+FIRST_DOMAIN, LEAST_DOMAIN, CHANGE = 4.0, 1.0, 1e-4
+
+# Steps that a tree is led on by, at most, before the next draw.
+MOST_STEPS = 64
+
+TURN = 2.0 * np.pi
+
+
+class Trees(NamedTuple):
+    """Two trees; row 0 is the start's, row 1 the goals'.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (2, joints, capacity)
+        Values of the joints that move.
+    parents : ndarray of int64, shape (2, capacity)
+        -1 for roots.
+    domains : ndarray, shape (2, capacity)
+        How near a configuration drawn must be for the node to be extended; infinite until a motion from it fails.
+    """
+
+    nodes: Any
+    parents: Any
+    domains: Any
+
+
+class Space(NamedTuple):
+    """The joints that move.
+
+    Attributes
+    ----------
+    columns : ndarray of int64, shape (joints,)
+        Their columns in configurations.
+    lower, upper : ndarray, shape (joints,)
+    turning : ndarray of int64, shape (joints,)
+        1 where whole turns change nothing, and there are no limits.
+    range : float
+        How long a motion of a tree may be.
+    """
+
+    columns: Any
+    lower: Any
+    upper: Any
+    turning: Any
+    range: Any
+
+
+@inline
+def _turns(space, c, way):
+    """Whole turns to leave out of a way."""
+    return np.rint(way / TURN) if space.turning[c] != 0 else 0.0
+
+
+@njit()
+def _nearest(space, nodes, count, q, squares):
+    """Which of a tree's nodes is nearest to q, and how far it is."""
+    for k in range(count):
+        squares[k] = 0.0
+    for c in range(nodes.shape[0]):
+        row, value = nodes[c], q[c]
+        if space.turning[c] != 0:
+            for k in range(count):
+                way = value - row[k]
+                way -= TURN * np.rint(way / TURN)
+                squares[k] += way * way
+        else:
+            for k in range(count):
+                way = value - row[k]
+                squares[k] += way * way
+    best = np.int64(0)
+    for k in range(1, count):
+        if squares[k] < squares[best]:
+            best = np.int64(k)
+    return best, np.sqrt(squares[best])
+
+
+@inline
+def _free(judge, space, ends, a, b, state):
+    """Is the motion between two settings of the joints that move free?"""
+    for c in range(len(a)):
+        ends[0, space.columns[c]] = a[c]
+        ends[1, space.columns[c]] = b[c]
+    state[MOTIONS] += 1
+    return is_free(judge, ends, state[POSES:])
+
+
+@inline
+def _add(trees, tree, count, q, parent):
+    """Make q a node."""
+    for c in range(len(q)):
+        trees.nodes[tree, c, count] = q[c]
+    trees.parents[tree, count] = parent
+    trees.domains[tree, count] = np.inf
+
+
+@njit()
+def _iterate(judge, space, trees, state, gap, ends, points, squares):
+    """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
+    joints = len(space.columns)
+    drawn, here, there = points[0], points[1], points[2]
+    state[ITERATION] += 1
+    tree = np.int64(0) if state[STARTS] <= state[GOALS] else np.int64(1)
+    other = 1 - tree
+    nodes, count = trees.nodes[tree], state[STARTS + tree]
+    for c in range(joints):
+        drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * random(state)
+    near, distance = _nearest(space, nodes, count, drawn, squares)
+    if distance == 0.0 or distance > trees.domains[tree, near]:
+        return np.int64(SPENT)
+    share = min(space.range / distance, 1.0)
+    for c in range(joints):
+        here[c] = nodes[c, near]
+        way = drawn[c] - here[c]
+        there[c] = here[c] + share * (way - TURN * _turns(space, c, way))
+        if space.turning[c] == 0:
+            there[c] = min(max(there[c], space.lower[c]), space.upper[c])
+    domain = trees.domains[tree, near]
+    if not _free(judge, space, ends, here, there, state):
+        less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * space.range)
+        trees.domains[tree, near] = FIRST_DOMAIN * space.range if domain == np.inf else less
+        return np.int64(SPENT)
+    if domain != np.inf:
+        trees.domains[tree, near] = domain * (1.0 + CHANGE)
+    _add(trees, tree, count, there, near)
+    return _lead(judge, space, trees, state, gap, ends, points, squares, tree, other)
+
+
+@njit()
+def _lead(judge, space, trees, state, gap, ends, points, squares, tree, other):
+    """Lead the last node of a tree straight to the nearest one of the other, as far as motions are free."""
+    joints, count = len(space.columns), state[STARTS + tree] + 1
+    first, here, there = points[0], points[1], points[2]
+    for c in range(joints):
+        first[c] = trees.nodes[tree, c, count - 1]
+        here[c] = first[c]
+    aim, distance = _nearest(space, trees.nodes[other], state[STARTS + other], first, squares)
+    steps = np.int64(min(max(np.ceil(distance / space.range), 1.0), MOST_STEPS + 1.0))
+    met = steps <= MOST_STEPS
+    for step in range(1, min(steps, MOST_STEPS) + 1):
+        for c in range(joints):
+            value = trees.nodes[other, c, aim]
+            value -= TURN * _turns(space, c, value - first[c])
+            there[c] = first[c] + (value - first[c]) * (step / steps) if step < steps else value
+        if not _free(judge, space, ends, here, there, state):
+            met = False
+            break
+        if step == steps:
+            break
+        _add(trees, tree, count, there, count - 1)
+        count += 1
+        for c in range(joints):
+            here[c] = there[c]
+    state[STARTS + tree] = count
+    if met:
+        state[OF_START + tree], state[OF_START + other] = count - 1, aim
+        gap[0] = 0.0
+        return np.int64(MET)
+    left = 0.0
+    for c in range(joints):
+        way = trees.nodes[other, c, aim] - here[c]
+        way -= TURN * _turns(space, c, way)
+        left += way * way
+    gap[0] = min(gap[0], np.sqrt(left))
+    return np.int64(SPENT)
+
+
+@njit()
+def connect_trees(
+    most, longest, tolerance, resolution, pack, problem, tables, memory, columns, lower, upper, turning, nodes, parents,
+    domains, state, gap, ends, points, squares, fractions, verdicts, hits,
+):  # fmt: skip
+    """Let the trees grow, for at most so many iterations.
+
+    Parameters
+    ----------
+    most : int
+        Iterations in all, those of earlier calls included.
+    longest : float
+        As `Space.range`.
+    tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
+        See `free_motions.Judge`.
+    columns, lower, upper, turning
+        See `Space`.
+    nodes, parents, domains
+        See `Trees`: roots are in their places.
+    state : ndarray of int64, shape (columns.STATE,)
+        Where the search stands, see `columns`; goes on from there.
+    gap : ndarray, shape (1,)
+        Receives how near to each other the trees came.
+    ends : ndarray, shape (2, dof)
+        Holds what joints that do not move are at, twice.
+    points : ndarray, shape (3, joints)
+        Memory.
+    squares : ndarray, shape (capacity,)
+        Memory.
+
+    Returns
+    -------
+    int
+        MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
+    """
+    judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
+    space, trees = Space(columns, lower, upper, turning, longest), Trees(nodes, parents, domains)
+    if resolution == 0.0:
+        make_ready(pack, problem, ends.shape[1], memory)
+    capacity = nodes.shape[2]
+    while state[ITERATION] < most:
+        if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
+            return np.int64(FULL)
+        if _iterate(judge, space, trees, state, gap, ends, points, squares) == MET:
+            return np.int64(MET)
+    return np.int64(SPENT)

@@ -1,0 +1,147 @@
+"""Shorter paths: corners left out, then cut between points drawn at random, wherever the straight way is free.
+
+Geraerts, Overmars: Creating high-quality paths for motion planning. Int. Journal of Robotics Research 26, 2007.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import ITERATION, MOTIONS, POSES
+from loewner._kernels.pieces.pack import problem_of
+from loewner._kernels.robots.free_motions import Judge, is_free, random, turns_clearly
+from loewner._kernels.robots.motion_path import configuration_at
+from loewner._kernels.robots.motions import make_ready
+
+
+@inline
+def _free(judge, ends, a, b, state):
+    """Is the motion between two configurations free?"""
+    for c in range(len(a)):
+        ends[0, c], ends[1, c] = a[c], b[c]
+    state[MOTIONS] += 1
+    return is_free(judge, ends, state[POSES:])
+
+
+@inline
+def _move(path, first, count, by):
+    """Move the rows first .. count of a path."""
+    if by < 0:
+        for k in range(first, count):
+            for c in range(path.shape[1]):
+                path[k + by, c] = path[k, c]
+    else:
+        for k in range(count - 1, first - 1, -1):
+            for c in range(path.shape[1]):
+                path[k + by, c] = path[k, c]
+
+
+@njit()
+def _skip_corners(judge, path, count, ends, state):
+    """Leave out what is between two configurations of a path; far ones are tried first, half as far ones next."""
+    k = 0
+    while k < count - 2:
+        ahead = count - 1 - k
+        while ahead >= 2:
+            if _free(judge, ends, path[k], path[k + ahead], state):
+                _move(path, k + ahead, count, 1 - ahead)
+                count -= ahead - 1
+                break
+            ahead = ahead - 1 if ahead <= 4 else ahead // 2
+        k += 1
+    return count
+
+
+@inline
+def _length(path, k):
+    """Length of the motion after row k."""
+    squares = 0.0
+    for c in range(path.shape[1]):
+        squares += (path[k + 1, c] - path[k, c]) * (path[k + 1, c] - path[k, c])
+    return np.sqrt(squares)
+
+
+@inline
+def _at(path, count, way):
+    """The motion of a path that a point at a distance along it is on, and the fraction of that motion."""
+    k, length = 0, _length(path, 0)
+    while k < count - 2 and way > length:
+        way -= length
+        k += 1
+        length = _length(path, k)
+    return k, min(max(way / length, 0.0), 1.0) if length > 0.0 else 0.0
+
+
+@inline
+def _point(judge, path, k, t, ends, points, row):
+    """Write a point of a path's motion k."""
+    for c in range(path.shape[1]):
+        ends[0, c], ends[1, c] = path[k, c], path[k + 1, c]
+    tree = problem_of(judge.problem).tree
+    turns_clearly(tree, ends)
+    configuration_at(tree, ends, t, points, row)
+
+
+@njit()
+def _cut(judge, path, count, ends, points, state):
+    """Cut from one random point of a path to another, if the way there is free and so is what is left of both motions.
+
+    That is asked anew: rounded points are not exactly on the motions they were taken from.
+    """
+    whole = 0.0
+    for k in range(count - 1):
+        whole += _length(path, k)
+    one, other = random(state) * whole, random(state) * whole
+    i, s = _at(path, count, min(one, other))
+    j, t = _at(path, count, max(one, other))
+    if i == j or count + 1 > len(path):
+        return count
+    _point(judge, path, i, s, ends, points, 0)
+    _point(judge, path, j, t, ends, points, 1)
+    free = _free(judge, ends, points[0], points[1], state)
+    free = free and _free(judge, ends, path[i], points[0], state)
+    free = free and _free(judge, ends, points[1], path[j + 1], state)
+    if not free:
+        return count
+    _move(path, j + 1, count, i + 2 - j)
+    for c in range(path.shape[1]):
+        path[i + 1, c], path[i + 2, c] = points[0, c], points[1, c]
+    return count + i + 2 - j
+
+
+@njit()
+def shorten_path(
+    count, most, tolerance, resolution, pack, problem, tables, memory, path, state, ends, points, fractions, verdicts,
+    hits,
+):  # fmt: skip
+    """Shorten a path, for at most so many cuts; corners are left out before the first and after the last.
+
+    Parameters
+    ----------
+    count : int
+        Configurations of the path.
+    most : int
+        Cuts to try in all, those of earlier calls included.
+    tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
+        See `free_motions.Judge`.
+    path : ndarray, shape (capacity, dof)
+        Its first rows are the path, and are changed; the ends stay. No cut is made that it has no room for.
+    state : ndarray of int64, shape (columns.STATE,)
+        Where the work stands, see `columns`; goes on from there.
+    ends : ndarray, shape (2, dof)
+        Memory.
+    points : ndarray, shape (2, dof)
+        Memory.
+
+    Returns
+    -------
+    int
+        Configurations of the path now.
+    """
+    judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
+    if resolution == 0.0:
+        make_ready(pack, problem, path.shape[1], memory)
+    count = _skip_corners(judge, path, count, ends, state)
+    while state[ITERATION] < most and count > 2:
+        state[ITERATION] += 1
+        count = _cut(judge, path, count, ends, points, state)
+    return _skip_corners(judge, path, count, ends, state)

@@ -1,0 +1,6 @@
+"""Paths from start to goal whose motions are proven free, and what is made of them."""
+
+from loewner.planners.ompl_planners import space_information
+from loewner.planners.planning import plan, shorten
+
+__all__ = ["plan", "shorten", "space_information"]

@@ -1,0 +1,184 @@
+"""RRT-Connect and shortening, compiled: memory for their kernels, and what they say, as errors."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._kernels import codes
+from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
+from loewner._native import entries
+from loewner._validate import Floats, Ints, fits_memory
+from loewner.errors import PlanningError
+from loewner.planners.judge import Judge
+from loewner.planners.space import Space
+from loewner.robots import CollisionChecker
+from loewner.robots.edges import MOST_STEPS
+
+# The longest motion of a tree, as a share of the way from one end of the limits to the other: 1 rad for a usual arm.
+SHARE = 1 / 12
+
+# Configurations that trees have room for at first.
+CAPACITY = 2048
+
+# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: some 10 ms.
+AT_A_TIME = 512
+
+# Configurations that a path may gain while it is shortened.
+MOST_ROOM = 4096
+
+# Goals that are tried straight from the start, the nearest first.
+STRAIGHT = 16
+
+
+class Trees(NamedTuple):
+    """Two trees, as `_kernels.robots.planning.Trees` describes them."""
+
+    nodes: Floats
+    parents: Ints
+    domains: Floats
+
+    @classmethod
+    def of(cls, joints: int, capacity: int) -> Trees:
+        """Room for so many configurations in each."""
+        fits_memory(2 * capacity * 8 * (joints + 3), f"trees of {capacity} configurations")
+        parents, domains = np.full((2, capacity), -1), np.full((2, capacity), np.inf)
+        return cls(np.empty((2, joints, capacity)), parents, domains)
+
+    @property
+    def capacity(self) -> int:
+        """Configurations that each has room for."""
+        return int(self.nodes.shape[2])
+
+    def grown(self) -> Trees:
+        """The same with room for twice as many configurations."""
+        more = Trees.of(self.nodes.shape[1], 2 * self.capacity)
+        for old, new in zip(self, more, strict=True):
+            new[..., : self.capacity] = old
+        return more
+
+    def branch(self, tree: int, node: int) -> Floats:
+        """Values from a node to its root."""
+        numbers = []
+        while node >= 0:
+            numbers.append(node)
+            node = int(self.parents[tree, node])
+        values: Floats = self.nodes[tree][:, numbers].T
+        return values
+
+
+def connect(
+    space: Space,
+    start: Floats,
+    goals: Floats,
+    *,
+    resolution: float,
+    max_iterations: int,
+    timeout: float,
+    seed: int,
+) -> Floats:
+    """A path from a configuration to one of several, shape (k, dof), by RRT-Connect.
+
+    Raises
+    ------
+    PlanningError
+        If none was found within the iterations, or in time.
+    """
+    began = time.monotonic()
+    lower = np.where(space.turning, start[space.columns] - np.pi, space.lower)
+    upper = np.where(space.turning, start[space.columns] + np.pi, space.upper)
+    longest = float(np.linalg.norm(upper - lower)) * SHARE
+    judge = Judge.of(space.checker, resolution, longest)
+    straight = _straight(space, judge, start, goals)
+    if straight is not None:
+        return straight
+    joints, many = len(space.columns), len(goals)
+    trees = Trees.of(joints, max(CAPACITY, 2 * many))
+    trees.nodes[0, :, 0], trees.nodes[1, :, :many] = start[space.columns], goals[:, space.columns].T
+    state = np.zeros(STATE, dtype=np.int64)
+    state[[STARTS, GOALS, RANDOM]] = 1, many, seed
+    gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
+    turning = space.turning.astype(np.int64)
+    outcome = codes.SPENT
+    while outcome != codes.MET:
+        done = int(state[ITERATION])
+        if done == max_iterations:
+            raise PlanningError(_how_far(state, gap, f"within {max_iterations} iterations", "max_iterations"))
+        if time.monotonic() - began > timeout:
+            raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
+        if outcome == codes.FULL:
+            trees = trees.grown()
+        outcome = entries.connect_trees(
+            min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), space.columns, lower, upper, turning,
+            *trees, state, gap, ends, points, np.empty(trees.capacity), *judge.looks(),
+        )  # fmt: skip
+    return _path(space, judge, trees, state)
+
+
+def _straight(space: Space, judge: Judge, start: Floats, goals: Floats) -> Floats | None:
+    """The straight motion to the nearest goal that has a free one."""
+    ways = goals - start
+    turns = np.zeros_like(ways)
+    at = space.columns[space.turning]
+    turns[:, at] = np.rint(ways[:, at] / (2 * np.pi))
+    ends = np.where(turns == 0, goals, goals - 2 * np.pi * turns)
+    if len(goals) > 1:
+        ends = ends[np.argsort(np.linalg.norm(ends - start, axis=1), kind="stable")[:STRAIGHT]]
+    longest = float(np.linalg.norm(ends - start, axis=1).max())
+    if judge.resolution and longest / judge.resolution > MOST_STEPS:
+        return None
+    free = judge.free(np.broadcast_to(start, ends.shape), ends)
+    return np.stack([start, ends[free.argmax()]]) if free.any() else None
+
+
+def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
+    """The way through both trees."""
+    first, rest = trees.branch(0, int(state[OF_START]))[::-1], trees.branch(1, int(state[OF_GOAL]))
+    turns = np.where(space.turning, np.rint((rest[0] - first[-1]) / (2 * np.pi)), 0.0)
+    turned = bool(turns.any())
+    if turned:
+        rest = np.where(turns == 0, rest, rest - 2 * np.pi * turns)
+    path = space.configurations(np.concatenate([first, rest]))
+    # Whole turns are rounded, and steps are laid from the start: what was judged was not quite this.
+    if (turned or judge.resolution) and not judge.free(path[:-1], path[1:]).all():
+        raise PlanningError(
+            "expected a path that is free when it is checked as a whole, found one that is not; "
+            "another seed, or a finer resolution, may help"
+        )
+    return path
+
+
+def _how_far(state: Ints, gap: Floats, spent: str, option: str) -> str:
+    """What is said of a search that found nothing."""
+    from_start, from_goals = state[[STARTS, GOALS]].tolist()
+    near = (
+        f"the two came within {gap[0]:.3g} (in the units of the joints) of each other"
+        if np.isfinite(gap[0]) else "neither grew"
+    )  # fmt: skip
+    return (
+        f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
+        f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "
+        f"There may be no path; a larger {option}, or another seed, may help"
+    )
+
+
+def shortened(checker: CollisionChecker, path: Floats, *, resolution: float, max_iterations: int, seed: int) -> Floats:
+    """A shorter path with the same ends; its motions are free where those of `path` are."""
+    count = len(path)
+    longest = float(np.sum(checker.robot.distances(path[:-1], path[1:])))
+    judge = Judge.of(checker, resolution, longest)
+    room = count + min(max_iterations, MOST_ROOM)
+    fits_memory(8 * room * path.shape[1], f"a path of {room} configurations")
+    rows, state = np.empty((room, path.shape[1])), np.zeros(STATE, dtype=np.int64)
+    rows[:count] = path
+    state[RANDOM] = seed
+    ends, points = np.empty((2, path.shape[1])), np.empty((2, path.shape[1]))
+    done = -1
+    while done < max_iterations and count > 2 and done != state[ITERATION]:
+        done = int(state[ITERATION])
+        count = entries.shorten_path(
+            count, min(done + AT_A_TIME, max_iterations), *judge.asked(), rows, state, ends, points, *judge.looks()
+        )
+    return rows[:count].copy()

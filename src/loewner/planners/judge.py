@@ -1,0 +1,125 @@
+"""Whether motions are free, as planners ask it: proven, or looked at in steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _validate
+from loewner._validate import Bools, Floats, Ints, fits_memory
+from loewner._workspaces import workspace
+from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.queries import Verdict
+from loewner.robots import CollisionChecker
+from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.edges import MOST_STEPS
+
+# Metres: what comes nearer than this to colliding may count as not free.
+TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """How motions are judged: proven, or looked at in steps; with memory for the kernels to do it in.
+
+    Attributes
+    ----------
+    checker : CollisionChecker
+    ready : CheckedPairs
+        Of the scene as it was when the search began.
+    resolution : float
+        0 if motions are proven.
+    fractions, verdicts : ndarray
+        Memory for the looks at the longest motion.
+    """
+
+    checker: CollisionChecker
+    ready: CheckedPairs
+    resolution: float
+    fractions: Floats
+    verdicts: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, checker: CollisionChecker, resolution: float, longest: float) -> Judge:
+        """For motions up to a length.
+
+        Raises
+        ------
+        InputError
+            If they would be looked at in too many steps.
+        """
+        steps = longest / resolution + 2 if resolution else 0
+        if not steps <= MOST_STEPS:
+            raise InputError(
+                f"resolution: expected at most {MOST_STEPS} steps on the longest motion ({longest:g}), "
+                f"found {resolution:g}"
+            )
+        size = int(steps) + 1
+        fits_memory(9 * size, f"{size} steps of a motion")
+        return cls(checker, checker._ready(), resolution, np.empty(size), np.empty(size, dtype=np.int8))
+
+    def asked(self) -> tuple[float, float, int, int, int, int]:
+        """Tolerance, resolution and addresses, as kernels take them."""
+        ready, prepared = self.ready, self.ready.motions
+        memory = workspace(max(prepared.memory, ready.memory))
+        return TOLERANCE, self.resolution, ready.bodies._packed.handle, ready.handle, prepared.handle, memory
+
+    def looks(self) -> tuple[Floats, NDArray[np.int8], Ints]:
+        """Memory for looks, as kernels take it; the last counts collisions by pair, for nobody."""
+        return self.fractions, self.verdicts, np.zeros_like(self.ready.hits)
+
+    def free(self, Q0: Floats, Q1: Floats) -> Bools:
+        """Which motions of a batch are free; what cannot be settled is not."""
+        try:
+            if self.resolution:
+                return np.asarray(self.checker.valid_edges(Q0, Q1, self.resolution))
+            return np.asarray(self.checker.certify_edges(Q0, Q1, tolerance=TOLERANCE).verdict == Verdict.FREE)
+        except ConvergenceError:
+            return np.array([self._free(a, b) for a, b in zip(Q0, Q1, strict=True)])
+
+    def _free(self, a: Floats, b: Floats) -> bool:
+        try:
+            return bool(self.checker.valid_edges(a, b, self.resolution))
+        except ConvergenceError:
+            return False
+
+
+def checked_path(checker: CollisionChecker, path: ArrayLike) -> Floats:
+    """A path as users give it, shape (k, dof), two rows at least."""
+    rows = checker.robot.checked(path, "path")
+    if rows.ndim != 2 or len(rows) < 2:
+        raise InputError(
+            f"path: expected shape (k, {checker.robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}"
+        )
+    return rows
+
+
+def refuse_unfree(checker: CollisionChecker, path: Floats, resolution: float, name: str) -> None:
+    """Trust nothing: every motion of a path has to be free.
+
+    Parameters
+    ----------
+    resolution : float
+        0 if motions have to be proven.
+    name : str
+        What the message calls the path.
+
+    Raises
+    ------
+    PlanningError
+        If one is not. The message names it and the pair of bodies.
+    """
+    judge = Judge.of(checker, resolution, 0.0)
+    free = judge.free(path[:-1], path[1:])
+    if free.all():
+        return
+    k = int(free.argmin())
+    found = checker.certify_edges(path[k], path[k + 1], tolerance=TOLERANCE)
+    if found.verdict == Verdict.FREE:
+        told = f"which is not free where it is looked at in steps of {resolution:g}"
+    else:
+        how = "collide" if found.verdict == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
+        told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
+    raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")

@@ -1,0 +1,222 @@
+"""OMPL's planners, with every state and every motion judged by a `CollisionChecker`.
+
+OMPL is imported when a function here is called, and not before: ``pip install "loewner[planners]"``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._validate import Floats
+from loewner.errors import InputError, MissingExtraError, PlanningError, installing
+from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.space import ON_LIMIT, Space, checked_checker
+from loewner.robots import CollisionChecker
+
+# OMPL takes shares of the extent strictly between 0 and 1.
+SMALLEST_SHARE = 1e-12
+
+
+@guarded
+def space_information(
+    checker: CollisionChecker,
+    *,
+    joints: str | Iterable[str] | None = None,
+    fixed: ArrayLike | None = None,
+    resolution: float = 0.05,
+) -> Any:
+    """An OMPL ``SpaceInformation`` whose states and motions the checker judges, for planners of your own.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Changes of its scene count from the next state that is checked on.
+    joints : str or iterable of str, optional
+        A group, or names of joints: the dimensions of the state space, in the order of the robot's
+        `configuration_names`. Default: all.
+    fixed : array_like, shape (dof,), optional
+        What the other joints keep. Default: `Robot.configuration`'s, all 0.
+    resolution : float
+        As for `plan`, in the units of the joints.
+
+    Returns
+    -------
+    ompl.base.SpaceInformation
+        Set up, over a ``RealVectorStateSpace`` whose dimensions bear the names of the joints, bounded by their limits.
+        A joint that turns without limit is bounded to half a turn to both sides of its value in `fixed`. A joint
+        whose limits are equal does not move, and is no dimension.
+
+    Raises
+    ------
+    InputError, UnknownNameError, MissingExtraError
+        As for `plan`.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> information = space_information(CollisionChecker(Robot.from_urdf("arm.urdf")), joints="rail")
+    >>> information.getStateDimension(), information.getStateSpace().getBounds().high[0]
+    (1, 2.0)
+    """
+    _ompl("base")
+    step = _validate.positive_scalar(resolution, "resolution")
+    robot = checked_checker(checker).robot
+    q = robot.configuration() if fixed is None else robot.checked_one(fixed, "fixed")
+    return _information(Space.of(checker, joints, q, q[None]), step, step)
+
+
+def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function that makes a planner."""
+    if callable(planner):
+        return planner
+    base, geometric = _ompl("base"), _ompl("geometric")
+    known = {
+        name: each
+        for name, each in sorted(vars(geometric).items())
+        if isinstance(each, type) and issubclass(each, base.Planner)
+    }
+    if not isinstance(planner, str) or planner not in known:
+        raise _validate.unknown_name("planner", planner, known)
+    made: Callable[[Any], Any] = known[planner]
+    return made
+
+
+def search(
+    space: Space,
+    make: Callable[[Any], Any],
+    q: Floats,
+    goals: Floats,
+    timeout: float,
+    resolution: float,
+    step: float,
+    simplify: bool,
+    seed: int,
+) -> Floats:
+    """OMPL's path from a configuration to one of the goals.
+
+    Parameters
+    ----------
+    resolution : float
+        For planners that divide motions by themselves.
+    step : float
+        For motions asked about: 0 if they have to be proven.
+
+    Raises
+    ------
+    PlanningError
+        If none was found in time, or what was found does not pass when it is checked again.
+    """
+    with _quietly():
+        _ompl("util").RNG.setSeed(int(seed) + 1)  # 0 is none to OMPL
+        path = _solve(space, make, q, goals, timeout, _information(space, resolution, step), simplify)
+    values = path[:, space.columns]
+    ends = (path[0] == q).all() and (path[-1] == goals).all(axis=1).any()
+    inside = (values >= space.lower - ON_LIMIT).all() and (values <= space.upper + ON_LIMIT).all()
+    if not (len(path) > 1 and ends and inside):
+        raise PlanningError("expected a path from start to goal within the limits, found another one: try another seed")
+    refuse_unfree(space.checker, path, step, "path of OMPL's planner")
+    return path
+
+
+def _solve(
+    space: Space, make: Callable[[Any], Any], q: Floats, goals: Floats, timeout: float, information: Any, simplify: bool
+) -> Floats:
+    """The path as OMPL leaves it."""
+    base, geometric = _ompl("base"), _ompl("geometric")
+    count = len(space.columns)
+    problem, region = base.ProblemDefinition(information), base.GoalStates(information)
+    state = information.allocState()
+    for values, add in [(q, problem.addStartState), *((goal, region.addState) for goal in goals)]:
+        state[0:count] = values[space.columns].tolist()
+        add(state)  # takes a copy
+    problem.setGoal(region)
+    planner = make(information)
+    if not isinstance(planner, base.Planner):
+        raise InputError(
+            f"planner: expected a function that returns a planner of OMPL, found {_validate.short(planner)}"
+        )
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(timeout)
+    # A path that only comes near the goal is a solution to OMPL, and none here.
+    if not problem.hasExactSolution():
+        raise PlanningError(
+            f"expected a path from start to goal, found none by {planner.getName()} within {timeout:g} s"
+        )
+    path = problem.getSolutionPath()
+    if simplify:
+        geometric.PathSimplifier(information).simplifyMax(path)
+    return space.configurations([state[0:count] for state in path.getStates()])
+
+
+def _information(space: Space, resolution: float, step: float) -> Any:
+    """The space as OMPL takes it."""
+    base = _ompl("base")
+    dimensions = base.RealVectorStateSpace(0)
+    for column, lower, upper in zip(space.columns, space.lower, space.upper, strict=True):
+        dimensions.addDimension(space.name(column), float(lower), float(upper))
+    information = base.SpaceInformation(dimensions)
+    count = len(space.columns)
+
+    def valid(state: Any) -> bool:
+        return dimensions.satisfiesBounds(state) and space.free(space.configurations(state[0:count]))
+
+    information.setStateValidityChecker(valid)
+    judge = Judge.of(space.checker, step, 0.0)
+    information.setMotionValidator(_motion_validator()(information, space, judge))
+    # Planners that divide motions by themselves take a share of the space's extent.
+    information.setStateValidityCheckingResolution(
+        float(np.clip(resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
+    )
+    information.setup()
+    return information
+
+
+@cache
+def _motion_validator() -> Any:
+    """The class, made when OMPL is needed for the first time."""
+    parent: Any = _ompl("base").MotionValidator
+
+    class Motions(parent):  # type: ignore[misc]
+        """Asks a `Judge` whether motions are free.
+
+        It keeps no reference to the ``SpaceInformation``, which keeps one to it: the two would never be freed.
+        """
+
+        def __init__(self, information: Any, space: Space, judge: Judge) -> None:
+            super().__init__(information)
+            self._space, self._judge, self._count = space, judge, len(space.columns)
+
+        def checkMotion(self, one: Any, other: Any) -> bool:
+            Q = self._space.configurations([one[0 : self._count], other[0 : self._count]])
+            return bool(self._judge.free(Q[:1], Q[1:])[0])
+
+    return Motions
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Keep OMPL from writing to standard output and standard error."""
+    util = _ompl("util")
+    level = util.getLogLevel()
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    try:
+        yield
+    finally:
+        util.setLogLevel(level)
+
+
+def _ompl(part: str) -> Any:
+    try:
+        from ompl import base, geometric, util
+    except ImportError:
+        raise MissingExtraError(f"planners need OMPL: {installing('planners')}") from None
+    return {"base": base, "geometric": geometric, "util": util}[part]

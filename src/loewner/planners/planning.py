@@ -1,0 +1,173 @@
+"""`plan` and `shorten`: what users call; the compiled planner by default, OMPL's by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._guard import guarded
+from loewner._validate import Floats
+from loewner.planners import compiled, ompl_planners
+from loewner.planners.judge import checked_path, refuse_unfree
+from loewner.planners.space import Space, checked_checker, checked_ends
+from loewner.robots import CollisionChecker
+
+# Cuts that `plan` tries to make: more find little, and take longer than the search itself.
+CUTS = 100
+
+
+@guarded
+def plan(
+    checker: CollisionChecker,
+    start: ArrayLike,
+    goal: ArrayLike,
+    *,
+    joints: str | Iterable[str] | None = None,
+    planner: str | Callable[[Any], Any] | None = None,
+    certified: bool = True,
+    resolution: float = 0.05,
+    max_iterations: int = 100_000,
+    timeout: float = 10.0,
+    simplify: bool = True,
+    seed: int = 0,
+) -> Floats:
+    """Find a motion free of collisions, proven at every one of its configurations.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        What is attached in its scene moves along.
+    start : array_like, shape (dof,)
+    goal : array_like, shape (dof,) or (goals, dof)
+        Where to go; of several, any one will do. Those that cannot be reached for a reason that shows at once
+        (outside the limits, colliding) are left out, as long as one remains.
+    joints : str or iterable of str, optional
+        A group, or names of joints: these move, and all others keep the values of `start`. Default: all.
+    planner : str or callable, optional
+        None: RRT-Connect, compiled. Otherwise a class of ``ompl.geometric``, such as "BITstar" or "PRM"; or a
+        function that takes the ``SpaceInformation`` and returns a planner of OMPL's, set up as you like.
+    certified : bool
+        Every motion is proven free by `CollisionChecker.certify_edges`. Otherwise motions are looked at in steps.
+    resolution : float
+        Of motions that are not proven: the largest Euclidean distance of two configurations that are checked, in the
+        units of the joints. OMPL's planners that divide motions by themselves do so by it in any case.
+    max_iterations : int
+        Of the compiled planner: configurations drawn at random, before it gives up.
+    timeout : float
+        Seconds to search; simplifying comes on top. OMPL's planners that seek a shortest path take all of them.
+    simplify : bool
+        Shorten what was found; OMPL's path simplifier also smooths its paths.
+    seed : int
+        Equal seeds give equal paths, as long as the timeout does not end the search. OMPL keeps one seed for the
+        process: this sets it.
+
+    Returns
+    -------
+    ndarray, shape (k, dof)
+        Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns without
+        limits takes the shorter way around: it ends at the goal's value or whole turns from it (OMPL's planners: at
+        the goal's value).
+
+    Raises
+    ------
+    PlanningError
+        If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if no
+        path was found within the iterations or in time (the message says how far the search came); or if OMPL's path
+        does not pass the last check (the message names the motion).
+    InputError
+        If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
+        is a planar or floating joint, which has no limits to search within.
+    UnknownNameError
+        If there is no such group, joint or planner.
+    MissingExtraError
+        If one of OMPL's planners is asked for and OMPL is not installed.
+
+    See Also
+    --------
+    roadmap : For many queries in one scene.
+    trajectory : When to be where on the path.
+
+    Notes
+    -----
+    The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
+    Yershova et al. (ICRA 2005). A tree's motion is at most a twelfth of the diagonal of the limits long.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> path = plan(CollisionChecker(Robot.from_urdf("arm.urdf")), [0.0, 0.0], [2.0, 0.0], joints="rail")
+    >>> path
+    array([[0., 0.],
+           [2., 0.]])
+    """
+    resolution = _validate.positive_scalar(resolution, "resolution")
+    timeout = _validate.positive_scalar(timeout, "timeout")
+    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 1, 2**40)
+    seed, simplify = _validate.whole_number(seed, "seed", 0, 2**32 - 2), _validate.flag(simplify, "simplify")
+    step = 0.0 if _validate.flag(certified, "certified") else resolution
+    make = None if planner is None else ompl_planners.named(planner)
+    q, goals = checked_ends(checker, start, goal)
+    space = Space.of(checker, joints, q, goals)
+    goals = space.checked_goals(q, goals)
+    if make is not None:
+        return ompl_planners.search(space, make, q, goals, timeout, resolution, step, simplify, seed)
+    found = compiled.connect(
+        space, q, goals, resolution=step, max_iterations=max_iterations, timeout=timeout, seed=seed
+    )
+    return compiled.shortened(checker, found, resolution=step, max_iterations=CUTS, seed=seed) if simplify else found
+
+
+@guarded
+def shorten(
+    checker: CollisionChecker,
+    path: ArrayLike,
+    *,
+    certified: bool = True,
+    resolution: float = 0.05,
+    max_iterations: int = CUTS,
+    seed: int = 0,
+) -> Floats:
+    """Make a path shorter: leave corners out, and cut them, wherever the straight way is free.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+    path : array_like, shape (k, dof)
+        Two configurations or more; between two of them each joint runs straight, orientations along the shorter arc.
+    certified, resolution
+        As for `plan`.
+    max_iterations : int
+        Cuts to try, between points drawn at random.
+    seed : int
+        Equal seeds give equal paths.
+
+    Returns
+    -------
+    ndarray, shape (m, dof)
+        With the same ends.
+
+    Raises
+    ------
+    PlanningError
+        If a motion of the path is not free; the message names it, and the pair that collides.
+    InputError
+        If an argument has the wrong shape or value.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> shorten(checker, [[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]])
+    array([[0., 0.],
+           [2., 0.]])
+    """
+    resolution = _validate.positive_scalar(resolution, "resolution")
+    step = 0.0 if _validate.flag(certified, "certified") else resolution
+    max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
+    seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
+    rows = checked_path(checked_checker(checker), path)
+    refuse_unfree(checker, rows, step, "path")
+    return compiled.shortened(checker, rows, resolution=step, max_iterations=max_iterations, seed=seed)

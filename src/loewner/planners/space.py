@@ -1,0 +1,222 @@
+"""What planners search in: the joints that move and their limits; and whether start and goals can be on a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kernels import columns
+from loewner._plausible import FARTHEST_LIMIT
+from loewner._validate import Bools, Floats, Ints
+from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.robots import CollisionChecker, Robot
+
+# How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
+ON_LIMIT = float(np.finfo(np.float64).eps)
+
+# Configurations and pairs that a message names at most.
+NAMED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """The joints that move, and what the others keep.
+
+    Attributes
+    ----------
+    checker : CollisionChecker
+    columns : ndarray of int64, shape (joints,)
+        Of the joints that move, in configurations.
+    still : ndarray, shape (dof,)
+        A configuration whose other entries are kept.
+    lower, upper : ndarray, shape (joints,)
+        Where to search: the limits, or half a turn beyond start and goals.
+    turning : ndarray of bool, shape (joints,)
+        Joints without limits that a whole turn brings back to where they were.
+    """
+
+    checker: CollisionChecker
+    columns: Ints
+    still: Floats
+    lower: Floats
+    upper: Floats
+    turning: Bools
+
+    @classmethod
+    def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
+        """The space of some joints; where one has no limits it reaches half a turn beyond start and goals."""
+        robot = checker.robot
+        moving = _columns(robot, joints)
+        # What some programs write for no limit, 1e16 or the largest number, is none to search within either.
+        below, above = robot.lower > -FARTHEST_LIMIT, robot.upper < FARTHEST_LIMIT
+        least, most = np.minimum(goals.min(axis=0), q), np.maximum(goals.max(axis=0), q)
+        lower = np.where(below, robot.lower, np.maximum(least - np.pi, robot.lower))
+        upper = np.where(above, robot.upper, np.minimum(most + np.pi, robot.upper))
+        moving = moving[lower[moving] < upper[moving]]
+        if len(moving) == 0:
+            raise InputError("joints: expected one or more that can move, found none")
+        turning = _turning(robot) & ~(below | above)
+        return cls(checker, moving, q, lower[moving], upper[moving], turning[moving])
+
+    def configurations(self, values: ArrayLike) -> Floats:
+        """Whole configurations, shape (..., dof), from values of the moving joints, shape (..., columns)."""
+        values = np.asarray(values)
+        Q = np.empty((*values.shape[:-1], len(self.still)))
+        Q[:] = self.still
+        Q[..., self.columns] = values
+        return Q
+
+    def checked_goals(self, q: Floats, goals: Floats) -> Floats:
+        """Those goals that can be reached, as far as shows at once, from a start that can be left.
+
+        Limits come before all else: to values in degrees, nothing else that could be said would be to the point.
+
+        Raises
+        ------
+        PlanningError
+            If the start or all goals are outside the limits or collide.
+        InputError
+            If a goal moves a joint that is kept.
+        """
+        _refuse_start(self.outside(q))
+        inside = self._usable(goals, [self.outside(goal) for goal in goals])
+        self._check_still(inside)
+        faults = self._faults(np.concatenate([q[None], inside]))
+        _refuse_start(faults[0])
+        return self._usable(inside, faults[1:])
+
+    def outside(self, q: Floats) -> str:
+        """Which joints that move are outside their limits; "" if none is."""
+        values = q[self.columns]
+        wrong = (values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT)
+        if not wrong.any():
+            return ""
+        outside = np.flatnonzero(wrong)
+        named = ", ".join(
+            f"{self.name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
+            for k in outside[:NAMED]
+        )
+        return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
+
+    def free(self, q: Floats) -> bool:
+        """Whether a configuration is proven free; what cannot be settled is not."""
+        try:
+            return not self.checker.collide(q)
+        except ConvergenceError:
+            return False
+
+    def name(self, column: int) -> str:
+        """Name of a column of configurations."""
+        return self.checker.robot.configuration_names[column]
+
+    def _check_still(self, goals: Floats) -> None:
+        """Refuse goals that differ from the start where nothing moves."""
+        differs = (goals != self.still).any(axis=0)
+        differs[self.columns] = False
+        if differs.any():
+            column = int(differs.argmax())
+            goal = goals[(goals != self.still)[:, column].argmax(), column]
+            raise InputError(
+                f"goal: expected the start's value, {self.still[column]:g}, of {self.name(column)}, which is not "
+                f"among the joints that move; found {goal:g}"
+            )
+
+    def _faults(self, Q: Floats) -> list[str]:
+        """Why configurations within the limits cannot be on a path, each: "" where they can."""
+        try:
+            hits = self.checker.collide(Q)
+        except ConvergenceError:
+            hits = np.ones(len(Q), dtype=bool)
+        return [self._fault(q) if hit else "" for q, hit in zip(Q, np.atleast_1d(hits), strict=True)]
+
+    def _fault(self, q: Floats) -> str:
+        try:
+            contacts = self.checker.pairs(q)
+        except ConvergenceError as error:
+            return f"one that cannot be proven free: {error}"
+        if not contacts:
+            return ""
+        named = ", ".join(
+            f"{contact.name_a} and {contact.name_b} ("
+            + (f"{1e3 * -contact.distance:.3g} mm deep" if contact.distance <= 0 else
+               f"within their margin, {1e3 * contact.distance:.3g} mm apart")
+            + ")"
+            for contact in contacts[:NAMED]
+        )  # fmt: skip
+        return f"a collision of {named}" + (
+            f", and {len(contacts) - NAMED} more pairs" if len(contacts) > NAMED else ""
+        )
+
+    def _usable(self, goals: Floats, faults: list[str]) -> Floats:
+        """Those goals that have no fault."""
+        if not any(faults):
+            return goals
+        good = goals[[not fault for fault in faults]]
+        if len(good):
+            return good
+        if len(goals) == 1:
+            raise PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
+        listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))
+        more = f"; and {len(goals) - NAMED} more" if len(goals) > NAMED else ""
+        raise PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}{more}")
+
+
+def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
+    """Start, shape (dof,), and goals, shape (goals, dof), as users give them."""
+    robot = checked_checker(checker).robot
+    q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
+    if goals.ndim != 2 or len(goals) == 0:
+        raise InputError(
+            f"goal: expected shape ({robot.dof},) or (goals, {robot.dof}), found {_validate.shape_text(np.shape(goal))}"
+        )
+    return q, goals
+
+
+def checked_checker(checker: Any) -> CollisionChecker:
+    """The checker, if it is one."""
+    if not isinstance(checker, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
+    return checker
+
+
+def _refuse_start(fault: str) -> None:
+    if fault:
+        raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
+
+
+def _turning(robot: Robot) -> Bools:
+    """Columns whose every joint a whole turn brings back to where it was."""
+    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
+    moved = tree.kind != columns.FIXED
+    turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
+    turning[tree.column[moved]] = True
+    turning[tree.column[moved & ~turns]] = False
+    return turning
+
+
+def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
+    """Columns of a group, of some joints or of all, in ascending order."""
+    if isinstance(joints, str):
+        if joints not in robot.groups and joints not in robot.joint_names:
+            raise _validate.unknown_name("joints", joints, (*robot.groups, *robot.joint_names))
+        names = list(robot.groups.get(joints, (joints,)))
+    else:
+        names = list(robot.joint_names) if joints is None else _validate.listed(joints, "joints")
+    if not names:
+        raise InputError(
+            "joints: expected one or more, found none" + (f" in group {joints!r}" if isinstance(joints, str) else "")
+        )
+    for name in names:
+        if not isinstance(name, str) or name not in robot.joint_names:
+            raise _validate.unknown_name("joints", name, robot.joint_names)
+        if name not in robot.configuration_names:
+            raise InputError(
+                f"joints: expected joints of one value each, found {name!r}, which is planar or floating and has no "
+                "limits to search within; name the joints that are to move"
+            )
+    return np.flatnonzero([name in names for name in robot.configuration_names])
