@@ -29,8 +29,10 @@ ENTRIES = {
         Entry("robots.motions", "certify_motions", "i i F2 F2 f i i i B1 F1 I1 I2 i", ""),
         Entry("robots.motions", "motion_memory", "i i i", "i"),
         Entry(
-            "robots.planning", "connect_trees",
-            "i f f f i i i i I1 F1 F1 I1 F3 I2 F2 I1 F1 F2 F2 F1 F1 B1 I1", "i",
+            "robots.planning",
+            "connect_trees",
+            "i f f f i i i i I1 F1 F1 I1 F3 I2 F2 I1 F1 F2 F2 F1 F1 B1 I1",
+            "i",
         ),
         Entry("robots.shortening", "shorten_path", "i i f f i i i i F2 I1 F2 F2 F1 B1 I1", "i"),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),

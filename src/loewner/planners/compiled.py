@@ -86,7 +86,6 @@ def connect(
     PlanningError
         If none was found within the iterations, or in time.
     """
-    began = time.monotonic()
     lower = np.where(space.turning, start[space.columns] - np.pi, space.lower)
     upper = np.where(space.turning, start[space.columns] + np.pi, space.upper)
     longest = float(np.linalg.norm(upper - lower)) * SHARE
@@ -101,12 +100,13 @@ def connect(
     state[[STARTS, GOALS, RANDOM]] = 1, many, seed
     gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
     turning = space.turning.astype(np.int64)
+    began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome = codes.SPENT
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
             raise PlanningError(_how_far(state, gap, f"within {max_iterations} iterations", "max_iterations"))
-        if time.monotonic() - began > timeout:
+        if began is not None and time.monotonic() - began > timeout:
             raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
@@ -114,6 +114,7 @@ def connect(
             min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), space.columns, lower, upper, turning,
             *trees, state, gap, ends, points, np.empty(trees.capacity), *judge.looks(),
         )  # fmt: skip
+        began = began or time.monotonic()
     return _path(space, judge, trees, state)
 
 
