@@ -53,7 +53,7 @@ GROUPS = MOST // SINGLE_LANES  # of sixteen configurations, in a block
 
 # Pairs of bodies that are culled together. Of a few configurations the first of these are fewer: it is they that hit,
 # mostly, and nothing is computed for the others then.
-TOGETHER, FIRST = 64, 2
+TOGETHER, FIRST = 64, 4
 
 
 _LIST, _NUMBERS, _WAITING = pair_list.size(BLOCK), 8 * BLOCK, pair_list.size(WAITING)
@@ -412,7 +412,7 @@ def _settle_block(query, Q, first, last, S):
     """
     work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
     placement = _placement_of(work, counts)
-    piece_start, roots, poses = pieces.piece_start, pieces.roots, placement.poses
+    piece_start, roots = pieces.piece_start, pieces.roots
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
     codes, masks = _near_of(work)
     verdicts = _verdicts_of(work)

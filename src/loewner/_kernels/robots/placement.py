@@ -169,17 +169,19 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
     wide = off + ball[body, 3] * UP
     half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
     if piece_start[body + 1] - p > 1:
-        # A box about the boxes of the pieces, with the center of the ball in its middle.
+        # About the ball's center: the box that holds those of the pieces, if these are few, and else the ball.
         middle = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
         length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
         wide = wide + OFF * length
-        half = _around(middle, center, half)
+        few = pieces.roots[body] < 0
+        half = _around(middle, center, half) if few else (wide, wide, wide)
         for other in range(p + 1, piece_start[body + 1]):
             center, length_of_piece, squares = _place_piece(hot, other, R, t, S, at, numbers, to.ellipsoids)
-            off = OFF * length_of_piece + LEAST
-            reach = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
-            reach = _around(middle, center, reach)
-            half = maximum(half[0], reach[0]), maximum(half[1], reach[1]), maximum(half[2], reach[2])
+            if few:
+                off = OFF * length_of_piece + LEAST
+                reach = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
+                reach = _around(middle, center, reach)
+                half = _wider(reach[0], half[0]), _wider(reach[1], half[1]), _wider(reach[2], half[2])
         slack = OFF * length
         half = minimum(half[0] + slack, wide), minimum(half[1] + slack, wide), minimum(half[2] + slack, wide)
         center = middle
@@ -198,6 +200,12 @@ def _around(middle, center, half):
     """Half widths of the box about `middle` that holds the box about `center`."""
     r = minus(center, middle)
     return absolute(r[0]) + half[0], absolute(r[1]) + half[1], absolute(r[2]) + half[2]
+
+
+@inline
+def _wider(x, y):
+    """The larger width; no number if either is not, or if x overflowed: such a box bounds nothing."""
+    return maximum(x, y) + 0.0 * x
 
 
 @inline
