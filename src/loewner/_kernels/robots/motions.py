@@ -86,6 +86,7 @@ class Motion(NamedTuple):
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
+    skew : how far turned lengths may be off, as a share of them: that of a margin comes on top
     counts : how much there is of everything
     work : address of the memory that `_..._of` divide up
     """
@@ -95,6 +96,7 @@ class Motion(NamedTuple):
     tables: Any
     tolerance: Any
     rounding: Any
+    skew: Any
     counts: Any
     work: Any
 
@@ -307,7 +309,7 @@ def _counts(pieces, problem, dof):
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, counts, 0), 10)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, 0.0, counts, 0), 10)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -766,7 +768,7 @@ def _settle_block(motion, low, high, found, tally):
     for number in range(len(tables.order)):
         pair = tables.order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack = motion.rounding + 2.0 * tables.chain[2] * margin
+        slack = motion.rounding + motion.skew * margin
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
@@ -791,11 +793,12 @@ def _certify(motion, tally):
     problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
     rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
     travel, angles, places = rates_of(problem.tree, ends, rates)
-    off, length = uncertainty(tables, travel, angles, places)
+    off, length, turned = uncertainty(tables, travel, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
+    skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, motion.counts, motion.work
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.counts, motion.work
     )  # fmt: skip
     most = 0.0
     for body in range(motion.counts.moving):
@@ -850,7 +853,7 @@ def certify_motions(
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = _counts(pieces, problem, Q0.shape[1])
-    motion = Motion(pack, problem_handle, tables_handle, tolerance, 0.0, counts, memory)
+    motion = Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, counts, memory)
     ends, rows, same, poses = _ends_of(motion), _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
         rows[lane] = lane
