@@ -86,6 +86,7 @@ class Motion(NamedTuple):
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
+    skew : how far turned lengths may be off, as a share of them: that of a margin comes on top
     counts : how much there is of everything
     work : address of the memory that `_..._of` divide up
     """
@@ -95,6 +96,7 @@ class Motion(NamedTuple):
     tables: Any
     tolerance: Any
     rounding: Any
+    skew: Any
     counts: Any
     work: Any
 
@@ -317,7 +319,7 @@ def _counts(pieces, problem, dof):
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, counts, 0), 11)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, 0.0, counts, 0), 11)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -426,7 +428,7 @@ def _place_at(motion, W):
     place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), np.int64(0), W)
 
 
-@njit()
+@apart
 def _confirmed(motion, near, t, n):
     """What `CollisionChecker.collide` says of the two pieces at this fraction, as it places them: alone.
 
@@ -794,7 +796,7 @@ def _settle_block(motion, low, high, found, tally):
     for number in range(len(order)):
         pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack = motion.rounding + 2.0 * tables.chain[2] * margin
+        slack = motion.rounding + motion.skew * margin
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
@@ -819,11 +821,12 @@ def _certify(motion, tally):
     problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
     rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
     travel, angles, places = rates_of(problem.tree, ends, rates)
-    off, length = uncertainty(tables, travel, angles, places)
+    off, length, turned = uncertainty(tables, travel, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
+    skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, motion.counts, motion.work
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.counts, motion.work
     )  # fmt: skip
     most = 0.0
     for body in range(motion.counts.moving):
@@ -853,7 +856,7 @@ def _certify(motion, tally):
 def _motion(pack, problem_handle, tables_handle, tolerance, dof, memory):
     """A motion whose ends are still to be written, in memory that is ready."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, counts, memory)
 
 
 @njit()
