@@ -119,11 +119,7 @@ def connect(
 
 def _straight(space: Space, judge: Judge, start: Floats, goals: Floats) -> Floats | None:
     """The straight motion to the nearest goal that has a free one."""
-    ways = goals - start
-    turns = np.zeros_like(ways)
-    at = space.columns[space.turning]
-    turns[:, at] = np.rint(ways[:, at] / (2 * np.pi))
-    ends = np.where(turns == 0, goals, goals - 2 * np.pi * turns)
+    ends = space.unwound(start, goals)
     if len(goals) > 1:
         ends = ends[np.argsort(np.linalg.norm(ends - start, axis=1), kind="stable")[:STRAIGHT]]
     longest = float(np.linalg.norm(ends - start, axis=1).max())
