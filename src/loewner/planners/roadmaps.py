@@ -35,6 +35,9 @@ AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
 # Motions that a query tries at most, between start, goals and their nearest nodes.
 MOST_TRIED = 4096
 
+# Configurations whose neighbours one thread seeks alone.
+ALONE = 64
+
 # Bytes that a motion of a roadmap takes at most while it is made: its ends, its length, its places in the graph.
 BYTES = 96
 
@@ -55,6 +58,15 @@ class _Links(NamedTuple):
     goals: Ints
     from_nodes: Ints
     to_lengths: Floats
+
+    def joined(self, more: _Links) -> _Links:
+        """These and more."""
+        a, b = self, more
+        return _Links(
+            np.concatenate([a.nodes, b.nodes]), np.concatenate([a.lengths, b.lengths]),
+            np.concatenate([a.goals, b.goals]), np.concatenate([a.from_nodes, b.from_nodes]),
+            np.concatenate([a.to_lengths, b.to_lengths]),
+        )  # fmt: skip
 
 
 class _Way(NamedTuple):
@@ -113,7 +125,9 @@ class _Graph:
             ),
             shape=(count + 1, count + 1),
         )
-        far, before = dijkstra(with_start, indices=count, return_predecessors=True)
+        # A straight motion to a goal leaves only what is shorter to be sought.
+        straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
+        far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
         totals = far[links.from_nodes] + links.to_lengths
         if not len(totals) or not np.isfinite(totals.min()):
             return None
@@ -170,7 +184,8 @@ class _Neighbours:
         return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
 
     def _nearest(self, values: Floats, many: int) -> Ints:
-        found = self.tree.query(values, np.arange(1, many + 1), workers=get_num_threads())[1]
+        workers = get_num_threads() if len(values) > ALONE else 1
+        found = self.tree.query(values, np.arange(1, many + 1), workers=workers)[1]
         return np.asarray(found, dtype=np.int64)
 
     @staticmethod
@@ -201,15 +216,14 @@ class Roadmap:
     >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
     >>> made = roadmap(checker, 100)
     >>> made
-    Roadmap(joints rail, elbow: 100 nodes, 981 of 981 motions free)
-    >>> made.path([0.0, 0.0], [2.0, 3.0])
-    array([[0., 0.],
-           [2., 3.]])
-    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    >>> made.path([0.0, 0.0], [2.0, 3.0])
-    Traceback (most recent call last):
-        ...
-    loewner.errors.PlanningError: expected start and goal
+    Roadmap(joints rail, elbow: 100 nodes, 1093 of 1093 motions free)
+    >>> made.path([0.0, 1.57], [2.0, 1.57])
+    array([[0.  , 1.57],
+           [2.  , 1.57]])
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0.7], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> path = made.path([0.0, 1.57], [2.0, 1.57])  # the arm swings aside where it passes the post
+    >>> len(path) > 2, checker.certify_edges(path[:-1], path[1:]).verdict.any()
+    (True, np.False_)
     """
 
     def __init__(self, space: Space, nodes: Floats, edges: Ints, neighbours: int, seed: int) -> None:
@@ -272,8 +286,9 @@ class Roadmap:
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns without
-            limits takes the shorter way around between two nodes: it ends at the goal's value or whole turns from it.
+            Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns
+            without limits takes the shorter way around between two nodes: it ends at the goal's value or whole turns
+            from it.
 
         Raises
         ------
@@ -298,8 +313,10 @@ class Roadmap:
         simplify = _validate.flag(simplify, "simplify")
         q, goals = checked_ends(self.checker, start, goal)
         # Where a joint has no limits, they follow from start and goals.
-        goals = Space.of(self.checker, self.joint_names, q, goals).checked_goals(q, goals)
-        self._check_kept(q)
+        space = Space.of(self.checker, self.joint_names, q, goals)
+        if not space.outside(q):  # limits are told of before all else
+            self._check_kept(q)
+        goals = space.checked_goals(q, goals)
         found = self._found(q, goals)
         if not simplify:
             return found
@@ -326,7 +343,7 @@ class Roadmap:
         >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
         >>> roadmap(checker, 100).save("arm.npz")
         >>> Roadmap.load("arm.npz", checker)
-        Roadmap(joints rail, elbow: 100 nodes, 981 of 981 motions free)
+        Roadmap(joints rail, elbow: 100 nodes, 1093 of 1093 motions free)
         """
         graph, ready = self._now(), self.checker._ready()
         arrays = {
@@ -375,7 +392,7 @@ class Roadmap:
         >>> roadmap(CollisionChecker(robot), 100).save("arm.npz")
         >>> T = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]
         >>> Roadmap.load("arm.npz", CollisionChecker(robot.placed(T)))
-        Roadmap(joints rail, elbow: 100 nodes, 981 motions, to be proven for the scene as it is now)
+        Roadmap(joints rail, elbow: 100 nodes, 1093 motions, to be proven for the scene as it is now)
         """
         ready = checked_checker(checker)._ready()  # what is wrong with the scene is not told of the file
 
@@ -402,7 +419,8 @@ class Roadmap:
         """All motions proven anew."""
         # What changes from here on is noticed the next time.
         version, judge = self.checker._ready().version, Judge.of(self.checker, 0.0, 0.0)
-        free = _free(self._space, self._nodes)[self._edges].all(axis=1)
+        sound = _free(self._space, self._nodes)
+        free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
         at = np.flatnonzero(free)
         for first in range(0, len(at), AT_A_TIME):
             part = at[first : first + AT_A_TIME]
@@ -439,33 +457,39 @@ class Roadmap:
             if len(unfree) == 0:
                 return rows
             if not graph.proven:
-                graph = self._proven()
-            else:
-                graph, links = self._without(graph, links, way, unfree)
+                self._proven()
+                return self._found(q, goals)
+            graph, links = self._without(graph, links, way, unfree)
         raise PlanningError(
             "expected a path from start to goal over motions that are free, found that those near start and goal, or "
             "of the roadmap, no longer are: the scene is changing, or they pass too near to a collision"
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
-        """Free motions to the nearest nodes: to so many that start and a goal come to be connected."""
-        count, ends = len(self), np.concatenate([q[None], goals])
-        most = min(count, max(self._neighbours, MOST_TRIED // len(ends)))
-        near = self._near.of_all(ends, most)
+        """Free motions to the nearest nodes: to so many that start and a goal come to be connected.
+
+        Raises
+        ------
+        PlanningError
+            If they do not.
+        """
+        ends = np.concatenate([q[None], goals])
+        most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
+        links = self._links_to(judge, q, goals, np.empty((len(ends), 0), dtype=np.int64), straight=True)
+        if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
+            return links  # nothing is shorter than straight to the nearest goal
         tried, last = 0, min(self._neighbours, most)
-        links = self._free_links(judge, q, goals, near[:, :0], straight=True)
+        labels = np.append(graph.labels, -1)  # the start's own is that of straight motions to goals
         while True:
-            more = self._free_links(judge, q, goals, near[:, tried:last], straight=False)
-            links = _Links(*map(np.concatenate, zip(links, more, strict=True)))
-            labels = np.append(graph.labels, -1)  # the start's own: of straight motions to goals
-            reached = np.append(graph.labels[links.nodes], -1)
-            if np.isin(labels[links.from_nodes], reached).any():
+            more = self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:], straight=False)
+            links = links.joined(more)
+            if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
                 return links
             if last == most:
                 raise PlanningError(_why(graph, links, most))
             tried, last = last, min(2 * last, most)
 
-    def _free_links(self, judge: Judge, q: Floats, goals: Floats, near: Ints, *, straight: bool) -> _Links:
+    def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints, *, straight: bool) -> _Links:
         """The free ones of motions from the start to nodes (row 0) and from nodes to goals; or straight to goals."""
         count = len(self)
         to = np.repeat(np.arange(len(goals)), near.shape[1])
@@ -476,9 +500,7 @@ class Roadmap:
         a = np.concatenate([np.broadcast_to(q, (len(nodes), len(q))), with_start[from_nodes]])
         b = np.concatenate([self._nodes[nodes], goals[to]])
         free, lengths, s = judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b), len(nodes)
-        return _Links(
-            nodes[free[:s]], lengths[:s][free[:s]], to[free[s:]], from_nodes[free[s:]], lengths[s:][free[s:]]
-        )
+        return _Links(nodes[free[:s]], lengths[:s][free[:s]], to[free[s:]], from_nodes[free[s:]], lengths[s:][free[s:]])
 
     def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
         """What is left for this query without motions of a path, by their numbers on it."""
@@ -593,7 +615,7 @@ def _samples(
     """The space of a roadmap, and configurations in it, drawn or given."""
     robot = checker.robot
     count = _count(samples)
-    given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")  # type: ignore[arg-type]
+    given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")
     if given.ndim != 2 or (count is None and len(given) == 0):
         raise InputError(
             f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found shape "
@@ -628,7 +650,7 @@ def _check_given(space: Space, Q: Floats, name: str) -> None:
     if outside.any():
         k = int(outside.argmax())
         raise InputError(f"{name}[{k}]: expected a configuration within the limits, found {space.outside(Q[k])}")
-    differs = Q != space.still
+    differs = space.still != Q
     differs[:, space.columns] = False
     if differs.any():
         k, column = map(int, np.argwhere(differs)[0])
@@ -651,9 +673,10 @@ def _outside(space: Space, Q: Floats) -> Bools:
 def _free(space: Space, Q: Floats) -> Bools:
     """Which configurations are proven free; what cannot be settled is not."""
     try:
-        return ~np.asarray(space.checker.collide(Q))
+        free: Bools = np.logical_not(space.checker.collide(Q))
     except ConvergenceError:
-        return np.array([space.free(q) for q in Q])
+        free = np.array([space.free(q) for q in Q])
+    return free
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:
@@ -672,9 +695,9 @@ def _why(graph: _Graph, links: _Links, tried: int) -> str:
         for found in (links.nodes, links.from_nodes)
     )
     return (
-        f"expected start and goal in one component of the roadmap, found the start connected to components of {of_start} "
-        f"and the goal to components of {of_goal} of its {total} nodes; there may be no path; more samples, or `plan`, "
-        "may help"
+        "expected start and goal connected to one component of the roadmap, found the start connected to components "
+        f"of size {of_start} and the goal to components of size {of_goal}, of {total} nodes in all; there may be no "
+        "path; more samples, or `plan`, may help"
     )
 
 
@@ -729,6 +752,6 @@ def _checked(told: dict[str, Any], checker: CollisionChecker) -> tuple[Space, st
     if not np.isin(told["free"], (0, 1)).all():
         raise InputError("free: expected 0 or 1, found other numbers")
     neighbours, seed = told["settings"].tolist()
-    if neighbours < 1 or not 0 <= seed <= 2**32 - 2:
+    if neighbours < 1 or seed not in range(2**32 - 1):
         raise InputError(f"settings: expected a number of neighbours and a seed, found {neighbours} and {seed}")
     return space, str(told["fingerprint"])
