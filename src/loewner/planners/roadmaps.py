@@ -117,17 +117,19 @@ class _Graph:
         from scipy.sparse.csgraph import dijkstra
 
         count, matrix = self.matrix.shape[0], self.matrix
-        with_start = csr_array(
-            (
-                np.concatenate([matrix.data, links.lengths]),
-                np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)]),
-                np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype),
-            ),
-            shape=(count + 1, count + 1),
-        )
-        # A straight motion to a goal leaves only what is shorter to be sought.
-        straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
-        far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
+        far, before = np.append(np.full(count, np.inf), 0.0), np.empty(0, dtype=np.int64)
+        if len(links.nodes):
+            with_start = csr_array(
+                (
+                    np.concatenate([matrix.data, links.lengths]),
+                    np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)]),
+                    np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype),
+                ),
+                shape=(count + 1, count + 1),
+            )
+            # A straight motion to a goal leaves only what is shorter to be sought.
+            straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
+            far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
         totals = far[links.from_nodes] + links.to_lengths
         if not len(totals) or not np.isfinite(totals.min()):
             return None
