@@ -1,5 +1,6 @@
 """Roadmaps: nets of proven motions, asked many times, kept in files, and proven anew when the scene changes."""
 
+import dataclasses
 import io
 import pickle
 import zipfile
@@ -270,7 +271,7 @@ def test_a_change_in_the_middle_of_a_query(made, checker, scene, monkeypatch):
         return links
 
     monkeypatch.setattr(made, "_links", closed)
-    with pytest.raises(PlanningError, match="no longer are"):
+    with pytest.raises(PlanningError, match="one component"):
         made.path(LEFT, RIGHT)
 
 
@@ -501,6 +502,19 @@ def test_forged_motions_are_found_out(made, checker, saved):
     assert len(loaded.edges) > len(made.edges)
     np.testing.assert_array_equal(loaded.path(LEFT, RIGHT), made.path(LEFT, RIGHT))
     np.testing.assert_array_equal(loaded.edges, made.edges)
+
+
+def test_what_fails_as_a_whole_is_passed_by(made, checker, saved, monkeypatch):
+    """Motions that are found not to be free on a path are left out of the query, one path after the other."""
+    told = arrays(saved)
+    forge(saved, told, free=np.ones_like(told["free"]))
+    loaded = planners.Roadmap.load(saved, checker)
+    loaded._graph = dataclasses.replace(loaded._graph, proven=True)
+    np.testing.assert_array_equal(loaded.path(LEFT, RIGHT, simplify=False), made.path(LEFT, RIGHT, simplify=False))
+    once = iter([True])
+    monkeypatch.setattr(Judge, "free", lambda self, a, b: np.full(len(a), next(once, False)))
+    with pytest.raises(PlanningError, match="when it is proven as a whole"):
+        made.path(LEFT, RIGHT)
 
 
 @pytest.mark.parametrize(

@@ -449,7 +449,8 @@ class Roadmap:
 
     def _found(self, q: Floats, goals: Floats) -> Floats:
         """The shortest path over motions that are free, proven as a whole."""
-        graph, judge = self._now(), Judge.of(self.checker, 0.0, 0.0)
+        known = graph = self._now()
+        judge = Judge.of(self.checker, 0.0, 0.0)
         links = self._links(graph, judge, q, goals)
         while (way := graph.shortest(links)) is not None:
             rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
@@ -458,13 +459,14 @@ class Roadmap:
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
                 return rows
-            if not graph.proven:
+            if not known.proven:
                 self._proven()
+            if self._now() is not known:
                 return self._found(q, goals)
             graph, links = self._without(graph, links, way, unfree)
         raise PlanningError(
-            "expected a path from start to goal over motions that are free, found that those near start and goal, or "
-            "of the roadmap, no longer are: the scene is changing, or they pass too near to a collision"
+            "expected a path from start to goal that is free when it is proven as a whole, found none: all ways over "
+            "the roadmap pass too near to a collision; more samples may help"
         )
 
     def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
@@ -477,32 +479,37 @@ class Roadmap:
         """
         ends = np.concatenate([q[None], goals])
         most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
-        links = self._links_to(judge, q, goals, np.empty((len(ends), 0), dtype=np.int64), straight=True)
+        links = self._straight(judge, q, goals)
         if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
             return links  # nothing is shorter than straight to the nearest goal
         tried, last = 0, min(self._neighbours, most)
         labels = np.append(graph.labels, -1)  # the start's own is that of straight motions to goals
         while True:
-            more = self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:], straight=False)
-            links = links.joined(more)
+            links = links.joined(self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:]))
             if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
                 return links
             if last == most:
                 raise PlanningError(_why(graph, links, most))
             tried, last = last, min(2 * last, most)
 
-    def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints, *, straight: bool) -> _Links:
-        """The free ones of motions from the start to nodes (row 0) and from nodes to goals; or straight to goals."""
-        count = len(self)
-        to = np.repeat(np.arange(len(goals)), near.shape[1])
-        nodes, from_nodes = near[0], near[1:].ravel()
-        if straight:
-            to, from_nodes = np.arange(len(goals)), np.full(len(goals), count)
-        with_start = np.concatenate([self._nodes, q[None]])
-        a = np.concatenate([np.broadcast_to(q, (len(nodes), len(q))), with_start[from_nodes]])
-        b = np.concatenate([self._nodes[nodes], goals[to]])
-        free, lengths, s = judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b), len(nodes)
-        return _Links(nodes[free[:s]], lengths[:s][free[:s]], to[free[s:]], from_nodes[free[s:]], lengths[s:][free[s:]])
+    def _straight(self, judge: Judge, q: Floats, goals: Floats) -> _Links:
+        """The free ones of motions from the start straight to goals."""
+        free, lengths = self._judged(judge, np.broadcast_to(q, goals.shape), goals)
+        at = np.flatnonzero(free)
+        return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])
+
+    def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints) -> _Links:
+        """The free ones of motions from the start to nodes (row 0) and from nodes to goals (a row each)."""
+        from_start, to_goals = near[0], near[1:].ravel()
+        numbers, s = np.repeat(np.arange(len(goals)), near.shape[1]), len(from_start)
+        a = np.concatenate([np.broadcast_to(q, (s, len(q))), self._nodes[to_goals]])
+        free, lengths = self._judged(judge, a, np.concatenate([self._nodes[from_start], goals[numbers]]))
+        here, there = free[:s], free[s:]
+        return _Links(from_start[here], lengths[:s][here], numbers[there], to_goals[there], lengths[s:][there])
+
+    def _judged(self, judge: Judge, a: Floats, b: Floats) -> tuple[Bools, Floats]:
+        """Which motions are free, and how long they are."""
+        return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
 
     def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
         """What is left for this query without motions of a path, by their numbers on it."""
