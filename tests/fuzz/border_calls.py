@@ -320,6 +320,10 @@ def checker() -> CollisionChecker:
     return CollisionChecker(robot(), scene())
 
 
+def roadmap() -> planners.Roadmap:
+    return planners.roadmap(checker(), 20, joints="y", fixed=[-0.5, 0.25, 0.0])
+
+
 @cache
 def experiment() -> paper.Experiment:
     return paper.run(20)
@@ -369,6 +373,7 @@ def write_files() -> None:
     Path("part.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in CUBE) + TRIANGLES)
     cube().save("part.npz")
     pair_of_cubes().save("parts.npz")
+    roadmap().save("roadmap.npz")
     loewner.save_scene(scene(), "scene.yaml")
     problem = {
         "index": 1,
@@ -787,12 +792,25 @@ CALLS: dict[str, Call] = {
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
             "planner": arg("RRTConnect", skips=frozenset({"type"})),
-            "timeout": arg(5.0, NUMBERS),
+            "certified": flag(),
             "resolution": positive(0.125),
+            "max_iterations": count(1000),
+            "timeout": arg(5.0, NUMBERS),
             "simplify": flag(False),
             "seed": count(1, "0"),
         },
         varies=True,
+    ),
+    "planners.shorten": Call(
+        planners.shorten,
+        {
+            "checker": arg(checker),
+            "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
+            "certified": flag(),
+            "resolution": positive(0.125),
+            "max_iterations": count(20, "0"),
+            "seed": count(1, "0"),
+        },
     ),
     "planners.space_information": Call(
         planners.space_information,
@@ -804,6 +822,31 @@ CALLS: dict[str, Call] = {
         },
         varies=True,
     ),
+    "planners.roadmap": Call(
+        planners.roadmap,
+        {
+            "checker": arg(checker),
+            "samples": array(
+                [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0], [-0.5, 1.0, 0.0]],
+                FINITE,
+                "without the first row",
+            ),
+            "joints": arg("y", NONE),
+            "fixed": array([-0.5, 0.25, 0.0], FINITE, NONE),
+            "neighbours": count(2, NONE),
+            "seed": count(1, "0"),
+        },
+    ),
+    "planners.Roadmap.path": Call(
+        on(roadmap, "path"),
+        {
+            "start": array([-0.5, 0.25, 0.0], FINITE),
+            "goal": array([[-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
+            "simplify": flag(False),
+        },
+    ),
+    "planners.Roadmap.save": Call(on(roadmap, "save"), {"path": PATH_OUT}),
+    "planners.Roadmap.load": Call(planners.Roadmap.load, {"path": arg("roadmap.npz"), "checker": arg(checker)}),
     # -- files of meshes
     "meshes.load": Call(meshes.load, {"source": arg("part.obj")}),
     "meshes.convex_pieces": Call(
@@ -1030,7 +1073,7 @@ RECORDS = {
     "paper.Experiment", "paper.Pairs", "paper.Result",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
-MADE = {"Body"}
+MADE = {"Body", "planners.Roadmap"}
 # Not called: pages are opened by the functions that show them; what acts on an open page has tests of its own.
 PAGES = {"viewer.PairViewer", "viewer.RobotViewer"}
 # Text in, text out; given an experiment, as the report is.
@@ -1040,7 +1083,7 @@ TABLES = "paper.tables"
 def public_callables() -> Iterator[tuple[str, list[str]]]:
     """Names and parameters of all that a user may call."""
     groups: dict[str, Mapping[str, Any]] = {
-        "planners.": _own(planners),
+        "planners.": {name: getattr(planners, name) for name in planners.__all__},
         "meshes.": _own(meshes),
         "plots.": _own(drawing),
         "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},

@@ -2,5 +2,6 @@
 
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
+from loewner.planners.roadmaps import Roadmap, roadmap
 
-__all__ = ["plan", "shorten", "space_information"]
+__all__ = ["Roadmap", "plan", "roadmap", "shorten", "space_information"]

@@ -38,6 +38,7 @@ from loewner._kernels.robots.sweeps import (
     INTERVALS,
     PIECE,
     Swept,
+    near_in_world,
     near_moving,
     near_piece,
     near_standing,
@@ -803,9 +804,14 @@ def _settle_block(motion, low, high, found, tally):
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
+            # Seen from the world first, each on its own way: that is cheap, and leaves few.
+            bend = ways[one, 0] + ways[other, 0]
+            live = near_in_world(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept)
+            if live == 0:
+                continue
             seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
-            live = near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
+            live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
