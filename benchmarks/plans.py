@@ -81,7 +81,7 @@ def ours(tasks: Sequence[Task]) -> tuple[list[Row], dict[str, list[Array]]]:
         *rows_of("plan, proven", times["proven"], "plan at 0.05 rad", times["0.05 rad"]),
         *rows_of(
             "shorten, proven", shortening, "", None,
-            f"mean length {before / len(shortening.seconds):.3g} rad before, {after / len(shortening.seconds):.3g} after",
+            f"mean length {before / shortening.solved:.3g} rad before, {after / shortening.solved:.3g} after",
         ),
     ]  # fmt: skip
     return rows, finished
