@@ -16,7 +16,7 @@ from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 
 # Cuts that `plan` tries to make: more find little, and take longer than the search itself.
-CUTS = 100
+CUTS = 60
 
 
 @guarded

@@ -86,6 +86,7 @@ class Motion(NamedTuple):
     ----------
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
+    confirmed : 1 if collisions are to be confirmed where `collide` places the bodies, 0 if it matters only what is free
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
     skew : how far turned lengths may be off, as a share of them: that of a margin comes on top
     counts : how much there is of everything
@@ -96,6 +97,7 @@ class Motion(NamedTuple):
     problem: Any
     tables: Any
     tolerance: Any
+    confirmed: Any
     rounding: Any
     skew: Any
     counts: Any
@@ -320,7 +322,7 @@ def _counts(pieces, problem, dof):
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, 0.0, counts, 0), 11)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0, 0.0, 0.0, counts, 0), 11)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -435,6 +437,8 @@ def _confirmed(motion, near, t, n):
 
     COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
     """
+    if motion.confirmed == 0:
+        return np.int64(COLLIDING)
     problem = problem_of(motion.problem)
     Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
@@ -832,7 +836,8 @@ def _certify(motion, tally):
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.counts, motion.work
+        motion.pack, motion.problem, motion.tables, motion.tolerance, motion.confirmed, rounding, skew, motion.counts,
+        motion.work,
     )  # fmt: skip
     most = 0.0
     for body in range(motion.counts.moving):
@@ -859,16 +864,16 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, dof, memory):
     """A motion whose ends are still to be written, in memory that is ready."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write to the memory what all motions find there."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, np.int64(0), dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
@@ -909,7 +914,7 @@ def certify_motions(
         Address of `motion_memory` bytes to write to; one thread uses them at a time.
     """
     make_ready(pack, problem_handle, tables_handle, Q0.shape[1], memory)
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, Q0.shape[1], memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, np.int64(1), Q0.shape[1], memory)
     ends = _ends_of(motion)
     for k in range(start, stop):
         for c in range(motion.counts.dof):
@@ -926,7 +931,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memor
     The work done is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be
     free is taken earlier the next time: pairs that hit most often come first.
     """
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, ends.shape[1], memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, np.int64(0), ends.shape[1], memory)
     own = _ends_of(motion)
     for c in range(motion.counts.dof):
         own[0, c], own[1, c] = ends[0, c], ends[1, c]
