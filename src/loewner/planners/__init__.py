@@ -2,5 +2,6 @@
 
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
+from loewner.planners.trajectories import Trajectory, trajectory
 
-__all__ = ["plan", "shorten", "space_information"]
+__all__ = ["Trajectory", "plan", "shorten", "space_information", "trajectory"]
