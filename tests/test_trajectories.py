@@ -74,8 +74,8 @@ def assert_lawful(moved, path, velocity, acceleration):
     assert (moved.positions(moved.duration) == path[-1]).all()
     assert not moved.velocities([0.0, moved.duration]).any()
     assert off_polyline(path, Q[~in_blend(moved, t)]).max() <= 1e-12
-    assert (Q >= path.min(axis=0) - 1e-15).all()
-    assert (Q <= path.max(axis=0) + 1e-15).all()
+    assert (path.min(axis=0) - 1e-15 <= Q).all()
+    assert (path.max(axis=0) + 1e-15 >= Q).all()
     # Velocities are what positions change by.
     T, rates = np.diff(moved.times)[:, None], moved.rates
     assert np.abs(np.diff(moved.knots, axis=0) - T * (rates[1:] + rates[:-1]) / 2).max(initial=0.0) <= 1e-12
@@ -393,7 +393,7 @@ def test_samples(moved, rate):
     assert (np.diff(times) > 0).all()
     assert np.diff(times).max() <= 1 / rate * (1 + 1e-9)
     assert times[-1] == moved.duration
-    assert (Q == moved.positions(times)).all()
+    assert (moved.positions(times) == Q).all()
     for bad in (0, -1.0, np.nan, np.inf, "100", None):
         with pytest.raises(InputError, match="rate"):
             moved.sample(bad)

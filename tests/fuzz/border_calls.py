@@ -320,6 +320,10 @@ def checker() -> CollisionChecker:
     return CollisionChecker(robot(), scene())
 
 
+def moved() -> planners.Trajectory:
+    return planners.trajectory(robot(), PATH, velocity=1.0)
+
+
 @cache
 def experiment() -> paper.Experiment:
     return paper.run(20)
@@ -381,6 +385,7 @@ def write_files() -> None:
         json.dumps({"robot": "gantry", "joints": ["x", "y"], "problems": {"g": [problem]}})
     )
     np.save("configs.npy", np.zeros((2, 3)))
+    moved().save("moved.json")
     FILES.update(os.listdir())
 
 
@@ -487,6 +492,10 @@ POINTS = array(CUBE, FINITE, "without the first row")
 FLAT_POINTS = array(CUBE, FINITE, "without the first row", "without the last column")  # in the plane
 TOL = arg(1e-4, "5e-324", "Fraction")
 PATH_OUT = arg("out.npz", TEXTS)
+PATH = [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.25, 0.5, 0.5]]
+TIMES = array([[0.0, 0.125], [0.25, 0.5]], FINITE, BATCHES, ZERO, "5e-324", "Fraction", "1.5", "empty list",
+              "empty tuple", "Scene", "empty (0, 3)", "empty (3, 0)", "5 axes", "100,000 zeros", "turned over",
+              "without the last column", "a column more", "a number alone")  # fmt: skip
 VECTORS = array([[1.0, 0.5, 0.25], [0.5, -0.25, 0.125]], FINITE, BATCHES, "empty (0, 3)")
 
 CALLS: dict[str, Call] = {
@@ -787,13 +796,43 @@ CALLS: dict[str, Call] = {
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
             "planner": arg("RRTConnect", skips=frozenset({"type"})),
+            "certified": flag(),
             "timeout": arg(5.0, NUMBERS),
             "resolution": positive(0.125),
+            "max_iterations": count(1000),
             "simplify": flag(False),
             "seed": count(1, "0"),
         },
         varies=True,
     ),
+    "planners.shorten": Call(
+        planners.shorten,
+        {
+            "checker": arg(checker),
+            "path": array(PATH, FINITE, "without the first row", "turned over"),
+            "certified": flag(),
+            "resolution": positive(0.125),
+            "max_iterations": count(10, "0"),
+            "seed": count(1, "0"),
+        },
+    ),
+    "planners.trajectory": Call(
+        planners.trajectory,
+        {
+            "robot": arg(robot, "Robot"),
+            "path": array(PATH, FINITE, "without the first row", "turned over"),
+            "velocity": array([1.0, 0.5, 2.0], FINITE, NUMBERS, "a number alone"),
+            "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "checker": arg(checker, NONE),
+            "blend": arg(0.25, ZERO, "5e-324"),
+        },
+    ),
+    "planners.Trajectory.positions": Call(on(moved, "positions"), {"t": TIMES}),
+    "planners.Trajectory.velocities": Call(on(moved, "velocities"), {"t": TIMES}),
+    "planners.Trajectory.accelerations": Call(on(moved, "accelerations"), {"t": TIMES}),
+    "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive()}),
+    "planners.Trajectory.save": Call(on(moved, "save"), {"path": arg("out.csv"), "rate": positive(0.5, NONE)}),
+    "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,
         {
@@ -945,6 +984,7 @@ CALLS: dict[str, Call] = {
         {
             "checker": arg(checker),
             "q": array(Q[0], FINITE, NONE),
+            "trajectory": arg(moved, NONE),
             "host": arg("127.0.0.1"),
             "port": arg(0, "0"),
             "block": flag(False),
@@ -1027,7 +1067,7 @@ LINES: dict[str, Call] = {
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet",
-    "paper.Experiment", "paper.Pairs", "paper.Result",
+    "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body"}
@@ -1040,7 +1080,7 @@ TABLES = "paper.tables"
 def public_callables() -> Iterator[tuple[str, list[str]]]:
     """Names and parameters of all that a user may call."""
     groups: dict[str, Mapping[str, Any]] = {
-        "planners.": _own(planners),
+        "planners.": {name: getattr(planners, name) for name in planners.__all__},
         "meshes.": _own(meshes),
         "plots.": _own(drawing),
         "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},

@@ -23,7 +23,7 @@ from loewner import _validate
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
 from loewner._kernels import tolerances
-from loewner._validate import Bools, Floats, OneOrMany
+from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.judge import TOLERANCE, refuse_unfree
 from loewner.planners.space import checked_checker
@@ -155,7 +155,17 @@ class Trajectory:
         return found
 
     def velocities(self, t: ArrayLike) -> Floats:
-        """Velocities at times; as `positions`.
+        """Velocities at times.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            As for `positions`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            In radians or metres a second.
 
         Examples
         --------
@@ -170,7 +180,17 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times; as `positions`. Where they jump, those from then on.
+        """Accelerations at times; where they jump, those from then on.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            As for `positions`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            In radians or metres a second squared.
 
         Examples
         --------
@@ -182,7 +202,8 @@ class Trajectory:
         """
         k, _, T = self._pieces(t)
         change = self.rates[k + (T[..., 0] > 0)] - self.rates[k]
-        return np.divide(change, T, out=np.zeros_like(change), where=T > 0)
+        found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
+        return found
 
     def sample(self, rate: float) -> tuple[Floats, Floats]:
         """Times at a constant rate, and positions.
@@ -464,8 +485,9 @@ class Straights(NamedTuple):
         ratios = np.concatenate([lengths, gains])
         if not ((ratios > 1 / LARGEST_RATIO) & (ratios < LARGEST_RATIO)).all():
             raise InputError(
-                f"expected a path and limits with ratios up to {LARGEST_RATIO:g}, found motions of {lengths.min():g} to "
-                f"{lengths.max():g} s at full speed, of which a second adds a share of {gains.min():g} to {gains.max():g}"
+                f"expected a path and limits with ratios up to {LARGEST_RATIO:g}, found motions of "
+                f"{lengths.min():g} to {lengths.max():g} s at full speed, of which a second adds a share of "
+                f"{gains.min():g} to {gains.max():g}"
             )
         return cls(rows, lengths, full, gains, strongest)
 
