@@ -205,7 +205,8 @@ def summary(name: str, found: Sequence[Result]) -> str:
         )
         text += (
             f"; TOPP-RA: {np.median(shares):.3f} of the time (least {shares.min():.3f}), found in "
-            f"{np.median(took):.0f} ms, with accelerations up to {np.median(excess):.2f} of the limits (most {excess.max():.2f})"
+            f"{np.median(took):.0f} ms, with accelerations up to {np.median(excess):.2f} of the limits "
+            f"(most {excess.max():.2f})"
         )
     return text
 

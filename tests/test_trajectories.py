@@ -168,6 +168,20 @@ def test_nowhere_to_go(robot, alone):
     assert (Q == [[0.1, 0.2, 0.3]]).all()
 
 
+def test_many_rows_on_a_straight(robot):
+    """However finely a motion is divided, it is one."""
+    rows = np.linspace([-0.3, 0.1, 0.7], [0.9, -0.2, 0.4], 3000)
+    assert len(trajectory(robot, rows, velocity=1.0).stops) == 0
+
+
+def test_rows_next_to_each_other(robot):
+    """Motions that take less than the last digit of the time leave times that increase, and both ends as they are."""
+    path = np.array([[-1, 0, 0], [1, 0, 0], [1, 1e-40, 0], [1, -1e-60, 0], [0.5, 0, 0], [0.5, 0, 1e-50]])
+    moved = trajectory(robot, path, velocity=1.0, acceleration=1e3)
+    assert (np.diff(moved.times) > 0).all()
+    assert (moved.positions([0.0, moved.duration]) == path[[0, -1]]).all()
+
+
 def test_only_joints_that_move_need_limits(robot):
     """What stands still takes no part in the limits."""
     moved = trajectory(robot, [[0, 0, 0], [1, 0, 0]], velocity=[1.0, 1e-3, 1e-3], acceleration=[1.0, 1e-3, 1e-3])
@@ -450,10 +464,13 @@ def spoiled(text, ending):
         lines = text.splitlines(keepends=True)
         yield "backwards", "".join([lines[0], *reversed(lines[1:])])
         yield "no rows", lines[0]
+        yield "open quotes", text.replace("time", '"time', 1)
         yield "one short", text.replace(",0\n", "\n", 1)
         yield "moving at the end", text.replace(lines[-1], lines[-2])
     else:
         yield "nested", "[" * 100000
+        yield "beyond floats", text.replace("0.5", "1" + 400 * "0", 1)
+        yield "one time", '{"names": ["x"], "times": 0.0, "positions": [[0]], "velocities": [[0]], "blended": []}'
         yield "no times", text.replace('"times"', '"instants"')
         yield "names of numbers", text.replace('"x"', "1")
         yield "blends of numbers", text.replace("false", "0", 1)

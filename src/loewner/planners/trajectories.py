@@ -56,7 +56,7 @@ SHORTEST = 1e-7
 LARGEST_SHARE = 0.49
 
 # Rows on one straight that are taken for one motion, at most.
-MOST_MERGED = 64
+MOST_MERGED = 4096
 
 # Seconds that a motion takes at full speed, those to reach it, and one by either, at most: squares are within range.
 LARGEST_RATIO = 1e100
@@ -238,7 +238,7 @@ class Trajectory:
         return times, self.positions(times)
 
     def save(self, path: str | os.PathLike[str], *, rate: float | None = None) -> None:
-        """Write a file, `.csv` or `.json`, that `load` reads: times, positions and velocities in full precision.
+        """Write a file, ``.csv`` or ``.json``, that `load` reads: times, positions and velocities in full precision.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ class Trajectory:
         FileError
             If there is no such file, or it holds no trajectory.
         InputError
-            If the name ends neither in `.csv` nor in `.json`.
+            If the name ends neither in ``.csv`` nor in ``.json``.
 
         Examples
         --------
@@ -303,12 +303,12 @@ class Trajectory:
             read = _read_json(text) if source.suffix.lower() == ".json" else _read_csv(text)
         except FileError:
             raise
-        except (ValueError, KeyError, TypeError, RecursionError) as error:  # of decoders and of NumPy
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
             raise FileError(f"{name}: expected a trajectory, found {_why(error)}") from None
         fault = read._fault()
         if fault:
             raise FileError(f"{name}: expected {fault}")
-        return read
+        return read._read_only()
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -334,7 +334,11 @@ class Trajectory:
 
     def _with_ticks(self, rate: float) -> Trajectory:
         """The same with more knots."""
-        times = np.union1d(self.times, self._ticks(rate))
+        ticks = self._ticks(rate)
+        after = np.searchsorted(self.times, ticks)  # the last is the end itself
+        # Between two rows that are almost at the same time, accelerations would be noise.
+        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > SHORTEST
+        times = np.union1d(self.times, ticks[apart])
         blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
         return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended)
 
@@ -352,9 +356,15 @@ class Trajectory:
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
         })  # fmt: skip
 
+    def _read_only(self) -> Trajectory:
+        """The same, with arrays that nobody can change."""
+        for array in (self.times, self.knots, self.rates, self.blended):
+            array.setflags(write=False)
+        return self
+
     def _fault(self) -> str:
         """What is expected of a trajectory and not found; "" if all is well."""
-        n, dof = len(self.times), len(self.names)
+        n, dof = self.times.size, len(self.names)
         shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
         if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
             return "a time, a position and a velocity of every joint in each row, found something else"
@@ -712,10 +722,12 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
             rates.append(speeds[k + 1] * straights.full[k + 1])
             times.append(2 * taken[k + 1] / speeds[k + 1])
             blended.append(True)
-    arrays = np.cumsum(times), np.array(knots), np.array(rates), np.array(blended, dtype=bool)
-    for array in arrays:
-        array.setflags(write=False)
-    return Trajectory(robot.configuration_names, *arrays)
+    passed = np.cumsum(times)
+    # What takes less than the last digit of the time is over at once.
+    kept = np.append(np.diff(passed) > 0, True)
+    arrays = passed, np.array(knots), np.array(rates), np.append(np.array(blended, dtype=bool), False)
+    at, positions, velocities, bent = (array[kept] for array in arrays)
+    return Trajectory(robot.configuration_names, at, positions, velocities, bent[:-1])._read_only()
 
 
 # -- files --------------------------------------------------------------------------------------
