@@ -1,14 +1,28 @@
-"""Motions proven free, beside the same motions looked at in steps."""
+"""Motions proven free, beside the same motions looked at in steps; and paths made of them.
+
+    python benchmarks/motions.py --data FILE [--every N] [--out FOLDER]
+
+FILE is the set of 700 problems of MotionBenchMaker in JSON that docs/scenes.md describes. All of them are planned with
+us; every Nth with OMPL's RRT-Connect too, on our checker and on pinocchio with Coal. Results go to
+benchmarks/results/<machine>/, or to FOLDER.
+"""
 
 from __future__ import annotations
 
+import argparse
+import csv
+import sys
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from clock import race, timed
-from loewner import CollisionChecker, Robot, Verdict
+import plans
+import report
+from clock import race, threads_set_to, timed
+from loewner import CollisionChecker, Robot, Verdict, read_motion_bench_maker
+from motion_bench_maker import Task
 from report import REQUIRED, Row
 from rivals import Missing
 from robot_samples import obstacles, panda
@@ -19,6 +33,46 @@ LENGTHS = (0.25, 1.0, 2.0)  # rad, over all joints
 STEPS = (0.05, 0.02)  # rad
 FINGER = "panda_finger_joint1"
 OPEN = 0.04  # m
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="the problems, in JSON")
+    parser.add_argument("--every", type=int, default=7, help="ask rivals about every Nth problem of a group; 1 for all")
+    parser.add_argument(
+        "--only-every", type=int, default=1, help="leave out all but every Nth problem, for a short run"
+    )
+    parser.add_argument("--out", type=Path, help="folder for results")
+    options = parser.parse_args(arguments)
+    if not options.data.exists():
+        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
+        return 0
+    facts = report.machine()
+    results = options.out or Path(__file__).parent / "results" / report.machine_name(facts)
+    try:
+        arm = panda()
+    except Missing as missing:
+        print(f"not run: {missing}")
+        return 0
+    problems = [p for p in read_motion_bench_maker(options.data) if p.index % options.only_every == 0]
+    with threads_set_to(1):
+        tasks = [task for problem in problems if (task := Task.of(problem, arm.robot)).solvable]
+        some = [task for task in tasks if task.problem.index % options.every == 0]
+        print(f"{len(tasks)} problems that can be solved, {len(some)} of them for rivals too\n", flush=True)
+        planned, finished = plans.ours(tasks)
+        report.show("plans: processor time of a call", planned)
+        hidden = plans.hidden(tasks, finished)
+        print("finished paths with a collision that their samples missed:", *plans.table(hidden), "", sep="\n  ")
+        asked = plans.asked(some)
+        report.show("motions that RRT-Connect asks about, in batches, per motion", asked)
+        rivals = plans.beside_ompl(some, arm)
+        report.show("plans, beside OMPL's RRT-Connect", rivals)
+    report.write(results / "mbm-plans.csv", [*planned, *asked, *rivals], facts)
+    with open(results / "mbm-hidden.csv", "w", newline="", encoding="utf-8") as out:
+        writer = csv.DictWriter(out, list(asdict(hidden[0])), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(map(asdict, hidden))
+    return 0
 
 
 def run(quick: bool, folder: Path) -> list[Row]:
@@ -107,3 +161,7 @@ def one_by_one(checker: CollisionChecker, start: Array, end: Array, rounds: int)
     return [
         Row(case, "certify_edges", costs["proven"], f"valid_edges at {step}", costs[f"{step}"], n) for step in STEPS
     ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -34,6 +34,8 @@ REQUIRED = {
     "robot vs AABB tree": 10.0,
     "planner": 5.0,
     "motions vs samples": 1.0,
+    "plan vs OMPL": 10.0,
+    "plan vs pinocchio": 25.0,
 }
 
 PACKAGES = ("loewner", "numpy", "numba", "coal", "cmeel-eigen", "python-fcl", "ellipsoid-tree", "pin", "ompl")

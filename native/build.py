@@ -43,9 +43,8 @@ CPU_OF = {"arm64": "generic"}
 # what they call is compiled once.
 FIRST = (
     "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "link_poses",
+    "certify_motions", "motion_memory", "connect_trees", "shorten_path",
     "first_fault", "body_boxes", "curve_order", "box_tree", "meeting_boxes", "piece_trees", "direction_map",
-    "contact_of_pairs", "near_points_of_pairs",
-    "detector_1", "detector_2", "detector_3", "detector_4", "estimates_of_pairs",
 )  # fmt: skip
 
 

@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
+
+from families import translation
+from loewner import Body, Scene
+
 RADIUS = 0.1
 
 # A ball of radius 0.1 that slides along x and y, with a rod of 0.3 m to its side that turns about z.
@@ -28,3 +33,22 @@ def gantry(folder: Path) -> tuple[Path, Path]:
     for path, text in zip(paths, (GANTRY, GROUPS), strict=True):
         path.write_text(text)
     return paths
+
+
+UP = np.pi / 2  # the rod beside the ball, along y
+LEFT, RIGHT = np.array([-0.5, -0.5, UP]), np.array([0.5, -0.5, UP])
+IN_WALL = np.array([0.0, -0.5, UP])
+
+
+def wall() -> Scene:
+    """A wall along y, 0.1 m thick, that ends at y = 0.5."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]), translation(y=-1.5))
+    return scene
+
+
+def clearance(path: np.ndarray, until: float = 0.5) -> float:
+    """Least distance of the ball to the wall, by geometry in the plane, on the path in steps of 1 mm or less."""
+    steps = [np.linspace(a, b, 2000) for a, b in zip(path[:-1], path[1:], strict=True)]
+    x, y = np.concatenate(steps)[:, :2].T
+    return np.hypot(np.maximum(np.abs(x) - 0.05, 0), np.maximum(y - until, 0)).min() - RADIUS

@@ -308,7 +308,11 @@ def test_planning_problems_are_judged_and_planned(arm: robot_samples.Sample, pro
     (judged,) = read("mbm-validity.csv")
     assert [judged[k] for k in ("problems", "free_start", "free_goal", "solvable", "differing")] == list("32310")
     planned = read("mbm-planning.csv")
-    assert [row["case"] for row in planned] == ["pole", "pole", "all groups", "all groups"]
+    ways = len(motion_bench_maker.RIVALS)
+    assert [row["case"] for row in planned] == ["pole"] * ways + ["all groups"] * ways
+    fastest = planned[ways]["rival"].removeprefix("pinocchio, ")  # of all groups: the fastest way comes first
+    assert f"with {fastest} the fastest of its managers" in planned[ways]["note"]
+    assert planned[ways]["required"] == f"{motion_bench_maker.REQUIRED['planner']}"
     assert all(row["differing"] == "0" and "1 of 1 problems solved" in row["note"] for row in planned)
     assert all(int(row["items"]) > 1 for row in planned)  # the straight way alone did not do
     tiers = read("mbm-tiers.csv")

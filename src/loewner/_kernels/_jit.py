@@ -155,9 +155,10 @@ class _Kernel(CPUDispatcher):
     optimisation and machine code were two fifths of the work.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        super().__init__(function, targetoptions=options | quiet, pipeline_class=_parts.PartCompiler)
+        compiler = _parts.ApartCompiler if apart else _parts.PartCompiler
+        super().__init__(function, targetoptions=options | quiet, pipeline_class=compiler)
         self._cache = _KernelCache(function, "part")
         self._for_python: Any = _Callable(self, function, options | {"no_cfunc_wrapper": True})
 
@@ -188,18 +189,24 @@ class _Callable(CPUDispatcher):
         super().add_overload(cres)
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
         # Functions of one factory share their name. Numba tells them apart by numbers that start anew in each process;
         # parts made by two processes must not be taken for each other.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
-    return _Kernel(function, {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True, **options})
+    options |= {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
+    return _Kernel(function, options, apart)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a kernel: NumPy's error model, contraction only, cached under `CACHE_FOLDER`."""
     return lambda function: _compiled(function, **options)
+
+
+def apart(function: Callable[..., Any]) -> Any:
+    """Compile a large kernel that is not to be copied into its callers, as LLVM does where it sees fit."""
+    return _compiled(function, apart=True)
 
 
 def inline(function: Callable[..., Any]) -> Any:

@@ -56,6 +56,17 @@ class PartCompiler(Compiler):
         return super().compile_extra(func)
 
 
+class ApartCompiler(PartCompiler):
+    """For large parts with several callers, which are not to be copied into each of them."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function that LLVM may not inline."""
+        result = super().compile_extra(func)
+        module = result.library._final_module
+        module.get_function(result.fndesc.mangled_name).add_function_attribute("noinline")
+        return result
+
+
 def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, signature: Any, *rest: Any) -> Any:
     """Restore a part, or what Python can call, from what `CompileResult._reduce` gave."""
     name, kind, code = library

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from loewner.errors import PlanningError
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
 from loewner.robots import CollisionChecker
-from loewner.robots.edges import MOST_STEPS
 
 # The longest motion of a tree, as a share of the way from one end of the limits to the other: 1 rad for a usual arm.
 SHARE = 1 / 12
@@ -28,9 +28,6 @@ AT_A_TIME = 512
 
 # Configurations that a path may gain while it is shortened.
 MOST_ROOM = 4096
-
-# Goals that are tried straight from the start, the nearest first.
-STRAIGHT = 16
 
 
 class Trees(NamedTuple):
@@ -86,51 +83,48 @@ def connect(
     PlanningError
         If none was found within the iterations, or in time.
     """
-    began = time.monotonic()
     lower = np.where(space.turning, start[space.columns] - np.pi, space.lower)
     upper = np.where(space.turning, start[space.columns] + np.pi, space.upper)
     longest = float(np.linalg.norm(upper - lower)) * SHARE
     judge = Judge.of(space.checker, resolution, longest)
-    straight = _straight(space, judge, start, goals)
-    if straight is not None:
-        return straight
     joints, many = len(space.columns), len(goals)
     trees = Trees.of(joints, max(CAPACITY, 2 * many))
     trees.nodes[0, :, 0], trees.nodes[1, :, :many] = start[space.columns], goals[:, space.columns].T
     state = np.zeros(STATE, dtype=np.int64)
-    state[[STARTS, GOALS, RANDOM]] = 1, many, seed
+    state[[STARTS, GOALS]] = 1, many
+    stride, shift = _strides(joints), np.random.default_rng(seed).random(joints)
     gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
     turning = space.turning.astype(np.int64)
+    began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome = codes.SPENT
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
             raise PlanningError(_how_far(state, gap, f"within {max_iterations} iterations", "max_iterations"))
-        if time.monotonic() - began > timeout:
+        if began is not None and time.monotonic() - began > timeout:
             raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
         outcome = entries.connect_trees(
             min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), space.columns, lower, upper, turning,
-            *trees, state, gap, ends, points, np.empty(trees.capacity), *judge.looks(),
+            stride, shift, *trees, state, gap, ends, points, np.empty(trees.capacity), *judge.looks(),
         )  # fmt: skip
+        began = began or time.monotonic()
     return _path(space, judge, trees, state)
 
 
-def _straight(space: Space, judge: Judge, start: Floats, goals: Floats) -> Floats | None:
-    """The straight motion to the nearest goal that has a free one."""
-    ways = goals - start
-    turns = np.zeros_like(ways)
-    at = space.columns[space.turning]
-    turns[:, at] = np.rint(ways[:, at] / (2 * np.pi))
-    ends = np.where(turns == 0, goals, goals - 2 * np.pi * turns)
-    if len(goals) > 1:
-        ends = ends[np.argsort(np.linalg.norm(ends - start, axis=1), kind="stable")[:STRAIGHT]]
-    longest = float(np.linalg.norm(ends - start, axis=1).max())
-    if judge.resolution and longest / judge.resolution > MOST_STEPS:
-        return None
-    free = judge.free(np.broadcast_to(start, ends.shape), ends)
-    return np.stack([start, ends[free.argmax()]]) if free.any() else None
+@cache
+def _strides(joints: int) -> Floats:
+    """Strides of a sequence of low discrepancy, whose k-th entry is the fraction of shift + k strides.
+
+    They are powers of the root of x^(d + 1) = x + 1, which is the golden ratio for d = 1: Roberts, The unreasonable
+    effectiveness of quasirandom sequences, 2018.
+    """
+    root = 2.0
+    for _ in range(64):
+        root = (1.0 + root) ** (1.0 / (joints + 1))
+    strides: Floats = root ** -np.arange(1.0, joints + 1.0)
+    return strides
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,18 +73,23 @@ class Judge:
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Which motions of a batch are free; what cannot be settled is not."""
+        if len(Q0) == 1:
+            return np.array([self._free(Q0[0], Q1[0])])
         try:
             if self.resolution:
                 return np.asarray(self.checker.valid_edges(Q0, Q1, self.resolution))
-            return np.asarray(self.checker.certify_edges(Q0, Q1, tolerance=TOLERANCE).verdict == Verdict.FREE)
+            return np.asarray(self._proven(Q0, Q1))
         except ConvergenceError:
             return np.array([self._free(a, b) for a, b in zip(Q0, Q1, strict=True)])
 
     def _free(self, a: Floats, b: Floats) -> bool:
         try:
-            return bool(self.checker.valid_edges(a, b, self.resolution))
+            return bool(self.checker.valid_edges(a, b, self.resolution) if self.resolution else self._proven(a, b))
         except ConvergenceError:
             return False
+
+    def _proven(self, Q0: Floats, Q1: Floats) -> Any:
+        return self.checker.certify_edges(Q0, Q1, tolerance=TOLERANCE).verdict == Verdict.FREE
 
 
 def checked_path(checker: CollisionChecker, path: ArrayLike) -> Floats:

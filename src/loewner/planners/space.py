@@ -84,11 +84,20 @@ class Space:
             If a goal moves a joint that is kept.
         """
         _refuse_start(self.outside(q))
-        inside = self._usable(goals, [self.outside(goal) for goal in goals])
-        self._check_still(inside)
-        faults = self._faults(np.concatenate([q[None], inside]))
-        _refuse_start(faults[0])
-        return self._usable(inside, faults[1:])
+        faults = [self.outside(goal) for goal in goals]
+        inside = np.array([not fault for fault in faults])
+        if not inside.any():
+            raise _no_goal(faults)
+        self._check_still(goals[inside])
+        found = self._faults(np.concatenate([q[None], goals[inside]]))
+        _refuse_start(found[0])
+        if not any(found) and inside.all():
+            return goals
+        for k, fault in zip(np.flatnonzero(inside), found[1:], strict=True):
+            faults[k] = fault
+        if all(faults):
+            raise _no_goal(faults)
+        return goals[[not fault for fault in faults]]
 
     def outside(self, q: Floats) -> str:
         """Which joints that move are outside their limits; "" if none is."""
@@ -152,19 +161,6 @@ class Space:
             f", and {len(contacts) - NAMED} more pairs" if len(contacts) > NAMED else ""
         )
 
-    def _usable(self, goals: Floats, faults: list[str]) -> Floats:
-        """Those goals that have no fault."""
-        if not any(faults):
-            return goals
-        good = goals[[not fault for fault in faults]]
-        if len(good):
-            return good
-        if len(goals) == 1:
-            raise PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
-        listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))
-        more = f"; and {len(goals) - NAMED} more" if len(goals) > NAMED else ""
-        raise PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}{more}")
-
 
 def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
     """Start, shape (dof,), and goals, shape (goals, dof), as users give them."""
@@ -182,6 +178,15 @@ def checked_checker(checker: Any) -> CollisionChecker:
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     return checker
+
+
+def _no_goal(faults: list[str]) -> PlanningError:
+    """What is said where every goal has a fault."""
+    if len(faults) == 1:
+        return PlanningError(f"goal: expected a free configuration within the limits, found {faults[0]}")
+    listed = "; ".join(f"goal[{k}]: {fault}" for k, fault in enumerate(faults[:NAMED]))
+    more = f"; and {len(faults) - NAMED} more" if len(faults) > NAMED else ""
+    return PlanningError(f"goal: expected a free configuration within the limits, found none: {listed}{more}")
 
 
 def _refuse_start(fault: str) -> None:

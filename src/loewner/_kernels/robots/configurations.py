@@ -36,19 +36,24 @@ from loewner._kernels.robots.placement import (
     bounds_at,
     bounds_standing,
     near,
-    place,
+    place_body,
+    place_joints,
     placement_at,
     placement_size,
     stand,
 )
 from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines, whole_lines
-from loewner._kernels.simd.vectors import SINGLE_LANES, lowest_bit
+from loewner._kernels.simd.vectors import LANES, SINGLE_LANES, lowest_bit
 from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
 
 WAITING = 512  # piece pairs that may wait for the exact search
 
 GROUPS = MOST // SINGLE_LANES  # of sixteen configurations, in a block
+
+# Pairs of bodies that are culled together. Of a few configurations the first of these are fewer: it is they that hit,
+# mostly, and nothing is computed for the others then.
+TOGETHER, FIRST = 64, 4
 
 
 _LIST, _NUMBERS, _WAITING = pair_list.size(BLOCK), 8 * BLOCK, pair_list.size(WAITING)
@@ -63,7 +68,8 @@ _VERDICTS = _LIVE + CACHE_LINE
 _STEPS = _VERDICTS + 2 * MOST
 _TREE = _STEPS + whole_lines(8 * piece_tree.STEPS)
 _EXACT = _TREE + whole_lines(8 * piece_tree.NUMBERS)
-_WAY = _EXACT + exact.SIZE
+_NEAR = _EXACT + whole_lines(exact.SIZE)
+_WAY = _NEAR + 2 * 8 * TOGETHER * GROUPS
 
 
 class Query(NamedTuple):
@@ -91,14 +97,14 @@ class Query(NamedTuple):
 @inline
 def size(counts):
     """Bytes that a query works in."""
-    return _WAY + lines(8 * MOST * counts.dof) + placement_size(counts)
+    return _WAY + lines(8 * MOST * counts.dof) + lines(8 * counts.moving) + placement_size(counts)
 
 
 @inline
 def _listed_of(work):
     """PairList: piece pairs for the certificate.
 
-    `pair` is the number of the pair of bodies times S plus the configuration; pieces and poses are rows of the
+    `pair` is the number of the pair of bodies times MOST plus the configuration; pieces and poses are rows of the
     placement.
     """
     return pair_list_at(work, BLOCK)
@@ -159,15 +165,49 @@ def _tiers_of(work):
 
 
 @inline
+def _near_of(work):
+    """What the bounds leave of some pairs: the pair and the group of configurations, and which of these, as bits.
+
+    Two arrays of int64, shape (TOGETHER * GROUPS,).
+    """
+    step = 8 * TOGETHER * GROUPS
+    return integers_at(work + _NEAR, (TOGETHER * GROUPS,)), integers_at(work + _NEAR + step, (TOGETHER * GROUPS,))
+
+
+@inline
 def _way_of(work, counts):
     """Configurations of a motion: shape (MOST, dof)."""
     return floats_at(work + _WAY, (MOST, counts.dof))
 
 
 @inline
+def _placed_of(work, counts):
+    """Which bodies that move are placed: int64, shape (moving,)."""
+    return integers_at(work + _WAY + lines(8 * MOST * counts.dof), (counts.moving,))
+
+
+@inline
+def _placement_at(work, counts):
+    """Address of where everything is."""
+    return work + _WAY + lines(8 * MOST * counts.dof) + lines(8 * counts.moving)
+
+
+@inline
 def _placement_of(work, counts):
     """Where everything is."""
-    return placement_at(work + _WAY + lines(8 * MOST * counts.dof), counts)
+    return placement_at(_placement_at(work, counts), counts)
+
+
+@inline
+def _pair(code):
+    """The pair of bodies that an entry of a list is about."""
+    return code // MOST
+
+
+@inline
+def _configuration(code):
+    """The configuration that it is about."""
+    return code % MOST
 
 
 @inline
@@ -191,9 +231,7 @@ def _mark_open(query, s):
 
 @inline
 def _ended(query):
-    """Whether no configuration of a motion needs to be looked at any more."""
-    if query.first_hit == 0:
-        return False
+    """Whether no configuration needs to be looked at any more."""
     live, rest = _live_of(query.work), np.int64(0)
     for group in range(GROUPS):
         rest |= live[group]
@@ -201,7 +239,7 @@ def _ended(query):
 
 
 @njit()
-def _improve(query, S, held):
+def _improve(query, held):
     """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
     work = query.work
     hot, poses = pieces_of(query.pack).hot, _placement_of(work, query.counts).poses
@@ -216,11 +254,11 @@ def _improve(query, S, held):
             tier[:count] = OPEN
         for lane in range(count):
             code = waiting.pair[first + lane]
-            s = code % S
+            s = _configuration(code)
             if verdicts[s] == COLLIDING:
                 continue
             if tier[lane] == BY_INNER:
-                _hit(query, s, code // S, BY_INNER)
+                _hit(query, s, _pair(code), BY_INNER)
             elif tier[lane] == OPEN:
                 _mark_open(query, s)
             elif tiers[s] < BY_OUTER:
@@ -228,14 +266,14 @@ def _improve(query, S, held):
 
 
 @njit()
-def _search(query, S, held):
+def _search(query, held):
     """Settle the pairs that wait by the exact searches."""
     work, pieces, margins = query.work, pieces_of(query.pack), problem_of(query.problem).margins
     poses, waiting, N = _placement_of(work, query.counts).poses, _waiting_of(work), _directions_of(work)
     verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for n in range(held):
         code = waiting.pair[n]
-        s, p = code % S, code // S
+        s, p = _configuration(code), _pair(code)
         if verdicts[s] == COLLIDING:
             continue
         A = placed(pieces, waiting.piece_a[n], poses, waiting.pose_a[n])
@@ -258,17 +296,17 @@ def _search(query, S, held):
 
 
 @inline
-def _settle_waiting(query, S, held):
+def _settle_waiting(query, held):
     """Settle the pairs that wait; none are left."""
     if query.mode == EXACT:
-        _search(query, S, held)
+        _search(query, held)
     else:
-        _improve(query, S, held)
+        _improve(query, held)
     return np.int64(0)
 
 
 @njit()
-def _certify(query, keep, count, S, held):
+def _certify(query, keep, count, held):
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
     work, pieces = query.work, pieces_of(query.pack)
     placement = _placement_of(work, query.counts)
@@ -294,11 +332,11 @@ def _certify(query, keep, count, S, held):
             tier[:count] = OPEN  # a link that is bent by overflow: nothing is proven about it
     for lane in range(count):
         code = listed.pair[lane]
-        s = code % S
+        s = _configuration(code)
         if verdicts[s] == COLLIDING:
             continue
         if tier[lane] == BY_INNER:
-            _hit(query, s, code // S, BY_INNER)
+            _hit(query, s, _pair(code), BY_INNER)
         elif tier[lane] == BY_OUTER:
             tiers[s] = max(tiers[s], BY_OUTER)
         elif tier[lane] != BY_SPHERE and (query.mode == EXACT or tier[lane] == UNSURE):
@@ -315,18 +353,55 @@ def _certify(query, keep, count, S, held):
         return np.int64(0)
     # Last of all: it makes lists of its own in `listed`.
     if held > WAITING - BLOCK:
-        held = _settle_waiting(query, S, held)
+        held = _settle_waiting(query, held)
     return held
 
 
 @inline
 def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
     """List pieces i and j, the first of which moves."""
-    s = code % S
-    row_b = j * S + s if j < moving_pieces else moving_pieces * (S - 1) + j
+    s = _configuration(code)
+    row_b = j * S + s if j < moving_pieces else moving_pieces * (MOST - 1) + j
     pair_list.put(_listed_of(work), count, code, i * S + s, row_b, pose_a, pose_b)
     _pieces_a_of(work)[count] = i
     _pieces_b_of(work)[count] = j
+
+
+@inline
+def _place_pairs(query, start, stop, S):
+    """Place the bodies of the pairs start .. stop of the order that are not placed yet, at eight configurations."""
+    problem, counts = problem_of(query.problem), query.counts
+    placed, address = _placed_of(query.work, counts), _placement_at(query.work, counts)
+    for number in range(start, stop):
+        for side in range(2):
+            body = problem.pairs[problem.order[number], side]
+            if body < counts.moving and placed[body] == 0:
+                placed[body] = 1
+                place_body(query.pack, query.problem, address, counts, body, S, np.int64(0))
+
+
+@inline
+def _cull(query, start, stop, groups, S):
+    """Note what the bounds leave of the pairs start .. stop of the order; how many notes. No branch depends on that."""
+    problem, counts = problem_of(query.problem), query.counts
+    bounds, live = _placement_of(query.work, counts).bounds, _live_of(query.work)
+    codes, masks = _near_of(query.work)
+    noted = np.uint64(0)
+    for number in range(start, stop):
+        p = problem.order[number]
+        one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+        up = np.float32(problem.margins[p] * UP)
+        for group in range(groups):
+            at = group * SINGLE_LANES
+            here = bounds_at(bounds, one * BOUNDS * S + at, S)
+            if other < counts.moving:
+                meet = near(here, bounds_at(bounds, other * BOUNDS * S + at, S), up, live[group])
+            else:
+                meet = near(here, bounds_standing(problem.standing, other - counts.moving), up, live[group])
+            codes[noted] = p * MOST + at
+            masks[noted] = meet
+            noted += np.uint64(meet != 0)
+    return np.int64(noted)
 
 
 @njit()
@@ -337,77 +412,93 @@ def _settle_block(query, Q, first, last, S):
     """
     work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
     placement = _placement_of(work, counts)
-    piece_start, poses, bounds = pieces.piece_start, placement.poses, placement.bounds
+    piece_start, roots = pieces.piece_start, pieces.roots
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
-    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _TREE, (piece_tree.NUMBERS,))
-    found_a, found_b = integers_at(work + _FOUND, (BLOCK,)), integers_at(work + _FOUND + _NUMBERS, (BLOCK,))
+    codes, masks = _near_of(work)
     verdicts = _verdicts_of(work)
-    place(problem, pieces, Q, first, last, S, placement)
+    # Of a few configurations bodies are placed when their first pair comes, and pairs are settled at once.
+    few = last - first < LANES
+    if few:
+        place_joints(problem, Q, first, last, placement)
+        _placed_of(work, counts)[:] = 0
+    else:
+        for at in range(0, last + 1 - first, LANES):
+            place_joints(problem, Q, first + at, last, placement)
+            for body in range(moving):
+                place_body(query.pack, query.problem, _placement_at(work, counts), counts, body, S, at)
     for group in range(GROUPS):
         rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
         live[group] = (np.int64(1) << rest) - 1
     verdicts[:] = FREE
     _tiers_of(work)[:] = BY_SPHERE
-    count = np.int64(0)
-    held = np.int64(0)
-    keep = 0.0
-    for number in range(len(problem.order)):
-        p = problem.order[number]
-        one, other = problem.pairs[p, 0], problem.pairs[p, 1]
-        if problem.margins[p] != keep:
-            # The lists are of one margin.
-            if count > 0:
-                held = _certify(query, keep, count, S, held)
-                count = np.int64(0)
-            keep = problem.margins[p]
-        up = np.float32(keep * UP)
-        i, j = piece_start[one], piece_start[other]
-        simple = piece_start[one + 1] - i == 1 and piece_start[other + 1] - j == 1
-        for group in range(S // SINGLE_LANES):
-            if live[group] == 0:
-                continue
-            at = group * SINGLE_LANES
-            here = bounds_at(bounds, one * BOUNDS * S + at, S)
-            if other < moving:
-                meet = near(here, bounds_at(bounds, other * BOUNDS * S + at, S), up, live[group])
-            else:
-                meet = near(here, bounds_standing(problem.standing, other - moving), up, live[group])
+    groups = (last - first) // SINGLE_LANES + 1
+    count, held, keep = np.int64(0), np.int64(0), 0.0
+    start, together, total = np.int64(0), np.int64(FIRST if few else TOGETHER), len(problem.order)
+    while start < total:
+        stop = min(start + together, total)
+        if few:
+            _place_pairs(query, start, stop, S)
+        for n in range(_cull(query, start, stop, groups, S)):
+            p = _pair(codes[n])
+            one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+            if problem.margins[p] != keep:
+                # The lists are of one margin.
+                if count > 0:
+                    held = _certify(query, keep, count, held)
+                    count = np.int64(0)
+                keep = problem.margins[p]
+            listed_whole = roots[one] < 0 and roots[other] < 0
+            at = _configuration(codes[n])
+            meet = masks[n] & live[at // SINGLE_LANES]
             while meet != 0:
                 s = at + lowest_bit(meet)
                 meet &= meet - 1
                 pose_a = one * S + s
-                pose_b = other * S + s if other < moving else moving * (S - 1) + other
-                code = p * S + s
-                if simple:
-                    _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b)
-                    count += 1
+                pose_b = other * S + s if other < moving else moving * (MOST - 1) + other
+                code = p * MOST + s
+                if listed_whole:
+                    for i in range(piece_start[one], piece_start[one + 1]):
+                        for j in range(piece_start[other], piece_start[other + 1]):
+                            _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b)
+                            count += 1
+                            if count == BLOCK:
+                                held = _certify(query, keep, count, held)
+                                count = np.int64(0)
                 else:
-                    piece_tree.begin(pieces, one, poses, pose_a, pieces, other, poses, pose_b, steps, numbers)
-                more = not simple
-                while more or count == BLOCK:
-                    if count == BLOCK:
-                        held = _certify(query, keep, count, S, held)
-                        count = np.int64(0)
-                    if more and verdicts[s] != COLLIDING:
-                        found = piece_tree.more(
-                            pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count],
-                            found_b,
-                        )  # fmt: skip
-                        for c in range(found):
-                            _list(
-                                work, count + c, code, found_a[c], found_b[c], S, moving_pieces, pose_a,
-                                pose_b,
-                            )  # fmt: skip
-                        count += found
-                        more = found > 0
-                    else:
-                        more = False
+                    count, held = _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held)
+        if few and count > 0:
+            held = _certify(query, keep, count, held)
+            count = np.int64(0)
+            if held > 0:
+                held = _settle_waiting(query, held)
         if _ended(query):
             return
+        start, together = stop, min(2 * together, TOGETHER)
     if count > 0:
-        held = _certify(query, keep, count, S, held)
+        held = _certify(query, keep, count, held)
     if held > 0:
-        _settle_waiting(query, S, held)
+        _settle_waiting(query, held)
+
+
+@njit()
+def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
+    """List the piece pairs that the trees of two bodies leave at a configuration; returns `count` and `held`."""
+    work, counts, pieces = query.work, query.counts, pieces_of(query.pack)
+    poses, verdicts, s = _placement_of(work, counts).poses, _verdicts_of(work), _configuration(code)
+    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _TREE, (piece_tree.NUMBERS,))
+    found_a, found_b = integers_at(work + _FOUND, (BLOCK,)), integers_at(work + _FOUND + _NUMBERS, (BLOCK,))
+    piece_tree.begin(pieces, one, poses, pose_a, pieces, other, poses, pose_b, steps, numbers)
+    while verdicts[s] != COLLIDING:
+        found = piece_tree.more(pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count], found_b)
+        if found == 0:
+            break
+        for c in range(found):
+            _list(work, count + c, code, found_a[c], found_b[c], S, counts.moving_pieces, pose_a, pose_b)
+        count += found
+        if count == BLOCK:
+            held = _certify(query, keep, count, held)
+            count = np.int64(0)
+    return count, held
 
 
 @inline
@@ -452,9 +543,9 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = _counts(pieces, problem, Q.shape[1])
     query = Query(mode, np.int64(0), pack, problem_handle, counts, hits, memory)
-    placement, verdicts, tiers = _placement_of(memory, counts), _verdicts_of(memory), _tiers_of(memory)
+    verdicts, tiers = _verdicts_of(memory), _tiers_of(memory)
     S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
-    stand(problem, S, counts, placement)
+    stand(problem, _placement_at(memory, counts), counts)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
         _settle_block(query, Q, first, last, S)
@@ -488,17 +579,17 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     dof, total = len(start), len(fractions)
     counts = _counts(pieces, problem, dof)
     query = Query(np.int64(EXACT), np.int64(1), pack, problem_handle, counts, hits, memory)
-    placement, verdicts, way = _placement_of(memory, counts), _verdicts_of(memory), _way_of(memory, counts)
+    verdicts, way = _verdicts_of(memory), _way_of(memory, counts)
+    stand(problem, _placement_at(memory, counts), counts)
     # A motion that collides mostly does so at one of its first configurations.
-    S = np.int64(SINGLE_LANES)
-    stand(problem, S, counts, placement)
-    verdict, first = np.int64(FREE), np.int64(0)
+    verdict, first, some = np.int64(FREE), np.int64(0), np.int64(LANES)
     while first < total:
-        last = min(first + S, total) - 1
+        last = min(first + some, total) - 1
         for k in range(first, last + 1):
             for c in range(dof):
                 straight = start[c] + fractions[k] * (end[c] - start[c])
                 way[k - first, c] = straight if fractions[k] != 1.0 else end[c]
+        S = np.int64(SINGLE_LANES if last - first < SINGLE_LANES else MOST)
         _settle_block(query, way, np.int64(0), last - first, S)
         for s in range(last + 1 - first):
             if verdicts[s] == COLLIDING:
@@ -506,8 +597,5 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
             if verdicts[s] == AMBIGUOUS:
                 verdict = np.int64(AMBIGUOUS)
             out[first + s] = verdicts[s]
-        first += S
-        if S < MOST and total > MOST:
-            S = np.int64(MOST)
-            stand(problem, S, counts, placement)
+        first, some = last + 1, np.int64(MOST)
     return verdict, total

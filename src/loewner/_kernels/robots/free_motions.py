@@ -118,5 +118,4 @@ def is_free(judge, ends, tally):
         return _looks_free(judge, ends)
     if not turns_clearly(problem_of(judge.problem).tree, ends):
         return False
-    verdict = certified(judge.pack, judge.problem, judge.tables, judge.tolerance, ends, tally, judge.memory)
-    return verdict == FREE
+    return certified(judge.pack, judge.problem, judge.tables, judge.tolerance, ends, tally, judge.memory)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
 from loewner._kernels.columns import CACHE_LINE, OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
@@ -46,7 +46,7 @@ from loewner._kernels.robots.sweeps import (
     sweep,
 )
 from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_lines
-from loewner._kernels.simd.vectors import LANES, lowest_bit
+from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Further verdicts: the motion would have to be cut into too many intervals; it collides, but so near to contact that
@@ -109,6 +109,7 @@ class Counts(NamedTuple):
     moving: Any
     moving_pieces: Any
     standing: Any
+    pairs: Any
 
 
 class Near(NamedTuple):
@@ -169,6 +170,7 @@ def _sizes(counts):
         lines(8 * 16 * LANES * moving),
         lines(8 * BODY * moving),
         lines(8 * PIECE * counts.moving_pieces),
+        lines(8 * counts.pairs),
         lines(8 * counts.dof),
         lines(8 * 3 * links),
     )
@@ -284,13 +286,13 @@ def _rates_of(motion):
 @inline
 def _off_of(motion):
     """How far values may be off the motion's."""
-    return floats_at(_at(motion, 10), (motion.counts.dof,))
+    return floats_at(_at(motion, 11), (motion.counts.dof,))
 
 
 @inline
 def _strays_of(motion):
     """What that is of joints."""
-    strays = floats_at(_at(motion, 11), (3, motion.counts.links))
+    strays = floats_at(_at(motion, 12), (3, motion.counts.links))
     return Rates(strays[0], strays[1], strays[2])
 
 
@@ -315,16 +317,24 @@ def _swept_of(motion):
 
 
 @inline
+def _order_of(motion):
+    """Pairs in the order in which they are taken."""
+    return integers_at(_at(motion, 10), (motion.counts.pairs,))
+
+
+@inline
 def _counts(pieces, problem, dof):
     moving = problem.link.size
-    return Counts(problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing))
+    return Counts(
+        problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing), len(problem.pairs)
+    )  # fmt: skip
 
 
 @njit()
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, False, counts, 0), 12)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, False, counts, 0), 13)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -353,7 +363,7 @@ def _relative(poses, fixed, row, to, k):
         )
 
 
-@njit()
+@apart
 def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
     """Is piece i, at two poses, apart from piece j, which stands? And the direction from j to i that was reached."""
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
@@ -372,7 +382,7 @@ def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, ke
     return _proven_standing(motion, i, to, np.int64(1), np.int64(2), j, to, np.int64(0), keep, n)
 
 
-@njit()
+@apart
 def _collides(motion, i, poses, row, j, others, other_row, margin, n):
     """Are two pieces within the margin, at poses of the world? n is from i to j.
 
@@ -671,6 +681,28 @@ def _collides_in_block(motion, near, swept, k, n):
     return _collides(motion, near.i, swept.poses, a, near.j, swept.poses, o, near.margin, toward)
 
 
+@inline
+def _test(motion, near, swept, k, n, found, tested, tally):
+    """Ask whether two pieces collide at configuration k of the block, once; n is from j to i, in j's frame.
+
+    Returns
+    -------
+    found : Found
+    tested : int
+        Configurations that were asked about, as bits.
+    """
+    if (tested >> k) & 1 == 0:
+        tested |= np.int64(1) << k
+        tally[1] += 1
+        if _collides_in_block(motion, near, swept, k, n) != FREE:
+            times, other = _times_of(motion), problem_of(motion.problem).pairs[near.pair, 1]
+            toward = n
+            if other < motion.counts.moving:
+                toward = _to_world(swept.poses, other * LANES + k, n)
+            found = _worse(found, _confirmed(motion, near, times[k], negated(toward)), times[k], near.pair)
+    return found, tested
+
+
 @njit()
 def _search(motion, near, live, found, waiting_count, tally):
     """Prove the intervals `live` of a piece pair by planes; those left wait.
@@ -685,38 +717,33 @@ def _search(motion, near, live, found, waiting_count, tally):
     tested = np.int64(0)
     width = (times[INTERVALS] - times[0]) / INTERVALS
     while live != 0:
-        first = lowest_bit(live)
-        last = first + 1
-        while (live >> last) & 1 != 0 and _off(near, (last + 1 - first) * width) <= MERGED_OFF:
-            last += 1
-        n = N[first], N[LANES + first], N[2 * LANES + first]
+        # From the end on: of the motions that planners ask about, most of those that collide do so there.
+        last = highest_bit(live) + 1
+        first = last - 1
+        while first > 0 and (live >> (first - 1)) & 1 != 0 and _off(near, (last - first + 1) * width) <= MERGED_OFF:
+            first -= 1
+        n = N[last - 1], N[LANES + last - 1], N[2 * LANES + last - 1]
         keep = near.margin + near.slack
         if last - first > 1:
             tally[1] += 1
             proven, n = _proven(motion, near, swept, first, last, keep + _off(near, times[last] - times[first]), n)
             if proven:
-                live &= ~((np.int64(1) << last) - 1)
+                live &= (np.int64(1) << first) - 1
                 continue
-        for k in range(first, last):
+            found, tested = _test(motion, near, swept, last, n, found, tested, tally)
+            if _hit(found):
+                return found, waiting_count
+        for k in range(last - 1, first - 1, -1):
             live &= ~(np.int64(1) << k)
             w = times[k + 1] - times[k]
             tally[1] += 1
             proven, n = _proven(motion, near, swept, k, k + 1, keep + _off(near, w), n)
             if proven:
                 continue
-            for end in range(k, k + 2):
-                if (tested >> end) & 1 == 0:
-                    tested |= np.int64(1) << end
-                    tally[1] += 1
-                    if _collides_in_block(motion, near, swept, end, n) != FREE:
-                        other = problem_of(motion.problem).pairs[near.pair, 1]
-                        toward = n
-                        if other < motion.counts.moving:
-                            toward = _to_world(swept.poses, other * LANES + end, n)
-                        verdict = _confirmed(motion, near, times[end], negated(toward))
-                        found = _worse(found, verdict, times[end], near.pair)
-                        if _hit(found):
-                            return found, waiting_count
+            for end in range(k + 1, k - 1, -1):
+                found, tested = _test(motion, near, swept, end, n, found, tested, tally)
+                if _hit(found):
+                    return found, waiting_count
             if _moved(near, w) <= _enough(motion, near):
                 found = _worse(found, np.int64(AMBIGUOUS), 0.5 * (times[k] + times[k + 1]), near.pair)
                 continue
@@ -780,8 +807,9 @@ def _settle_block(motion, low, high, found, tally):
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
     count = np.int64(0)
-    for number in range(len(tables.order)):
-        pair = tables.order[number]
+    order = _order_of(motion)
+    for number in range(len(order)):
+        pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
         slack = motion.rounding + 2.0 * tables.chain[2] * margin
         if motion.strays:
@@ -853,9 +881,12 @@ def _motion(pack, problem_handle, tables_handle, tolerance, strays, dof, memory)
 
 
 @njit()
-def make_ready(pack, problem_handle, dof, memory):
-    """Write to the memory what all motions leave there."""
-    motion = _motion(pack, problem_handle, 0, 0.0, False, dof, memory)
+def make_ready(pack, problem_handle, tables_handle, dof, memory):
+    """Write to the memory what all motions find there."""
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, dof, memory)
+    order, first = _order_of(motion), motion_tables_of(tables_handle).order
+    for k in range(len(order)):
+        order[k] = first[k]
     rows, same, poses = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
         rows[lane] = lane
@@ -895,7 +926,7 @@ def certify_motions(
     memory : int
         Address of `motion_memory` bytes to write to; one thread uses them at a time.
     """
-    make_ready(pack, problem_handle, Q0.shape[1], memory)
+    make_ready(pack, problem_handle, tables_handle, Q0.shape[1], memory)
     motion = _motion(pack, problem_handle, tables_handle, tolerance, len(off) > 0, Q0.shape[1], memory)
     ends, strays = _ends_of(motion), _off_of(motion)
     for k in range(start, stop):
@@ -909,12 +940,22 @@ def certify_motions(
 
 @njit()
 def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memory):
-    """Verdict of one motion, as `certify_motions` has it, in memory that was made ready.
+    """Whether one motion is FREE, as `certify_motions` has it, in memory that was made ready.
 
-    The work done is added to `tally`, shape (2,): configurations placed and searches.
+    The work done is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be
+    free is taken earlier the next time: pairs that hit most often come first.
     """
     motion = _motion(pack, problem_handle, tables_handle, tolerance, False, ends.shape[1], memory)
     own = _ends_of(motion)
     for c in range(motion.counts.dof):
         own[0, c], own[1, c] = ends[0, c], ends[1, c]
-    return _certify(motion, tally).verdict
+    found = _certify(motion, tally)
+    if found.pair >= 0:
+        order = _order_of(motion)
+        k = 0
+        while order[k] != found.pair:
+            k += 1
+        for at in range(k, k // 2, -1):
+            order[at] = order[at - 1]
+        order[k // 2] = found.pair
+    return found.verdict == FREE

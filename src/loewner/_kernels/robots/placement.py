@@ -1,14 +1,15 @@
 """Where everything of a robot and its scene is in a block of configurations: poses, ellipsoids, bounds.
 
-Rows of a block of S configurations, S a multiple of sixteen: body b that moves has its pose at configuration s in row
-b S + s, piece p its ellipsoids in row p S + s; those that stand still follow, one row each.
+Rows of a block of S configurations, S a multiple of sixteen and MOST at most: body b that moves has its pose at
+configuration s in row b S + s, piece p its ellipsoids in row p S + s. Those that stand still have one row each, behind
+as many as S = MOST takes: they stay where they are when S changes.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline
+from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import (
     BOUNDS,
     HOT,
@@ -20,6 +21,7 @@ from loewner._kernels.columns import (
     REACH,
 )
 from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
+from loewner._kernels.pieces.pack import pieces_of, problem_of
 from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
 from loewner._kernels.simd.memory import floats_at, integers_at, lines, singles_at
 from loewner._kernels.simd.vectors import (
@@ -27,6 +29,8 @@ from loewner._kernels.simd.vectors import (
     absolute,
     broadcast,
     load_single,
+    maximum,
+    minimum,
     movemask,
     scatter_transpose,
     scatter_transpose_rounded,
@@ -136,55 +140,88 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
 
 
 @inline
-def place(problem, pieces, Q, first, last, S, to):
-    """Place all that moves at the configurations first .. last; vectors are filled up with repeats of the last."""
+def place_joints(problem, Q, first, last, to):
+    """Compute where the links are at the configurations first .. last, eight at most: what `place_body` reads."""
+    for lane in range(LANES):
+        to.numbers[lane] = min(first + lane, last)  # filled up with repeats of the last
+    place_links(problem.tree, Q, to.numbers, np.int64(0), to.links)
+
+
+@njit()
+def place_body(pack, problem_handle, address, counts, body, S, at):
+    """Place a body that moves at the configurations at .. at + 8 of a block, from what `place_joints` wrote last.
+
+    It takes handles, since it is no part of its callers and a record's arrays would be copied for each call.
+    """
+    pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_at(address, counts)
     link, ball, piece_start, hot = problem.link, problem.ball, pieces.piece_start, pieces.hot
     W, numbers, bounds = to.links, to.numbers, to.bounds
     zero, one = broadcast(0.0), broadcast(1.0)
     nought = np.int64(0)
-    for at in range(0, min(S, last + 1 - first), LANES):
-        for lane in range(LANES):
-            numbers[lane] = min(first + at + lane, last)
-        place_links(problem.tree, Q, numbers, nought, W)
-        for body in range(link.size):
-            R, t = rotation_of_link(W, link[body]), translation_of_link(W, link[body])
-            for lane in range(LANES):
-                numbers[lane] = body * S + at + lane
-            scatter_transpose(to.poses, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
-            scatter_transpose(
-                to.poses, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one)
-            )
-            p = piece_start[body]
-            center, length, squares = _place_piece(hot, p, R, t, S, at, numbers, to.ellipsoids)
-            off = OFF * length + LEAST
-            wide = off + ball[body, 3] * UP
-            half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
-            if piece_start[body + 1] - p > 1:
-                for other in range(p + 1, piece_start[body + 1]):
-                    _place_piece(hot, other, R, t, S, at, numbers, to.ellipsoids)
-                center = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
-                length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
-                wide = wide + OFF * length
-                half = wide, wide, wide
-            k = body * BOUNDS * S + at
-            store_rounded(bounds, k + X * S, center[0])
-            store_rounded(bounds, k + Y * S, center[1])
-            store_rounded(bounds, k + Z * S, center[2])
-            store_rounded(bounds, k + WIDE * S, wide * UP)
-            store_rounded(bounds, k + HALF_X * S, half[0] * UP)
-            store_rounded(bounds, k + HALF_Y * S, half[1] * UP)
-            store_rounded(bounds, k + HALF_Z * S, half[2] * UP)
+    R, t = rotation_of_link(W, link[body]), translation_of_link(W, link[body])
+    for lane in range(LANES):
+        numbers[lane] = body * S + at + lane
+    scatter_transpose(to.poses, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
+    scatter_transpose(to.poses, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one))
+    p = piece_start[body]
+    center, length, squares = _place_piece(hot, p, R, t, S, at, numbers, to.ellipsoids)
+    off = OFF * length + LEAST
+    wide = off + ball[body, 3] * UP
+    half = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
+    if piece_start[body + 1] - p > 1:
+        # About the ball's center: the box that holds those of the pieces, if these are few, and else the ball.
+        middle = plus(apply(R, (ball[body, 0], ball[body, 1], ball[body, 2])), t)
+        length = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + ball[body, 4]) * UP
+        wide = wide + OFF * length
+        few = pieces.roots[body] < 0
+        half = _around(middle, center, half) if few else (wide, wide, wide)
+        for other in range(p + 1, piece_start[body + 1]):
+            center, length_of_piece, squares = _place_piece(hot, other, R, t, S, at, numbers, to.ellipsoids)
+            if few:
+                off = OFF * length_of_piece + LEAST
+                reach = off + UP * sqrt(squares[0]), off + UP * sqrt(squares[1]), off + UP * sqrt(squares[2])
+                reach = _around(middle, center, reach)
+                half = _wider(reach[0], half[0]), _wider(reach[1], half[1]), _wider(reach[2], half[2])
+        slack = OFF * length
+        half = minimum(half[0] + slack, wide), minimum(half[1] + slack, wide), minimum(half[2] + slack, wide)
+        center = middle
+    k = body * BOUNDS * S + at
+    store_rounded(bounds, k + X * S, center[0])
+    store_rounded(bounds, k + Y * S, center[1])
+    store_rounded(bounds, k + Z * S, center[2])
+    store_rounded(bounds, k + WIDE * S, wide * UP)
+    store_rounded(bounds, k + HALF_X * S, half[0] * UP)
+    store_rounded(bounds, k + HALF_Y * S, half[1] * UP)
+    store_rounded(bounds, k + HALF_Z * S, half[2] * UP)
 
 
 @inline
-def stand(problem, S, counts, to):
-    """Write what stands still behind what moves in a block of S configurations."""
+def _around(middle, center, half):
+    """Half widths of the box about `middle` that holds the box about `center`."""
+    r = minus(center, middle)
+    return absolute(r[0]) + half[0], absolute(r[1]) + half[1], absolute(r[2]) + half[2]
+
+
+@inline
+def _wider(x, y):
+    """The larger width; no number if either is not, or if x overflowed: such a box bounds nothing."""
+    return maximum(x, y) + 0.0 * x
+
+
+@inline
+def stand(problem, address, counts):
+    """Write what stands still, for blocks of any number of configurations, into the placement at an address."""
+    behind = address + 8 * 16 * MOST * counts.moving
+    poses = floats_at(behind, (counts.standing, 16))
     for k in range(counts.standing):
         for entry in range(16):
-            to.poses[counts.moving * S + k, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+            poses[k, entry] = problem.standing_poses[k, entry]
+    all_poses = counts.moving * MOST + counts.standing
+    behind = address + lines(8 * 16 * all_poses) + 4 * HOT * MOST * counts.moving_pieces
+    rows = singles_at(behind, (counts.standing_pieces, HOT))
     for k in range(counts.standing_pieces):
         for entry in range(HOT):
-            to.ellipsoids[counts.moving_pieces * S + k, entry] = problem.standing_rows[k, entry]
+            rows[k, entry] = problem.standing_rows[k, entry]
 
 
 class Bounds(NamedTuple):
@@ -197,19 +234,17 @@ class Bounds(NamedTuple):
 
 @inline
 def near(a, b, keep, live):
-    """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`."""
-    r = minus(b.center, a.center)
-    far = (a.radius + b.radius) + keep
-    far = far * np.float32(UP)
+    """Of the configurations `live`, as bits, those at which the bounds of two bodies are not apart by `keep`.
+
+    Balls and boxes are both looked at, whatever the first say: a branch between would be foretold badly.
+    """
+    r, up = minus(b.center, a.center), np.float32(UP)
+    far = ((a.radius + b.radius) + keep) * up
     clear = dot(r, r) * np.float32(1.0 - 16.0 * SINGLE_ROUNDOFF) > far * far
-    live = live & ~movemask(clear)
-    if live != 0:
-        up = np.float32(UP)
-        clear = absolute(r[0]) > ((a.half[0] + b.half[0]) + keep) * up
-        clear = clear | (absolute(r[1]) > ((a.half[1] + b.half[1]) + keep) * up)
-        clear = clear | (absolute(r[2]) > ((a.half[2] + b.half[2]) + keep) * up)
-        live = live & ~movemask(clear)
-    return live
+    clear = clear | (absolute(r[0]) > ((a.half[0] + b.half[0]) + keep) * up)
+    clear = clear | (absolute(r[1]) > ((a.half[1] + b.half[1]) + keep) * up)
+    clear = clear | (absolute(r[2]) > ((a.half[2] + b.half[2]) + keep) * up)
+    return live & ~movemask(clear)
 
 
 @inline

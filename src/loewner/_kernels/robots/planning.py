@@ -15,7 +15,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
-from loewner._kernels.robots.free_motions import Judge, is_free, random
+from loewner._kernels.robots.free_motions import Judge, is_free
 from loewner._kernels.robots.motions import make_ready
 
 # Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
@@ -58,6 +58,8 @@ class Space(NamedTuple):
         1 where whole turns change nothing, and there are no limits.
     range : float
         How long a motion of a tree may be.
+    stride, shift : ndarray, shape (joints,)
+        Of the sequence that configurations are drawn from, see `loewner.planners.compiled`.
     """
 
     columns: Any
@@ -65,6 +67,8 @@ class Space(NamedTuple):
     upper: Any
     turning: Any
     range: Any
+    stride: Any
+    shift: Any
 
 
 @inline
@@ -120,12 +124,11 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
     joints = len(space.columns)
     drawn, here, there = points[0], points[1], points[2]
-    state[ITERATION] += 1
     tree = np.int64(0) if state[STARTS] <= state[GOALS] else np.int64(1)
-    other = 1 - tree
     nodes, count = trees.nodes[tree], state[STARTS + tree]
     for c in range(joints):
-        drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * random(state)
+        share = space.shift[c] + state[ITERATION] * space.stride[c]
+        drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * (share - np.floor(share))
     near, distance = _nearest(space, nodes, count, drawn, squares)
     if distance == 0.0 or distance > trees.domains[tree, near]:
         return np.int64(SPENT)
@@ -144,16 +147,16 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
     if domain != np.inf:
         trees.domains[tree, near] = domain * (1.0 + CHANGE)
     _add(trees, tree, count, there, near)
-    return _lead(judge, space, trees, state, gap, ends, points, squares, tree, other)
+    return _lead(judge, space, trees, state, gap, ends, points, squares, tree, count)
 
 
 @njit()
-def _lead(judge, space, trees, state, gap, ends, points, squares, tree, other):
+def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
     """Lead the last node of a tree straight to the nearest one of the other, as far as motions are free."""
-    joints, count = len(space.columns), state[STARTS + tree] + 1
+    joints, count, other = len(space.columns), last + 1, 1 - tree
     first, here, there = points[0], points[1], points[2]
     for c in range(joints):
-        first[c] = trees.nodes[tree, c, count - 1]
+        first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
     aim, distance = _nearest(space, trees.nodes[other], state[STARTS + other], first, squares)
     steps = np.int64(min(max(np.ceil(distance / space.range), 1.0), MOST_STEPS + 1.0))
@@ -188,7 +191,8 @@ def _lead(judge, space, trees, state, gap, ends, points, squares, tree, other):
 
 @njit()
 def connect_trees(
-    most, longest, tolerance, resolution, pack, problem, tables, memory, columns, lower, upper, turning, nodes, parents,
+    most, longest, tolerance, resolution, pack, problem, tables, memory, columns, lower, upper, turning, stride, shift,
+    nodes, parents,
     domains, state, gap, ends, points, squares, fractions, verdicts, hits,
 ):  # fmt: skip
     """Let the trees grow, for at most so many iterations.
@@ -201,7 +205,7 @@ def connect_trees(
         As `Space.range`.
     tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
         See `free_motions.Judge`.
-    columns, lower, upper, turning
+    columns, lower, upper, turning, stride, shift
         See `Space`.
     nodes, parents, domains
         See `Trees`: roots are in their places.
@@ -222,13 +226,19 @@ def connect_trees(
         MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
     """
     judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
-    space, trees = Space(columns, lower, upper, turning, longest), Trees(nodes, parents, domains)
+    space, trees = Space(columns, lower, upper, turning, longest, stride, shift), Trees(nodes, parents, domains)
     if resolution == 0.0:
-        make_ready(pack, problem, ends.shape[1], memory)
+        make_ready(pack, problem, tables, ends.shape[1], memory)
     capacity = nodes.shape[2]
     while state[ITERATION] < most:
         if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
             return np.int64(FULL)
-        if _iterate(judge, space, trees, state, gap, ends, points, squares) == MET:
+        state[ITERATION] += 1
+        if state[ITERATION] == 1:
+            # Straight to the nearest goal, before anything is drawn.
+            outcome = _lead(judge, space, trees, state, gap, ends, points, squares, np.int64(0), np.int64(0))
+        else:
+            outcome = _iterate(judge, space, trees, state, gap, ends, points, squares)
+        if outcome == MET:
             return np.int64(MET)
     return np.int64(SPENT)

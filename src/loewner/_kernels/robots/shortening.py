@@ -139,7 +139,7 @@ def shorten_path(
     """
     judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
     if resolution == 0.0:
-        make_ready(pack, problem, path.shape[1], memory)
+        make_ready(pack, problem, tables, path.shape[1], memory)
     count = _skip_corners(judge, path, count, ends, state)
     while state[ITERATION] < most and count > 2:
         state[ITERATION] += 1

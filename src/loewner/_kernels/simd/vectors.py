@@ -571,6 +571,17 @@ def scatter_transpose_rounded(typingctx, table, width, rows, at, column, eight):
 
 
 @intrinsic
+def highest_bit(typingctx, x):
+    """Number of the highest bit set of an integer other than 0."""
+
+    def generate(context, builder, sig, args):
+        zeros = builder.ctlz(args[0], ir.Constant(ir.IntType(1), 1))
+        return builder.sub(ir.Constant(ir.IntType(64), 63), zeros)
+
+    return signature(types.int64, types.int64), generate
+
+
+@intrinsic
 def lowest_bit(typingctx, x):
     """Number of the lowest bit set of an integer other than 0."""
 
