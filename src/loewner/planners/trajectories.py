@@ -48,8 +48,8 @@ BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B3
 # A row counts as on the straight between its neighbours within this share of their values.
 ROUNDED = 1e-15
 
-# Changes of speed, and ways at one speed, below this share are spread over the phase beside them: in so short a phase,
-# rounding would show in the acceleration.
+# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below this
+# share of a motion is a stop: in so short a phase, rounding would show in the acceleration.
 SHORTEST = 1e-7
 
 # The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
@@ -595,12 +595,13 @@ def _proven_blends(checker: CollisionChecker, straights: Straights, share: float
     turns = np.abs(np.diff(straights.full, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
         wanted = 1 / (2 * _least(straights.strongest / turns))  # to pass at full speed
-    halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * np.minimum(lengths[:-1], lengths[1:]))
+    shorter = np.minimum(lengths[:-1], lengths[1:])
+    halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
     speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
     astray = BLEND_ROUNDINGS * speeds * _duration(straights, np.zeros(len(halves)))
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
-        free = _free(checker, *straights.corners(halves), astray)
+        free = _free(checker, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
         for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
             if good:
                 sizes.append(half)
