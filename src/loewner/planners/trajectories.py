@@ -48,8 +48,8 @@ BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B3
 # A row counts as on the straight between its neighbours within this share of their values.
 ROUNDED = 1e-15
 
-# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below this
-# share of a motion is a stop: in so short a phase, rounding would show in the acceleration.
+# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it is
+# a stop: in so short a phase, rounding would show in the acceleration.
 SHORTEST = 1e-7
 
 # The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
