@@ -1,4 +1,4 @@
-"""Paths on MotionBenchMaker's problems: proven and sampled, beside OMPL with our checker and with pinocchio and Coal."""
+"""Paths on MotionBenchMaker's problems, proven and sampled, beside OMPL with our checker and with pinocchio."""
 
 from __future__ import annotations
 
@@ -55,9 +55,8 @@ class Times:
 
 def ours(tasks: Sequence[Task]) -> tuple[list[Row], dict[str, list[Array]]]:
     """Our planner on all problems, proven and sampled, then shortening; and the finished paths."""
-    ways: dict[str, dict[str, Any]] = {"proven": {}} | {
-        f"{s:g} rad": {"certified": False, "resolution": s} for s in STEPS
-    }
+    ways: dict[str, dict[str, Any]] = {"proven": {}}
+    ways |= {f"{s:g} rad": {"certified": False, "resolution": s} for s in STEPS}
     times = {name: Times() for name in ways}
     shortening, before, after = Times(), 0.0, 0.0
     finished: dict[str, list[Array]] = {name: [] for name in ways}

@@ -15,6 +15,7 @@ from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots import motions, sweeps
 from loewner.robots import motion_tables
+from loewner.robots import motions as robots_motions
 from motion_oracle import (
     AFLOAT,
     FINGERS,
@@ -26,6 +27,12 @@ from motion_oracle import (
     steps,
     written,
 )  # fmt: skip
+
+# A link that turns about z on its base.
+TURNTABLE = """<robot name="turntable"><link name="base"/>
+<link name="table"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/></joint>
+</robot>"""
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -284,6 +291,25 @@ def test_a_moved_obstacle(machine):
     assert checker.certify_edges(*ends).verdict == FREE
 
 
+def test_a_scene_that_changes_meanwhile(tmp_path, monkeypatch):
+    """A hit is confirmed in the scene that it was found in, not in the one that there is by then."""
+    robot = replace(written(tmp_path, AFLOAT), bodies={"cart": Body.sphere(RADIUS)})
+    scene = Scene()
+    scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0.3))
+    checker = CollisionChecker(robot, scene)
+    start, end = robot.configuration({"base/x": -1.0}), robot.configuration({"base/x": 1.0})
+    certify = robots_motions.certify
+
+    def with_another_thread(*given):
+        found = certify(*given)
+        scene.move("wall", translation(0.4, 5.0, 0.3))
+        return found
+
+    monkeypatch.setattr(robots_motions, "certify", with_another_thread)
+    assert checker.certify_edges(start, end).verdict == COLLIDING
+    assert checker.certify_edges(start, end).verdict == FREE
+
+
 # -- special motions ----------------------------------------------------------------------------
 
 
@@ -305,6 +331,23 @@ def test_motions_far_outside_the_limits(machine, rng):
     verdicts = assert_true(checker, start, end, samples=200_000)
     assert verdicts[2] == FREE
     assert verdicts[3] == FREE
+
+
+@far_outside
+@pytest.mark.parametrize("far", [1e15, 1e100, 1e154, 1e160, 1e190])
+@pytest.mark.parametrize("margin", [0.0, 0.1])
+def test_motions_to_where_squares_overflow(machine, far, margin):
+    """What is so far away that its squares are infinite does not collide there."""
+    scene = Scene(margin=margin)
+    scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0))
+    checker = CollisionChecker(ball_only(machine), scene)
+    start = np.array([[0.0, 0, 0], [0, 5.0, 0], [far / 2, 0, 0]])
+    end = np.array([[far, 0, 0], [far, 5.0, 0], [far, 0, 0]])
+    found = checker.certify_edges(start, end)
+    hit = found.verdict == COLLIDING
+    assert checker.collide(checker.robot.between(start[hit], end[hit], found.fraction[hit])).all()
+    assert found.verdict[1] != COLLIDING
+    assert found.verdict[2] == FREE
 
 
 @far_outside
@@ -386,6 +429,18 @@ def test_threads(arms, rng):
         order = slice(None, None, -1) if other is found[-1] else slice(None)
         for name in ("verdict", "fraction", "names", "poses", "searches"):
             assert np.array_equal(getattr(other, name)[order], getattr(found[0], name), equal_nan=name == "fraction")
+
+
+def test_reaches_from_a_base_that_is_not_quite_rigid(tmp_path):
+    """A pose accepted as rigid does not move the axis of a joint, from which a body far along it is close."""
+    robot = written(tmp_path, TURNTABLE)
+    T = np.eye(4)
+    T[0, 2] = T[2, 0] = 4e-7
+    robot = replace(robot.placed(T), bodies={"table": Body.sphere(1e-5).transformed(translation(1e-4, 0.0, 100.0))})
+    scene = Scene()
+    scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0))
+    reach = CollisionChecker(robot, scene)._ready().motions.tables.reach[0, robot.link_names.index("table")]
+    assert 1.1e-4 <= reach < 1.2e-4
 
 
 # -- tolerance and work -------------------------------------------------------------------------

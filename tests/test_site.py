@@ -127,7 +127,7 @@ def named_in(text):
 NAMES, MEMBERS = dict(public_names()), dict(public_members())
 
 
-@pytest.mark.parametrize("module", ["meshes", "planners", "plots"])
+@pytest.mark.parametrize("module", ["meshes", "plots"])
 def test_public_functions_of_modules_are_known(module):
     """No public function of these modules is left out of the list above: by `__all__`, or without an underscore."""
     home = getattr(loewner, module)

@@ -324,6 +324,10 @@ def moved() -> planners.Trajectory:
     return planners.trajectory(robot(), PATH, velocity=1.0)
 
 
+def roadmap() -> planners.Roadmap:
+    return planners.roadmap(checker(), 20, joints="y", fixed=[-0.5, 0.25, 0.0])
+
+
 @cache
 def experiment() -> paper.Experiment:
     return paper.run(20)
@@ -373,6 +377,7 @@ def write_files() -> None:
     Path("part.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in CUBE) + TRIANGLES)
     cube().save("part.npz")
     pair_of_cubes().save("parts.npz")
+    roadmap().save("roadmap.npz")
     loewner.save_scene(scene(), "scene.yaml")
     problem = {
         "index": 1,
@@ -797,9 +802,9 @@ CALLS: dict[str, Call] = {
             "joints": arg("y", NONE),
             "planner": arg("RRTConnect", skips=frozenset({"type"})),
             "certified": flag(),
-            "timeout": arg(5.0, NUMBERS),
             "resolution": positive(0.125),
             "max_iterations": count(1000),
+            "timeout": arg(5.0, NUMBERS),
             "simplify": flag(False),
             "seed": count(1, "0"),
         },
@@ -809,10 +814,10 @@ CALLS: dict[str, Call] = {
         planners.shorten,
         {
             "checker": arg(checker),
-            "path": array(PATH, FINITE, "without the first row", "turned over"),
+            "path": array([[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
             "certified": flag(),
             "resolution": positive(0.125),
-            "max_iterations": count(10, "0"),
+            "max_iterations": count(20, "0"),
             "seed": count(1, "0"),
         },
     ),
@@ -843,6 +848,31 @@ CALLS: dict[str, Call] = {
         },
         varies=True,
     ),
+    "planners.roadmap": Call(
+        planners.roadmap,
+        {
+            "checker": arg(checker),
+            "samples": array(
+                [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0], [-0.5, 1.0, 0.0]],
+                FINITE,
+                "without the first row",
+            ),
+            "joints": arg("y", NONE),
+            "fixed": array([-0.5, 0.25, 0.0], FINITE, NONE),
+            "neighbours": count(2, NONE),
+            "seed": count(1, "0"),
+        },
+    ),
+    "planners.Roadmap.path": Call(
+        on(roadmap, "path"),
+        {
+            "start": array([-0.5, 0.25, 0.0], FINITE),
+            "goal": array([[-0.5, 0.5, 0.0], [-0.5, 0.75, 0.0]], FINITE, "without the first row"),
+            "simplify": flag(False),
+        },
+    ),
+    "planners.Roadmap.save": Call(on(roadmap, "save"), {"path": PATH_OUT}),
+    "planners.Roadmap.load": Call(planners.Roadmap.load, {"path": arg("roadmap.npz"), "checker": arg(checker)}),
     # -- files of meshes
     "meshes.load": Call(meshes.load, {"source": arg("part.obj")}),
     "meshes.convex_pieces": Call(
@@ -1070,7 +1100,7 @@ RECORDS = {
     "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
-MADE = {"Body"}
+MADE = {"Body", "planners.Roadmap"}
 # Not called: pages are opened by the functions that show them; what acts on an open page has tests of its own.
 PAGES = {"viewer.PairViewer", "viewer.RobotViewer"}
 # Text in, text out; given an experiment, as the report is.

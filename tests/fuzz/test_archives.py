@@ -26,7 +26,7 @@ from scipy.spatial import ConvexHull
 import driver
 import loewner
 from families import FAMILIES, pieces, prism, random_poses
-from loewner import Bodies, Body
+from loewner import Bodies, Body, _archives
 from loewner.bodies import files
 
 Arrays = dict[str, Any]
@@ -590,7 +590,7 @@ def test_nothing_is_unpacked_unseen(box: Arrays, tmp_path: Path, monkeypatch: py
     finally:
         tracemalloc.stop()
     (tmp_path / "good.npz").write_bytes(packed(box))
-    monkeypatch.setattr(files, "LARGEST_CONTENT", 1000)
+    monkeypatch.setattr(_archives, "LARGEST_CONTENT", 1000)
     with pytest.raises(loewner.FileError, match=r"good\.npz: expected arrays of at most 1,000 bytes, found 1,"):
         Body.load(tmp_path / "good.npz")
     with pytest.raises(loewner.FileError, match=r"expected arrays of at most 1,000 bytes"):

@@ -205,8 +205,11 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def apart(function: Callable[..., Any]) -> Any:
-    """Compile a large kernel that is not to be copied into its callers, as LLVM does where it sees fit."""
-    return _compiled(function, apart=True)
+    """Compile a large kernel that has several callers and is not to be copied into them.
+
+    LLVM copies where it sees fit, and Numba asks it to copy all that is first compiled for a caller that is `inline`.
+    """
+    return _compiled(function, apart=True, forceinline=False)
 
 
 def inline(function: Callable[..., Any]) -> Any:

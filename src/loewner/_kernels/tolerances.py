@@ -10,11 +10,13 @@ SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 
 # The same for positions (translation, rotated center, dot product), in units of the lengths that
 # were added. Of gaps between ellipsoids, of support planes of vertices, of boxes of trees, and of support planes of
-# vertices at two poses.
+# vertices at two poses; of curved pieces, and of those at two poses.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
-# derived 32, certified.md B14
+# derived 33, certified.md B14
 # derived 11, certified.md B19
-# derived 52, certified.md B30
+# derived 53, certified.md B30
+# derived 54, certified.md B33
+# derived 62, certified.md B34
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
 # How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through
@@ -26,6 +28,9 @@ UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 
 # What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
+
+# Squares of lengths below this have lost digits, or all of them: what is divided by their roots is no unit vector.
+LEAST_SQUARE = 1e-290
 
 LEAST = 1e-15  # a length far below all others that keeps squares from underflowing
 

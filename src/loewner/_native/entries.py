@@ -31,7 +31,7 @@ ENTRIES = {
         Entry(
             "robots.planning",
             "connect_trees",
-            "i f f f i i i i I1 F1 F1 I1 F1 F1 F3 I2 F2 I1 F1 F2 F2 F1 F1 B1 I1",
+            "i f f f i i i i I2 F2 F3 I2 F2 I1 F1 F2 F2 F1 F1 B1 I1",
             "i",
         ),
         Entry("robots.shortening", "shorten_path", "i i f f i i i i F2 I1 F2 F2 F1 B1 I1", "i"),

@@ -92,9 +92,9 @@ def connect(
     trees.nodes[0, :, 0], trees.nodes[1, :, :many] = start[space.columns], goals[:, space.columns].T
     state = np.zeros(STATE, dtype=np.int64)
     state[[STARTS, GOALS]] = 1, many
-    stride, shift = _strides(joints), np.random.default_rng(seed).random(joints)
+    limits = np.stack([lower, upper, _strides(joints), np.random.default_rng(seed).random(joints)])
     gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
-    turning = space.turning.astype(np.int64)
+    numbers = np.stack([space.columns, space.turning])
     began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome = codes.SPENT
     while outcome != codes.MET:
@@ -106,8 +106,8 @@ def connect(
         if outcome == codes.FULL:
             trees = trees.grown()
         outcome = entries.connect_trees(
-            min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), space.columns, lower, upper, turning,
-            stride, shift, *trees, state, gap, ends, points, np.empty(trees.capacity), *judge.looks(),
+            min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
+            points, np.empty(trees.capacity), *judge.looks(),
         )  # fmt: skip
         began = began or time.monotonic()
     return _path(space, judge, trees, state)

@@ -138,7 +138,7 @@ def shorten(
     path : array_like, shape (k, dof)
         Two configurations or more; between two of them each joint runs straight, orientations along the shorter arc.
     certified, resolution
-        As for `plan`; a resolution is in the units of the joints.
+        As for `plan`; the resolution in the units of the joints.
     max_iterations : int
         Cuts to try, between points drawn at random.
     seed : int

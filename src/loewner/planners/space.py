@@ -71,6 +71,15 @@ class Space:
         Q[..., self.columns] = values
         return Q
 
+    def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
+        """Configurations Q1, with joints that turn without limits whole turns from there: as near to Q0 as they get."""
+        if not self.turning.any():
+            return Q1
+        at = self.columns[self.turning]
+        turns = np.zeros(np.broadcast_shapes(Q0.shape, Q1.shape))
+        turns[..., at] = np.rint((Q1[..., at] - Q0[..., at]) / (2 * np.pi))
+        return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
+
     def checked_goals(self, q: Floats, goals: Floats) -> Floats:
         """Those goals that can be reached, as far as shows at once, from a start that can be left.
 

@@ -43,13 +43,13 @@ HALVINGS = 5
 LEAST_BLEND = 1e-3
 
 # What computed blends may be off by, in units of the largest value and of the way at full speed in all of the time.
-BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B33
+BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B35
 
 # A row counts as on the straight between its neighbours within this share of their values.
 ROUNDED = 1e-15
 
-# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it is
-# a stop: in so short a phase, rounding would show in the acceleration.
+# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it
+# is a stop: in so short a phase, rounding would show in the acceleration.
 SHORTEST = 1e-7
 
 # The largest share of a motion that a blend may take. Something has to be left, to change the speed on.

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from loewner import _validate
+from loewner import _archives, _validate
 from loewner._kernels import columns, records, tolerances
 from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
+from loewner.bodies.layout import arrays_of
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot
@@ -164,6 +165,14 @@ class CheckedPairs:
         table = records.table_of(tables)
         memory = entries.motion_memory(packed.handle, self.handle, self.robot.dof)
         return PreparedMotions(tables, table.ctypes.data, memory, table)
+
+    def fingerprint(self) -> str:
+        """A checksum of all that a verdict depends on: the tree of joints, the bodies, which pairs, margins, poses."""
+        arrays = {
+            **self.robot.tree._asdict(), **arrays_of(self.bodies._packed), "link": self.link, "pairs": self.pairs,
+            "margins": self.margins, "standing_poses": self.standing_poses,
+        }  # fmt: skip
+        return _archives.digest(arrays)
 
     def poses(self, Q: Floats) -> Floats:
         """Poses of all bodies in the world, shape (N, bodies, 4, 4), at checked configurations."""

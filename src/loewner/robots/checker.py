@@ -442,7 +442,7 @@ class CollisionChecker:
             a, b, shape = _motions(a, b, 40)
         ready = self._ready()
         found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
-        self._confirm(a, b, found.verdicts, found.fractions)
+        self._confirm(ready, a, b, found.verdicts, found.fractions)
         return found.of_shape(shape, ready)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
@@ -543,9 +543,11 @@ class CollisionChecker:
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _settle(self, mode: int, Q: Floats) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-        """Verdict and tier of every configuration."""
-        ready = self._ready()
+    def _settle(
+        self, mode: int, Q: Floats, ready: CheckedPairs | None = None
+    ) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+        """Verdict and tier of every configuration, in the scene as it is now unless `ready` is of another moment."""
+        ready = self._ready() if ready is None else ready
         flat = _flat(Q)
         total = len(flat)
         if total > LEAST_SHARE:
@@ -589,11 +591,13 @@ class CollisionChecker:
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == codes.AMBIGUOUS)])
         return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
 
-    def _confirm(self, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats) -> None:
+    def _confirm(
+        self, ready: CheckedPairs, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats
+    ) -> None:
         """Leave as COLLIDING only what `collide` says of configurations that `Robot.between` gives.
 
         Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may
-        differ in the last place.
+        differ in the last place. The scene may have changed since; the question is about what was prepared from it.
         """
         doubtful = verdicts == motions.BY_CARE
         if not self.robot.runs_straight:
@@ -603,17 +607,19 @@ class CollisionChecker:
             return
         Q = self.robot.between(a[at], b[at], fractions[at])
         try:
-            hit = np.atleast_1d(self.collide(Q))
+            out, _ = self._settle(codes.EXACT, Q, ready)
+            hit = out == Verdict.COLLIDING
         except ConvergenceError:
-            hit = np.array([self._surely_collides(q) for q in Q])
+            hit = np.array([self._surely_collides(ready, q) for q in Q])
         verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
 
-    def _surely_collides(self, q: Floats) -> bool:
-        """The same as `collide`, but False where a configuration cannot be settled."""
+    def _surely_collides(self, ready: CheckedPairs, q: Floats) -> bool:
+        """Whether one configuration collides; False where it cannot be settled."""
         try:
-            return bool(self.collide(q))
+            out, _ = self._settle(codes.EXACT, q[None], ready)
         except ConvergenceError:
             return False
+        return bool(out[0] == Verdict.COLLIDING)
 
     def _lengths(self, a: Floats, b: Floats, step: float) -> Floats:
         """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""

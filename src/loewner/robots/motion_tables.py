@@ -120,9 +120,8 @@ def _joint(tree: Tree, link: int) -> tuple[Floats, Floats, Floats]:
     R = fixed + row[columns.COSINE : columns.COSINE + 9].reshape(3, 3)
     axis = np.zeros(3)
     if tree.kind[link] in (columns.REVOLUTE, columns.PLANAR):
-        onto = R.T @ fixed  # axis times axis transposed
-        column = onto[:, np.argmax(np.diag(onto))]
-        axis = column / np.linalg.norm(column)
+        longest = fixed[np.argmax(np.linalg.norm(fixed, axis=1))]  # rows of R axis axisᵀ: along it, whatever R is
+        axis = longest / np.linalg.norm(longest)
     return R, row[columns.TRANSLATION : columns.TRANSLATION + 3], axis
 
 

@@ -18,7 +18,7 @@ from loewner._kernels.narrow.gjk_robust import APART, DISTANCE_TOLERANCE, ERROR_
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
 from loewner._kernels.pieces.shapes import placed_support
 from loewner._kernels.simd.support import entry_of, farthest, place_vertices
-from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 NEAREST, INSIDE = 3, 4  # further answers of `measure`: the distance is final; the cores overlap for sure
 
@@ -274,7 +274,9 @@ def measuring(supports):
 
     @inline
     def search(A, B, shift, W, ends, n, error, reach, far, result):
-        """As `measure`; returns besides the last direction, a unit vector from A to B."""
+        """As `measure`, from any n; returns besides the last direction, a unit vector from A to B."""
+        if not LEAST_SQUARE < dot(n, n) < np.inf:
+            n = (1.0, 0.0, 0.0)
         p = scaled(-1.0 / np.sqrt(dot(n, n)), n)
         first = p
         k = 0
@@ -368,9 +370,12 @@ def measuring(supports):
                     k = 2
                     if part == 1:
                         c, from_c = b, from_b
+            squared = dot(n, n)
+            if not LEAST_SQUARE < squared < np.inf:
+                break
             b, from_b = a, r
             before = length
-            p = scaled(1.0 / np.sqrt(dot(n, n)), n)
+            p = scaled(1.0 / np.sqrt(squared), n)
             length = dot(p, b)
             if length <= reach:
                 status = TOUCHING

@@ -19,7 +19,7 @@ from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import dot, minus, negated, plus
 from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import placed_support, reach
-from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 APART, TOUCHING, UNSETTLED = 0, 1, 2
 
@@ -82,7 +82,7 @@ def swollen_radii(A, B):
 
 @njit()
 def run(A, B, shift, n, limit, settle, S, weights, v, d):
-    """Run GJK from the separating direction n (from A to B; any non-zero vector will do).
+    """Run GJK from the separating direction n (from A to B; any will do).
 
     Parameters
     ----------
@@ -107,6 +107,8 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
     far = limit + swollen_radii(A, B)
     error = rounding_error(A, B, shift)
     lower = -np.inf
+    if not LEAST_SQUARE < dot(n, n) < np.inf:
+        n = (1.0, 0.0, 0.0)
     norm = np.sqrt(dot(n, n))
     d[0], d[1], d[2] = -n[0] / norm, -n[1] / norm, -n[2] / norm
     k = 0

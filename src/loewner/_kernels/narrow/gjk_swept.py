@@ -49,8 +49,6 @@ def separated(A, first, last, n, keep, stretch, memory):
     n : tuple of 3 float
         Unit direction that was reached.
     """
-    if not dot(n, n) > 0.0:
-        n = (1.0, 0.0, 0.0)
     shift = shift_between(A, first), shift_between(A, last)
     error = max(rounding_error(A, first, shift[0]), rounding_error(A, last, shift[1]))
     radii = radius(A) + radius(last)

@@ -14,7 +14,7 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import along, cross, dot, minus
-from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 # Error of either volume that `_beyond` compares, in units of the roundoff times the third power of the largest sum of
 # coordinates.
@@ -240,9 +240,10 @@ def direction(S, k, v, d):
 
 @njit()
 def _unit(d):
-    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    if not length > 0.0:
+    squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    if not LEAST_SQUARE < squared < np.inf:
         return False
+    length = np.sqrt(squared)
     d[0] /= length
     d[1] /= length
     d[2] /= length

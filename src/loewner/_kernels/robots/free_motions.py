@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import FREE
 from loewner._kernels.columns import FLOATING, RANDOM
 from loewner._kernels.pieces.pack import problem_of
@@ -103,7 +103,7 @@ def turns_clearly(tree, ends):
     return clear
 
 
-@njit()
+@apart
 def is_free(judge, ends, tally):
     """Whether the straight motion between two configurations is free; what is not known is not.
 

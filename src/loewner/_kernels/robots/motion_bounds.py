@@ -192,9 +192,19 @@ def write_strays(tree, off, rates, strays):
 
 @inline
 def uncertainty(tables, travel, angles, places):
-    """How far a computed point of the robot may be from where it is on the real motion [m]; and the chain's length."""
+    """How far a computed point of the robot may be from where it is on the real motion [m].
+
+    Returns
+    -------
+    off : float
+    length : float
+        Of the chain [m].
+    turned : float
+        What computed rotations are off by, as a share of what they turn.
+    """
     length = tables.chain[1] + travel
-    return (JOINT_ROUNDINGS * tables.chain[0] + TURN * angles) * length + 2.0 * places, length
+    turned = JOINT_ROUNDINGS * tables.chain[0] + TURN * angles
+    return turned * length + 2.0 * places, length, turned
 
 
 @inline

@@ -38,6 +38,7 @@ from loewner._kernels.robots.sweeps import (
     INTERVALS,
     PIECE,
     Swept,
+    near_in_world,
     near_moving,
     near_piece,
     near_standing,
@@ -86,6 +87,7 @@ class Motion(NamedTuple):
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
+    skew : how far turned lengths may be off, as a share of them: that of what a pair keeps comes on top
     strays : whether values may be off the motion's; then pairs keep that much more
     counts : how much there is of everything
     work : address of the memory that `_..._of` divide up
@@ -96,6 +98,7 @@ class Motion(NamedTuple):
     tables: Any
     tolerance: Any
     rounding: Any
+    skew: Any
     strays: Any
     counts: Any
     work: Any
@@ -334,7 +337,7 @@ def _counts(pieces, problem, dof):
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, False, counts, 0), 13)
+    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, 0.0, False, counts, 0), 13)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -443,7 +446,7 @@ def _place_at(motion, W):
     place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), np.int64(0), W)
 
 
-@njit()
+@apart
 def _confirmed(motion, near, t, n):
     """What `CollisionChecker.collide` says of the two pieces at this fraction, as it places them: alone.
 
@@ -811,20 +814,25 @@ def _settle_block(motion, low, high, found, tally):
     for number in range(len(order)):
         pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
-        slack = motion.rounding + 2.0 * tables.chain[2] * margin
+        slack = motion.rounding + motion.skew * margin
         if motion.strays:
             fixed = problem.link[other] if other < moving else np.int64(-1)
             astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
-            slack += (1.0 + 2.0 * tables.chain[2]) * astray
+            slack += (1.0 + motion.skew) * astray
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
             slack += CLEAR_ROUNDINGS * position_error(tables.sizes[k], UNIT_ROUNDOFF)
             live = near_standing(problem, one, k, margin + slack + bend * widest * widest / 8.0, swept)
         else:
+            # Seen from the world first, each on its own way: that is cheap, and leaves few.
+            bend = ways[one, 0] + ways[other, 0]
+            live = near_in_world(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept)
+            if live == 0:
+                continue
             seen = ways_between(tables, rates, one, problem.link[one], problem.link[other])
             bend, speed = seen.bend, seen.speed
-            live = near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
+            live &= near_moving(problem, one, other, margin + slack + bend * widest * widest / 8.0, swept, scratch)
         if speed == 0.0:
             live &= 1  # the pair is the same everywhere
         if live != 0:
@@ -842,11 +850,12 @@ def _certify(motion, tally):
     travel, angles, places = rates_of(problem.tree, ends, rates)
     if motion.strays:
         travel += write_strays(problem.tree, _off_of(motion), rates, _strays_of(motion))
-    off, length = uncertainty(tables, travel, angles, places)
+    off, length, turned = uncertainty(tables, travel, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
+    skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, motion.strays, motion.counts,
+        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.strays, motion.counts,
         motion.work,
     )  # fmt: skip
     most = 0.0
@@ -877,7 +886,7 @@ def _certify(motion, tally):
 def _motion(pack, problem_handle, tables_handle, tolerance, strays, dof, memory):
     """A motion whose ends are still to be written, in memory that is ready."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, strays, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, strays, counts, memory)
 
 
 @njit()

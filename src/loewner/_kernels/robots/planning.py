@@ -191,9 +191,8 @@ def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
 
 @njit()
 def connect_trees(
-    most, longest, tolerance, resolution, pack, problem, tables, memory, columns, lower, upper, turning, stride, shift,
-    nodes, parents,
-    domains, state, gap, ends, points, squares, fractions, verdicts, hits,
+    most, longest, tolerance, resolution, pack, problem, tables, memory, joints, limits, nodes, parents, domains, state,
+    gap, ends, points, squares, fractions, verdicts, hits,
 ):  # fmt: skip
     """Let the trees grow, for at most so many iterations.
 
@@ -205,8 +204,10 @@ def connect_trees(
         As `Space.range`.
     tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
         See `free_motions.Judge`.
-    columns, lower, upper, turning, stride, shift
-        See `Space`.
+    joints : ndarray of int64, shape (2, joints)
+        Columns and which turn, see `Space`.
+    limits : ndarray, shape (4, joints)
+        The rest of it: lower, upper, stride, shift.
     nodes, parents, domains
         See `Trees`: roots are in their places.
     state : ndarray of int64, shape (columns.STATE,)
@@ -226,7 +227,10 @@ def connect_trees(
         MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
     """
     judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
-    space, trees = Space(columns, lower, upper, turning, longest, stride, shift), Trees(nodes, parents, domains)
+    space, trees = (
+        Space(joints[0], limits[0], limits[1], joints[1], longest, limits[2], limits[3]),
+        Trees(nodes, parents, domains),
+    )
     if resolution == 0.0:
         make_ready(pack, problem, tables, ends.shape[1], memory)
     capacity = nodes.shape[2]

@@ -177,12 +177,7 @@ def sweep(problem, pieces, to):
 def near_standing(problem, body, k, keep, to):
     """Intervals, as bits, in which a body that moves may come within `keep` of the one that stands in row k."""
     at, still = body * BODY, problem.standing
-    middle = (
-        load(to.bodies, at + _MIDDLE),
-        load(to.bodies, at + _MIDDLE + LANES),
-        load(to.bodies, at + _MIDDLE + 2 * LANES),
-    )
-    r = minus(middle, (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
+    r = minus(_middle(to, at), (np.float64(still[k, X]), np.float64(still[k, Y]), np.float64(still[k, Z])))
     far = load(to.bodies, at + _HALF_CHORD) + (problem.ball[body, 3] + np.float64(still[k, WIDE]) + keep)
     far = far * WIDER
     near = EVERY & ~movemask(dot(r, r) > far * far)
@@ -197,6 +192,23 @@ def near_standing(problem, body, k, keep, to):
         clear = clear | (z > (load(to.bodies, box + 2 * LANES) + (np.float64(still[k, HALF_Z]) + keep)) * WIDER)
         near &= ~movemask(clear)
     return near
+
+
+@inline
+def _middle(to, at):
+    """Middles of a body's chords."""
+    k = at + _MIDDLE
+    return load(to.bodies, k), load(to.bodies, k + LANES), load(to.bodies, k + 2 * LANES)
+
+
+@inline
+def near_in_world(problem, body, other, keep, to):
+    """Intervals, as bits, in which two bodies that move may come within `keep` of each other, seen from the world."""
+    a, b = body * BODY, other * BODY
+    r = minus(_middle(to, a), _middle(to, b))
+    far = load(to.bodies, a + _HALF_CHORD) + load(to.bodies, b + _HALF_CHORD)
+    far = (far + (problem.ball[body, 3] + problem.ball[other, 3] + keep)) * WIDER
+    return EVERY & ~movemask(dot(r, r) > far * far)
 
 
 @inline

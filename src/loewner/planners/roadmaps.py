@@ -1,0 +1,766 @@
+"""Roadmaps: a net of motions proven free, made once, that answers many queries in one scene.
+
+A roadmap keeps every motion that it tried, not only the free ones: when the scene changes, all of them are proven anew
+in one batch. No path is given out on the strength of that alone: each is proven once more as a whole, for whole turns
+are rounded, the scene may change meanwhile, and what a file says is no proof.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _archives, _validate
+from loewner._archives import Format
+from loewner._guard import guarded
+from loewner._threads import get_num_threads
+from loewner._validate import Bools, Floats, Ints
+from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.planners import compiled
+from loewner.planners.judge import Judge
+from loewner.planners.planning import CUTS
+from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
+from loewner.robots import CollisionChecker
+
+# Motions that are proven at a time, and nodes whose neighbours are sought: an interrupt is noticed between.
+AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
+
+# Motions that a query tries at most, between start, goals and their nearest nodes.
+MOST_TRIED = 4096
+
+# Configurations whose neighbours one thread seeks alone.
+ALONE = 64
+
+# Bytes that a motion of a roadmap takes at most while it is made: its ends, its length, its places in the graph.
+BYTES = 96
+
+
+class _Links(NamedTuple):
+    """Free motions between a query's ends and the nodes; the start is one more node, numbered after the last.
+
+    Attributes
+    ----------
+    nodes, lengths : ndarray, shape (s,)
+        Of motions from the start.
+    goals, from_nodes, to_lengths : ndarray, shape (g,)
+        Of motions to goals.
+    """
+
+    nodes: Ints
+    lengths: Floats
+    goals: Ints
+    from_nodes: Ints
+    to_lengths: Floats
+
+    def joined(self, more: _Links) -> _Links:
+        """These and more."""
+        a, b = self, more
+        return _Links(
+            np.concatenate([a.nodes, b.nodes]), np.concatenate([a.lengths, b.lengths]),
+            np.concatenate([a.goals, b.goals]), np.concatenate([a.from_nodes, b.from_nodes]),
+            np.concatenate([a.to_lengths, b.to_lengths]),
+        )  # fmt: skip
+
+
+class _Way(NamedTuple):
+    """A path: numbers of nodes, the start's first, a goal, and which of the links leads to it."""
+
+    nodes: Ints
+    goal: int
+    link: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Graph:
+    """Which motions are free, at one state of the scene.
+
+    Attributes
+    ----------
+    version : int
+        The scene's.
+    proven : bool
+        By this process; otherwise a file says so.
+    free : ndarray of bool, shape (motions,)
+    matrix : csr_array, shape (nodes, nodes)
+        Lengths of the free ones, both ways.
+    labels : ndarray of int, shape (nodes,)
+        Number of the connected component of each node.
+    """
+
+    version: int
+    proven: bool
+    free: Bools
+    matrix: Any
+    labels: Ints
+
+    @classmethod
+    def of(cls, version: int, count: int, edges: Ints, lengths: Floats, free: Bools, *, proven: bool) -> _Graph:
+        """The graph of some nodes and those motions that are free."""
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components
+
+        a, b = edges[free].T
+        there_and_back = np.concatenate([a, b]), np.concatenate([b, a])
+        matrix = csr_array((np.tile(lengths[free], 2), there_and_back), shape=(count, count))
+        return cls(version, proven, free, matrix, connected_components(matrix, directed=False)[1])
+
+    def shortest(self, links: _Links) -> _Way | None:
+        """The shortest path from the start to any goal; None if there is none."""
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import dijkstra
+
+        count, matrix = self.matrix.shape[0], self.matrix
+        far, before = np.append(np.full(count, np.inf), 0.0), np.empty(0, dtype=np.int64)
+        if len(links.nodes):
+            with_start = csr_array(
+                (
+                    np.concatenate([matrix.data, links.lengths]),
+                    np.concatenate([matrix.indices, links.nodes.astype(matrix.indices.dtype)]),
+                    np.append(matrix.indptr, matrix.nnz + len(links.nodes)).astype(matrix.indptr.dtype),
+                ),
+                shape=(count + 1, count + 1),
+            )
+            # A straight motion to a goal leaves only what is shorter to be sought.
+            straight = float(links.to_lengths[links.from_nodes == count].min(initial=np.inf))
+            far, before = dijkstra(with_start, indices=count, return_predecessors=True, limit=straight)
+        totals = far[links.from_nodes] + links.to_lengths
+        if not len(totals) or not np.isfinite(totals.min()):
+            return None
+        best = int(totals.argmin())
+        numbers = [int(links.from_nodes[best])]
+        while numbers[-1] != count:
+            numbers.append(int(before[numbers[-1]]))
+        return _Way(np.array(numbers[::-1]), int(links.goals[best]), best)
+
+
+@dataclass(frozen=True, eq=False)
+class _Neighbours:
+    """Which nodes are nearest.
+
+    Attributes
+    ----------
+    space : Space
+    count : int
+        Of nodes.
+    tree : KDTree
+        Of the values of the joints that move; those that turn without limits wrap.
+    """
+
+    space: Space
+    count: int
+    tree: Any
+
+    @classmethod
+    def of(cls, space: Space, nodes: Floats) -> _Neighbours:
+        """Made ready to be asked about some nodes."""
+        from scipy.spatial import KDTree
+
+        box = np.where(space.turning, 2 * np.pi, 0.0) if space.turning.any() else None
+        return cls(space, len(nodes), KDTree(cls._wrapped(space, nodes), boxsize=box))
+
+    def of_all(self, Q: Floats, many: int) -> Ints:
+        """So many of the nodes nearest to each configuration, the nearest first, shape (N, many)."""
+        values = self._wrapped(self.space, Q)
+        return self._nearest(values, many)
+
+    def pairs(self, neighbours: int) -> Ints:
+        """Pairs of nodes one of which is among the nearest of the other, each once, ascending, shape (m, 2)."""
+        each = min(neighbours, self.count - 1)
+        if each == 0:
+            return np.empty((0, 2), dtype=np.int64)
+        what = f"a roadmap of {self.count} nodes with {each} neighbours each"
+        _validate.fits_memory(self.count * each * BYTES, what)
+        keys = []
+        for first in range(0, self.count, NODES_AT_A_TIME):
+            numbers = np.arange(first, min(first + NODES_AT_A_TIME, self.count))
+            near = self._nearest(self.tree.data[numbers], each + 1)  # itself among them
+            pairs = np.sort([np.repeat(numbers, each + 1), near.ravel()], axis=0)
+            keys.append((pairs[0] * self.count + pairs[1])[pairs[0] != pairs[1]])
+        return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
+
+    def _nearest(self, values: Floats, many: int) -> Ints:
+        workers = get_num_threads() if len(values) > ALONE else 1
+        found = self.tree.query(values, np.arange(1, many + 1), workers=workers)[1]
+        return np.asarray(found, dtype=np.int64)
+
+    @staticmethod
+    def _wrapped(space: Space, Q: Floats) -> Floats:
+        """Values of the joints that move; of those that turn without limits from 0 to a whole turn."""
+        values: Floats = Q[:, space.columns]
+        if space.turning.any():
+            turned = np.mod(values[:, space.turning], 2 * np.pi)
+            values[:, space.turning] = np.where(turned < 2 * np.pi, turned, 0.0)  # rounded up, of one just below 0
+        return values
+
+
+@guarded
+class Roadmap:
+    """Configurations and motions between them that are proven free, for many queries; `roadmap` makes one.
+
+    Notes
+    -----
+    It belongs to a checker. When the scene of this has changed, whatever is asked next first has all motions proven
+    anew, those that were not free among them, in one batch. `len` tells how many nodes there are.
+
+    Any thread may ask. An interrupted call leaves the roadmap as it was.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> made = roadmap(checker, 100)
+    >>> made
+    Roadmap(joints rail, elbow: 100 nodes, 1093 of 1093 motions free)
+    >>> made.path([0.0, 1.57], [2.0, 1.57])
+    array([[0.  , 1.57],
+           [2.  , 1.57]])
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0.7], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> path = made.path([0.0, 1.57], [2.0, 1.57])  # the arm swings aside where it passes the post
+    >>> len(path) > 2, checker.certify_edges(path[:-1], path[1:]).verdict.any()
+    (True, np.False_)
+    """
+
+    def __init__(self, space: Space, nodes: Floats, edges: Ints, neighbours: int, seed: int) -> None:
+        nodes.setflags(write=False)
+        self._space, self._nodes, self._edges = space, nodes, edges
+        self._neighbours, self._seed = neighbours, seed
+        self._lengths = self._lengths_of(*nodes[edges.T])
+        self._near = _Neighbours.of(space, nodes)
+        self._graph: _Graph | None = None
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def __repr__(self) -> str:
+        graph, total = self._graph, len(self._edges)
+        known = graph is not None and graph.version == self.checker.scene.version
+        motions = f"{int(graph.free.sum())} of {total} motions free" if graph is not None and known else (
+            f"{total} motions, to be proven for the scene as it is now"
+        )  # fmt: skip
+        return f"Roadmap(joints {', '.join(self.joint_names)}: {len(self)} nodes, {motions})"
+
+    @property
+    def checker(self) -> CollisionChecker:
+        """The checker that the roadmap belongs to; for another one make or load another roadmap."""
+        return self._space.checker
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints that move; all others keep their values in `nodes`."""
+        return tuple(self._space.name(column) for column in self._space.columns)
+
+    @property
+    def nodes(self) -> Floats:
+        """The configurations, shape (n, dof), read-only: free when the roadmap was made."""
+        return self._nodes
+
+    @property
+    def edges(self) -> Ints:
+        """The motions that are free in the scene as it is now: pairs of places in `nodes`, shape (m, 2), ascending."""
+        return self._edges[self._now().free]
+
+    @property
+    def components(self) -> Ints:
+        """How many nodes each connected component has, the largest first; nodes without free motions are left out."""
+        sizes = np.bincount(self._now().labels)
+        return np.sort(sizes[sizes > 1])[::-1]
+
+    def path(self, start: ArrayLike, goal: ArrayLike, *, simplify: bool = True) -> Floats:
+        """Find a motion free of collisions, proven at every one of its configurations.
+
+        Parameters
+        ----------
+        start : array_like, shape (dof,)
+        goal : array_like, shape (dof,) or (goals, dof)
+            Where to go; of several, any one will do: the one that is reached by the shortest path over the roadmap.
+            Those outside the limits or colliding are left out, as long as one remains.
+        simplify : bool
+            Shorten what was found, as `shorten` does.
+
+        Returns
+        -------
+        ndarray, shape (k, dof)
+            Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns
+            without limits takes the shorter way around between two nodes: it ends at the goal's value or whole turns
+            from it.
+
+        Raises
+        ------
+        PlanningError
+            If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
+            no motion from the start, or to a goal, to the nodes near it is free; or if none of the components of the
+            roadmap that the start is connected to leads to a goal.
+        InputError
+            If an argument has the wrong shape or value, or start or goal differ from the nodes in a joint that is not
+            the roadmap's.
+        UnknownNameError
+            If the scene has come to name a link that the robot does not have.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot
+        >>> made = roadmap(CollisionChecker(Robot.from_urdf("arm.urdf")), 50, joints="rail")
+        >>> made.path([0.0, 0.0], [2.0, 0.0])
+        array([[0., 0.],
+               [2., 0.]])
+        """
+        simplify = _validate.flag(simplify, "simplify")
+        q, goals = checked_ends(self.checker, start, goal)
+        # Where a joint has no limits, they follow from start and goals.
+        space = Space.of(self.checker, self.joint_names, q, goals)
+        if not space.outside(q):  # limits are told of before all else
+            self._check_kept(q)
+        goals = space.checked_goals(q, goals)
+        found = self._found(q, goals)
+        if not simplify:
+            return found
+        return compiled.shortened(self.checker, found, resolution=0.0, max_iterations=CUTS, seed=self._seed)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the roadmap into a file, with which of its motions are free in the scene as it is now.
+
+        Parameters
+        ----------
+        path : path
+            Its name must end in ``.npz``. It is replaced as a whole, or not at all.
+
+        Raises
+        ------
+        InputError
+            If the path is none, or its name ends otherwise.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+        >>> roadmap(checker, 100).save("arm.npz")
+        >>> Roadmap.load("arm.npz", checker)
+        Roadmap(joints rail, elbow: 100 nodes, 1093 of 1093 motions free)
+        """
+        graph, ready = self._now(), self.checker._ready()
+        arrays = {
+            "nodes": self._nodes,
+            "edges": self._edges,
+            "free": graph.free.astype(np.int64),
+            "settings": np.array([self._neighbours, self._seed]),
+            "joints": np.array(self.joint_names),
+            # Changed by another thread meanwhile: then it belongs to no scene, and whoever loads it proves all anew.
+            "fingerprint": np.array(ready.fingerprint() if ready.version == graph.version else ""),
+        }
+        _archives.write(path, ROADMAPS, arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], checker: CollisionChecker) -> Roadmap:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+        checker : CollisionChecker
+            Of a robot with the same joints.
+
+        Returns
+        -------
+        Roadmap
+            It belongs to this checker. If all that a verdict depends on is the same as when it was saved (the robot's
+            joints and bodies, the pairs that are checked, margins, attachments, where the bodies of the scene stand),
+            then what the file says is free counts as free in the search for a path; otherwise all motions are proven
+            anew when the first query comes. The path itself is proven in either case.
+
+        Raises
+        ------
+        FileError
+            If there is no such file, it is of another kind or damaged, or it is of a robot with other joints or
+            limits.
+        InputError
+            If an argument is none of what it should be.
+        UnknownNameError
+            If the scene names a link that the robot does not have.
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> roadmap(CollisionChecker(robot), 100).save("arm.npz")
+        >>> T = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]
+        >>> Roadmap.load("arm.npz", CollisionChecker(robot.placed(T)))
+        Roadmap(joints rail, elbow: 100 nodes, 1093 motions, to be proven for the scene as it is now)
+        """
+        ready = checked_checker(checker)._ready()  # what is wrong with the scene is not told of the file
+
+        def made(told: dict[str, Any]) -> Roadmap:
+            space, found = _checked(told, checker)
+            loaded = cls(space, told["nodes"], told["edges"], *told["settings"].tolist())
+            if found == ready.fingerprint():
+                loaded._graph = loaded._graph_of(ready.version, told["free"] == 1, proven=False)
+            return loaded
+
+        return _archives.read(path, ROADMAPS, made)
+
+    # -- which motions are free -----------------------------------------------------------------
+
+    def _now(self) -> _Graph:
+        """The graph for the scene as it is now."""
+        graph = self._graph
+        if graph is not None and graph.version == self.checker._ready().version:
+            return graph
+        return self._proven()
+
+    @guarded
+    def _proven(self) -> _Graph:
+        """All motions proven anew."""
+        # What changes from here on is noticed the next time.
+        version, judge = self.checker._ready().version, Judge.of(self.checker, 0.0, 0.0)
+        sound = _free(self._space, self._nodes)
+        free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
+        at = np.flatnonzero(free)
+        for first in range(0, len(at), AT_A_TIME):
+            part = at[first : first + AT_A_TIME]
+            a, b = self._nodes[self._edges[part].T]
+            free[part] = judge.free(a, self._space.unwound(a, b))
+        self._graph = graph = self._graph_of(version, free, proven=True)
+        return graph
+
+    def _graph_of(self, version: int, free: Bools, *, proven: bool) -> _Graph:
+        return _Graph.of(version, len(self), self._edges, self._lengths, free, proven=proven)
+
+    # -- queries --------------------------------------------------------------------------------
+
+    def _check_kept(self, q: Floats) -> None:
+        """Refuse a start that differs from the nodes where nothing moves."""
+        differs = q != self._space.still
+        differs[self._space.columns] = False
+        if differs.any():
+            column = int(differs.argmax())
+            raise InputError(
+                f"start: expected the roadmap's value, {self._space.still[column]:g}, of {self._space.name(column)}, "
+                f"which is not among its joints; found {q[column]:g}"
+            )
+
+    def _found(self, q: Floats, goals: Floats) -> Floats:
+        """The shortest path over motions that are free, proven as a whole."""
+        known = graph = self._now()
+        judge = Judge.of(self.checker, 0.0, 0.0)
+        links = self._links(graph, judge, q, goals)
+        while (way := graph.shortest(links)) is not None:
+            rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
+            for k in range(1, len(rows)):
+                rows[k] = self._space.unwound(rows[k - 1], rows[k])
+            unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
+            if len(unfree) == 0:
+                return rows
+            if not known.proven:
+                self._proven()
+            if self._now() is not known:
+                return self._found(q, goals)
+            graph, links = self._without(graph, links, way, unfree)
+        raise PlanningError(
+            "expected a path from start to goal that is free when it is proven as a whole, found none: all ways over "
+            "the roadmap pass too near to a collision; more samples may help"
+        )
+
+    def _links(self, graph: _Graph, judge: Judge, q: Floats, goals: Floats) -> _Links:
+        """Free motions to the nearest nodes: to so many that start and a goal come to be connected.
+
+        Raises
+        ------
+        PlanningError
+            If they do not.
+        """
+        ends = np.concatenate([q[None], goals])
+        most = min(len(self), max(self._neighbours, MOST_TRIED // len(ends)))
+        links = self._straight(judge, q, goals)
+        if links.to_lengths.min(initial=np.inf) == self._lengths_of(q, goals).min():
+            return links  # nothing is shorter than straight to the nearest goal
+        tried, last = 0, min(self._neighbours, most)
+        labels = np.append(graph.labels, -1)  # the start's own is that of straight motions to goals
+        while True:
+            links = links.joined(self._links_to(judge, q, goals, self._near.of_all(ends, last)[:, tried:]))
+            if np.isin(labels[links.from_nodes], np.append(labels[links.nodes], -1)).any():
+                return links
+            if last == most:
+                raise PlanningError(_why(graph, links, most))
+            tried, last = last, min(2 * last, most)
+
+    def _straight(self, judge: Judge, q: Floats, goals: Floats) -> _Links:
+        """The free ones of motions from the start straight to goals."""
+        free, lengths = self._judged(judge, np.broadcast_to(q, goals.shape), goals)
+        at = np.flatnonzero(free)
+        return _Links(at[:0], lengths[:0], at, np.full(len(at), len(self)), lengths[at])
+
+    def _links_to(self, judge: Judge, q: Floats, goals: Floats, near: Ints) -> _Links:
+        """The free ones of motions from the start to nodes (row 0) and from nodes to goals (a row each)."""
+        from_start, to_goals = near[0], near[1:].ravel()
+        numbers, s = np.repeat(np.arange(len(goals)), near.shape[1]), len(from_start)
+        a = np.concatenate([np.broadcast_to(q, (s, len(q))), self._nodes[to_goals]])
+        free, lengths = self._judged(judge, a, np.concatenate([self._nodes[from_start], goals[numbers]]))
+        here, there = free[:s], free[s:]
+        return _Links(from_start[here], lengths[:s][here], numbers[there], to_goals[there], lengths[s:][there])
+
+    def _judged(self, judge: Judge, a: Floats, b: Floats) -> tuple[Bools, Floats]:
+        """Which motions are free, and how long they are."""
+        return judge.free(a, self._space.unwound(a, b)), self._lengths_of(a, b)
+
+    def _without(self, graph: _Graph, links: _Links, way: _Way, unfree: Ints) -> tuple[_Graph, _Links]:
+        """What is left for this query without motions of a path, by their numbers on it."""
+        last = len(way.nodes) - 1
+        from_start, to_goal = np.ones(len(links.nodes), dtype=bool), np.ones(len(links.goals), dtype=bool)
+        free = graph.free.copy()
+        keys = self._edges @ [len(self), 1]
+        for k in unfree.tolist():
+            if k == last:
+                to_goal[way.link] = False
+            elif k == 0:
+                from_start &= links.nodes != way.nodes[1]
+            else:
+                pair = np.sort(way.nodes[k : k + 2])
+                free[np.searchsorted(keys, pair @ [len(self), 1])] = False
+        left = _Links(
+            links.nodes[from_start], links.lengths[from_start],
+            links.goals[to_goal], links.from_nodes[to_goal], links.to_lengths[to_goal],
+        )  # fmt: skip
+        return self._graph_of(graph.version, free, proven=True), left
+
+    def _lengths_of(self, a: Floats, b: Floats) -> Floats:
+        """How long motions are over the joints that move."""
+        lengths: Floats = np.linalg.norm((self._space.unwound(a, b) - a)[..., self._space.columns], axis=-1)
+        return lengths
+
+
+@guarded
+def roadmap(
+    checker: CollisionChecker,
+    samples: int | ArrayLike,
+    *,
+    joints: str | Iterable[str] | None = None,
+    fixed: ArrayLike | None = None,
+    neighbours: int | None = None,
+    seed: int = 0,
+) -> Roadmap:
+    """Make a roadmap: configurations, and the motions between neighbours that are proven free, for many queries.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        What is attached in its scene moves along. A roadmap made in a scene with little in it serves best when bodies
+        come and go: configurations that collide now are left out for good.
+    samples : int or array_like, shape (n, dof)
+        How many configurations to draw, uniformly within the limits; or the configurations themselves. Those that are
+        free become the nodes.
+    joints : str or iterable of str, optional
+        A group, or names of joints: these move, and all others are kept. Default: all.
+    fixed : array_like, shape (dof,), optional
+        What the other joints keep. Default: as in the first of the configurations given, or `Robot.configuration`'s,
+        all 0. A joint that turns without limits is drawn from half a turn to both sides of its value here.
+    neighbours : int, optional
+        To how many of its nearest neighbours each node is connected where it can be. Default: for n nodes and d joints
+        e (1 + 1/d) ln n, as PRM* has it: with more and more samples, paths become the shortest ones.
+    seed : int
+        Equal seeds give equal roadmaps, and equal paths.
+
+    Returns
+    -------
+    Roadmap
+
+    Raises
+    ------
+    PlanningError
+        If no sample is free.
+    InputError
+        If an argument has the wrong shape or value; if a configuration given is outside the limits, or differs from
+        the others in a joint that is not among `joints`; or if one of `joints` is a planar or floating joint, which
+        has no limits to draw within.
+    UnknownNameError
+        If there is no such group or joint.
+
+    See Also
+    --------
+    plan : For one query.
+
+    References
+    ----------
+    Kavraki, Švestka, Latombe and Overmars (1996), "Probabilistic roadmaps for path planning in high-dimensional
+    configuration spaces", doi:10.1109/70.508439. Karaman and Frazzoli (2011), "Sampling-based algorithms for optimal
+    motion planning", doi:10.1177/0278364911406761.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> made = roadmap(CollisionChecker(Robot.from_urdf("arm.urdf")), 1000)
+    >>> len(made), made.components
+    (1000, array([1000]))
+    """
+    seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
+    if neighbours is not None:
+        neighbours = _validate.whole_number(neighbours, "neighbours", 1)
+    space, Q = _samples(checked_checker(checker), samples, joints, fixed, seed)
+    nodes = Q[_free(space, Q)]
+    if len(nodes) == 0:
+        raise PlanningError(f"samples: expected some that are free, found none among {len(Q)}")
+    if neighbours is None:
+        neighbours = max(1, math.ceil(math.e * (1 + 1 / len(space.columns)) * math.log(len(nodes))))
+    made = Roadmap(space, nodes, _Neighbours.of(space, nodes).pairs(neighbours), neighbours, seed)
+    made._proven()
+    return made
+
+
+def _samples(
+    checker: CollisionChecker,
+    samples: int | ArrayLike,
+    joints: str | Iterable[str] | None,
+    fixed: ArrayLike | None,
+    seed: int,
+) -> tuple[Space, Floats]:
+    """The space of a roadmap, and configurations in it, drawn or given."""
+    robot = checker.robot
+    count = _count(samples)
+    given = np.empty((0, robot.dof)) if count is not None else robot.checked(samples, "samples")
+    if given.ndim != 2 or (count is None and len(given) == 0):
+        raise InputError(
+            f"samples: expected a number of them, or configurations, shape (n, {robot.dof}) with n >= 1, found shape "
+            f"{_validate.shape_text(given.shape)}"
+        )
+    if fixed is not None:
+        kept = robot.checked_one(fixed, "fixed")
+    else:
+        kept = given[0].copy() if len(given) else robot.configuration()
+    if count is None:
+        space = Space.of(checker, joints, kept, given)
+        _check_given(space, given, "samples")
+        return space, given.copy()
+    space = Space.of(checker, joints, kept, kept[None])
+    _validate.fits_memory(3 * count * robot.dof * 8, f"{count} samples")
+    values = np.random.default_rng(seed).uniform(space.lower, space.upper, (count, len(space.columns)))
+    return space, space.configurations(values.clip(space.lower, space.upper))
+
+
+def _count(samples: Any) -> int | None:
+    """How many samples to draw; None if they seem to be given."""
+    try:
+        whole = not isinstance(samples, bool) and operator.index(samples) is not None
+    except Exception:  # no integer, or what an object of the caller's raises
+        whole = False
+    return _validate.whole_number(samples, "samples", 1) if whole else None
+
+
+def _check_given(space: Space, Q: Floats, name: str) -> None:
+    """Refuse configurations outside the limits, or that differ where nothing moves."""
+    outside = _outside(space, Q)
+    if outside.any():
+        k = int(outside.argmax())
+        raise InputError(f"{name}[{k}]: expected a configuration within the limits, found {space.outside(Q[k])}")
+    differs = space.still != Q
+    differs[:, space.columns] = False
+    if differs.any():
+        k, column = map(int, np.argwhere(differs)[0])
+        raise InputError(
+            f"{name}[{k}]: expected {space.still[column]:g}, as all have, of {space.name(column)}, which is not among "
+            f"the joints that move; found {Q[k, column]:g}"
+        )
+
+
+def _outside(space: Space, Q: Floats) -> Bools:
+    """Which configurations are outside the limits of the joints that move."""
+    values = Q[:, space.columns]
+    beyond = (values < space.lower) | (values > space.upper)
+    found = np.zeros(len(Q), dtype=bool)
+    for k in np.flatnonzero(beyond.any(axis=1)):  # by a rounding is not outside
+        found[k] = bool(space.outside(Q[k]))
+    return found
+
+
+def _free(space: Space, Q: Floats) -> Bools:
+    """Which configurations are proven free; what cannot be settled is not."""
+    try:
+        free: Bools = np.logical_not(space.checker.collide(Q))
+    except ConvergenceError:
+        free = np.array([space.free(q) for q in Q])
+    return free
+
+
+def _why(graph: _Graph, links: _Links, tried: int) -> str:
+    """Why start and goals are not connected."""
+    total = len(graph.labels)
+    for name, found in (("start", links.nodes), ("goal", links.from_nodes)):
+        if len(found) == 0:
+            ways = "to it from" if name == "goal" else "from it to"
+            return (
+                f"{name}: expected a configuration that a free motion connects to the roadmap, found none {ways} the "
+                f"nearest {tried} of {total} nodes; more samples, or some near it, may help"
+            )
+    sizes = np.bincount(graph.labels)
+    of_start, of_goal = (
+        ", ".join(str(size) for size in np.sort(sizes[np.unique(graph.labels[found])])[::-1][:NAMED])
+        for found in (links.nodes, links.from_nodes)
+    )
+    return (
+        "expected start and goal connected to one component of the roadmap, found the start connected to components "
+        f"of size {of_start} and the goal to components of size {of_goal}, of {total} nodes in all; there may be no "
+        "path; more samples, or `plan`, may help"
+    )
+
+
+# -- files ------------------------------------------------------------------------------------
+
+
+def _check_shapes(shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse arrays whose shapes do not belong together; shapes are known before any number is."""
+    nodes, edges, free, settings = (shapes[name] for name in ROADMAPS.arrays)
+    if len(nodes) != 2 or 0 in nodes:
+        raise InputError(f"nodes: expected shape (n, dof), found {nodes}")
+    if len(edges) != 2 or edges[1] != 2:
+        raise InputError(f"edges: expected shape (m, 2), found {edges}")
+    if free != edges[:1]:
+        raise InputError(f"free: expected shape {edges[:1]}, found {free}")
+    if settings != (2,):
+        raise InputError(f"settings: expected shape (2,), found {settings}")
+
+
+ROADMAPS = Format(
+    "loewner-roadmap",
+    1,
+    what="a roadmap",
+    else_use="loewner.planners.roadmap makes one",
+    arrays=("nodes", "edges", "free", "settings"),
+    integers=frozenset(("edges", "free", "settings")),
+    check_shapes=_check_shapes,
+    texts=("joints", "fingerprint"),
+)
+
+
+def _checked(told: dict[str, Any], checker: CollisionChecker) -> tuple[Space, str]:
+    """Look at all that a file says; its space, and the fingerprint.
+
+    Raises
+    ------
+    InputError
+        If it is no roadmap, or none for this robot.
+    """
+    robot, joints = checker.robot, told["joints"].ravel().tolist()
+    known = [name for name in joints if name in robot.configuration_names and name in robot.joint_names]
+    if not joints or known != joints or told["joints"].ndim != 1:
+        raise InputError(f"expected a roadmap for joints of robot {robot.name!r}, found one for {', '.join(joints)}")
+    nodes = told["nodes"] = robot.checked(told["nodes"], "nodes")
+    space = Space.of(checker, joints, nodes[0], nodes)
+    if [space.name(column) for column in space.columns] != joints:
+        raise InputError(f"joints: expected those that move, in the order of the robot, found {', '.join(joints)}")
+    _check_given(space, nodes, "nodes")
+    (a, b), count = told["edges"].T, len(nodes)
+    if not ((a >= 0) & (a < b) & (b < count)).all() or not (np.diff(a * count + b) > 0).all():
+        raise InputError(f"edges: expected pairs of two of {count} nodes, ascending, found others")
+    if not np.isin(told["free"], (0, 1)).all():
+        raise InputError("free: expected 0 or 1, found other numbers")
+    neighbours, seed = told["settings"].tolist()
+    if neighbours < 1 or seed not in range(2**32 - 1):
+        raise InputError(f"settings: expected a number of neighbours and a seed, found {neighbours} and {seed}")
+    return space, str(told["fingerprint"])
