@@ -26,6 +26,9 @@ CAPACITY = 2048
 # Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: some 10 ms.
 AT_A_TIME = 512
 
+# Cuts that are tried by default: more find little, and take longer than the search itself.
+CUTS = 60
+
 # Configurations that a path may gain while it is shortened.
 MOST_ROOM = 4096
 
