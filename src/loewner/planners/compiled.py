@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from functools import cache
 from typing import NamedTuple
@@ -94,17 +95,19 @@ def connect(
     PlanningError
         If none was found within the iterations, or in time.
     """
-    lower = np.where(space.turning, start[space.columns] - np.pi, space.lower)
-    upper = np.where(space.turning, start[space.columns] + np.pi, space.upper)
-    longest = float(np.linalg.norm(upper - lower)) * SHARE
+    joints, many, root = len(space.columns), len(goals), start[space.columns]
+    numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((4, joints))
+    numbers[0], numbers[1] = space.columns, space.turning
+    limits[0], limits[1] = space.lower, space.upper
+    limits[0, space.turning] = root[space.turning] - np.pi
+    limits[1, space.turning] = root[space.turning] + np.pi
+    limits[2], limits[3] = _sequence(joints, seed)
+    longest = math.dist(limits[0].tolist(), limits[1].tolist()) * SHARE
     judge = Judge.of(space.checker, resolution, longest)
-    joints, many = len(space.columns), len(goals)
-    trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(start[space.columns], goals[:, space.columns])
+    trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(root, goals[:, space.columns])
     state = np.zeros(STATE, dtype=np.int64)
-    state[[STARTS, GOALS]] = 1, many
-    limits = np.stack([lower, upper, *_sequence(joints, seed)])
-    gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
-    numbers = np.stack([space.columns, space.turning])
+    state[STARTS], state[GOALS] = 1, many
+    gap, points, ends = np.array([np.inf]), np.empty((3, joints)), np.array([start, start])
     began: float | None = None  # only after the first call, for which Numba may have to compile
     outcome = codes.SPENT
     while outcome != codes.MET:
@@ -145,9 +148,10 @@ def _irrationals(joints: int) -> tuple[Floats, Floats]:
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
     """The way through both trees."""
     first, rest = trees.branch(0, int(state[OF_START]))[::-1], trees.branch(1, int(state[OF_GOAL]))
-    turns = np.where(space.turning, np.rint((rest[0] - first[-1]) / (2 * np.pi)), 0.0)
-    turned = bool(turns.any())
-    if turned:
+    turned = False
+    if space.turning.any():
+        turns = np.where(space.turning, np.rint((rest[0] - first[-1]) / (2 * np.pi)), 0.0)
+        turned = bool(turns.any())
         rest = np.where(turns == 0, rest, rest - 2 * np.pi * turns)
     path = space.configurations(np.concatenate([first, rest]))
     # Whole turns are rounded, and steps are laid from the start: what was judged was not quite this.

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner._kernels import columns
-from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.robots import CollisionChecker, Robot
@@ -52,15 +50,15 @@ class Space:
         """The space of some joints; where one has no limits it reaches half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
-        # What some programs write for no limit, 1e16 or the largest number, is none to search within either.
-        below, above = robot.lower > -FARTHEST_LIMIT, robot.upper < FARTHEST_LIMIT
-        least, most = np.minimum(goals.min(axis=0), q), np.maximum(goals.max(axis=0), q)
-        lower = np.where(below, robot.lower, np.maximum(least - np.pi, robot.lower))
-        upper = np.where(above, robot.upper, np.minimum(most + np.pi, robot.upper))
+        lower, upper = robot.lower, robot.upper
+        below, above, turning = robot._unlimited
+        if below.any() or above.any():
+            least, most = np.minimum(goals.min(axis=0), q), np.maximum(goals.max(axis=0), q)
+            lower = np.where(below, np.maximum(least - np.pi, lower), lower)
+            upper = np.where(above, np.minimum(most + np.pi, upper), upper)
         moving = moving[lower[moving] < upper[moving]]
         if len(moving) == 0:
             raise InputError("joints: expected one or more that can move, found none")
-        turning = _turning(robot) & ~(below | above)
         return cls(checker, moving, q, lower[moving], upper[moving], turning[moving])
 
     def configurations(self, values: ArrayLike) -> Floats:
@@ -92,13 +90,17 @@ class Space:
         InputError
             If a goal moves a joint that is kept.
         """
-        _refuse_start(self.outside(q))
-        faults = [self.outside(goal) for goal in goals]
-        inside = np.array([not fault for fault in faults])
+        Q = np.concatenate([q[None], goals])
+        within = self._inside(Q)
+        if within.all():  # as a rule, and soon done
+            faults, inside = [""] * len(goals), within[1:]
+        else:
+            _refuse_start(self.outside(q))
+            faults, inside = [self.outside(goal) for goal in goals], within[1:]
         if not inside.any():
             raise _no_goal(faults)
         self._check_still(goals[inside])
-        found = self._faults(np.concatenate([q[None], goals[inside]]))
+        found = self._faults(Q[within])
         _refuse_start(found[0])
         if not any(found) and inside.all():
             return goals
@@ -108,13 +110,18 @@ class Space:
             raise _no_goal(faults)
         return goals[[not fault for fault in faults]]
 
+    def _inside(self, Q: Floats) -> Bools:
+        """Which configurations have all joints that move within their limits."""
+        values = Q[:, self.columns]
+        inside = (values >= self.lower - ON_LIMIT) & (values <= self.upper + ON_LIMIT)
+        return np.asarray(inside.all(axis=1))
+
     def outside(self, q: Floats) -> str:
         """Which joints that move are outside their limits; "" if none is."""
         values = q[self.columns]
-        wrong = (values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT)
-        if not wrong.any():
+        outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
+        if len(outside) == 0:
             return ""
-        outside = np.flatnonzero(wrong)
         named = ", ".join(
             f"{self.name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
             for k in outside[:NAMED]
@@ -201,16 +208,6 @@ def _no_goal(faults: list[str]) -> PlanningError:
 def _refuse_start(fault: str) -> None:
     if fault:
         raise PlanningError(f"start: expected a free configuration within the limits, found {fault}")
-
-
-def _turning(robot: Robot) -> Bools:
-    """Columns whose every joint a whole turn brings back to where it was."""
-    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
-    moved = tree.kind != columns.FIXED
-    turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
-    turning[tree.column[moved]] = True
-    turning[tree.column[moved & ~turns]] = False
-    return turning
 
 
 def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:

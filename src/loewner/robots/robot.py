@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
+from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
-from loewner._validate import Floats, OneOrMany, Pair, Progress
+from loewner._validate import Bools, Floats, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -639,6 +640,20 @@ class Robot:
             mixed = of_p * p + of_q * q
             Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
         return np.ascontiguousarray(Q)
+
+    @cached_property
+    def _unlimited(self) -> tuple[Bools, Bools, Bools]:
+        """Columns without a lower limit, without an upper one, and those that a whole turn brings back, without any.
+
+        What some programs write for no limit, 1e16 or the largest number, counts as none.
+        """
+        below, above = self.lower <= -FARTHEST_LIMIT, self.upper >= FARTHEST_LIMIT
+        tree, turning = self.tree, np.zeros(self.dof, dtype=bool)
+        moved = tree.kind != columns.FIXED
+        turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
+        turning[tree.column[moved]] = True
+        turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
+        return below, above, turning & below & above
 
     def _on_the_way(self, Q0: Floats, Q1: Floats) -> Floats:
         """Q1, its quaternions with the sign with which `between` goes to them: at half a turn, rounding chooses."""
