@@ -17,6 +17,8 @@ from loewner.robots import CollisionChecker, Robot
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
+FEW = 4
+
 # Configurations and pairs that a message names at most.
 NAMED = 5
 
@@ -141,9 +143,10 @@ class Space:
 
     def _check_still(self, goals: Floats) -> None:
         """Refuse goals that differ from the start where nothing moves."""
-        differs = (goals != self.still).any(axis=0)
-        differs[self.columns] = False
+        differs = goals != self.still
+        differs[:, self.columns] = False
         if differs.any():
+            differs = differs.any(axis=0)
             column = int(differs.argmax())
             goal = goals[(goals != self.still)[:, column].argmax(), column]
             raise InputError(
@@ -154,10 +157,11 @@ class Space:
     def _faults(self, Q: Floats) -> list[str]:
         """Why configurations within the limits cannot be on a path, each: "" where they can."""
         try:
-            hits = self.checker.collide(Q)
+            # One by one, a few take less time than as a batch.
+            hits = self.checker.collide(Q) if len(Q) > FEW else [self.checker.collide(q) for q in Q]
         except ConvergenceError:
             hits = np.ones(len(Q), dtype=bool)
-        return [self._fault(q) if hit else "" for q, hit in zip(Q, np.atleast_1d(hits), strict=True)]
+        return [self._fault(q) if hit else "" for q, hit in zip(Q, np.asarray(hits), strict=True)]
 
     def _fault(self, q: Floats) -> str:
         try:
