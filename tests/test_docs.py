@@ -44,7 +44,9 @@ def folder_with_robot(folder_with_meshes):
     Path("shelf.yaml").write_text("margin: 0.01\nbodies:\n  board: {box: [0.3, 0.8, 0.02], position: [0.65, 0, 0.5]}\n")
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/robots.md", "docs/viewer.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/robots.md", "docs/motions.md", "docs/viewer.md"]
+)
 def test_code_blocks_run(name, folder_with_robot, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""
     program = blocks(ROOT / name)

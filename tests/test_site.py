@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 CODE = r"^```python\n(.*?)^```"
 # test_docs.py runs the code of these.
-GUIDES = {"meshes.md", "robots.md", "scenes.md", "viewer.md"}
+GUIDES = {"meshes.md", "motions.md", "robots.md", "scenes.md", "viewer.md"}
 PAGES = sorted(page for page in DOCS.rglob("*.md") if re.search(CODE, page.read_text(), flags=re.M | re.S))
 
 
