@@ -207,6 +207,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot",
         " robot info",
         " robot check",
+        " plan",
         " view",
         " compile",
         " info",

@@ -25,12 +25,12 @@ EXAMPLES = """examples:
   loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
   loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
 
-configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the numbers
-  themselves. A file may hold several goals, of which any one will do. A goal by name keeps the start's values of all
-  joints that its state does not name; in a start by name these are 0.
+configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
+  numbers themselves. A file may hold several goals: any one will do. A goal by name keeps the start's values of
+  all joints that its state does not name; in a start by name these are 0.
 
-Every motion of the path is proven free at every one of its configurations. With --sampled motions are looked at in
-steps while the planner searches, and what was found is certified afterwards; it is printed and written in any case.
+Every motion of the path is proven free at every one of its configurations. With --sampled, motions are looked at
+in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
 
 exit status: 0 every motion proven free, 1 one or more collide (--sampled only), 2 error, or no path was found,
   3 none collides, but one or more are ambiguous

@@ -43,8 +43,8 @@ CHECK_EXAMPLES = """examples:
   loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 100000 --seed 7
   loewner robot check panda.urdf --scene shelf.yaml --configs path.csv --margin 0.02 --json
 
-configurations: a .npy file of shape (N, dof); a .csv file with one line each, whose first line may name the columns; or
-a .json file of them, such as a path of loewner plan
+configurations: a .npy file of shape (N, dof); a .csv file with one line each, whose first line may name the
+  columns; or a .json file with a list of them, or with a path of loewner plan
 
 exit status: 0 all free, 1 one or more colliding, 2 error
 """
