@@ -13,7 +13,7 @@
 #include <numpy/arrayobject.h>
 #include <stdint.h>
 
-#define MOST_WORDS 24 /* arguments of a kernel */
+#define MOST_WORDS 32 /* arguments of a kernel */
 
 typedef int32_t (*Function)(const int64_t *, int64_t *);
 

@@ -29,6 +29,7 @@ import run
 import samples
 import singles
 import threads
+import trajectories
 from loewner import paper
 
 
@@ -320,6 +321,22 @@ def test_planning_problems_are_judged_and_planned(arm: robot_samples.Sample, pro
         assert int(row["configurations"]) == sum(int(row[k]) for k in row if k.startswith(("free", "colliding")))
     assert int(tiers[1]["colliding_by_ellipsoids"]) + int(tiers[1]["colliding_by_search"]) > 0
     assert (tmp_path / "mbm-tiers.svg").stat().st_size > 0
+
+
+def test_trajectories_of_planned_paths(arm: robot_samples.Sample, problems: Path, tmp_path: Path, capsys):
+    """Of the one problem that can be solved: blends save time, nothing collides, and toppra finds about the same."""
+    assert trajectories.main(["--data", str(problems), "--every", "1", "--out", str(tmp_path)]) == 0
+    with open(tmp_path / "mbm-trajectories.csv", newline="", encoding="utf-8") as file:
+        found = list(csv.DictReader(file))
+    assert [row["limits"] for row in found] == ["stated", "default"]
+    for row in found:
+        assert float(row["blended"]) <= float(row["stopping"])
+        assert row["blends"] <= row["corners"]
+        assert row["colliding"] == "0"
+        assert row["toppra_share"] == "" or 0.8 < float(row["toppra_share"]) < 1.01
+    assert capsys.readouterr().out.count("1 paths") == 2
+    assert trajectories.main(["--data", str(tmp_path / "none.json")]) == 0
+    assert "not run" in capsys.readouterr().out
 
 
 def test_both_sides_look_at_the_same_configurations(arm: robot_samples.Sample, round_and_square: loewner.Scene):

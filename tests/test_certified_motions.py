@@ -116,6 +116,30 @@ def test_half_turns(tmp_path, rng):
     assert (verdicts == COLLIDING).any()
 
 
+@pytest.mark.parametrize("kind", [*ARMS, "afloat"])
+def test_values_off_the_motion(arms, tmp_path, kind, rng):
+    """Proven with values that may be off, no configuration that is off by so much collides; many do where none may."""
+    robot = afloat(tmp_path) if kind == "afloat" else arms(kind)
+    checker = CollisionChecker(robot, ring(rng, 14, 0.3, 1.2, 0.3))
+    Q = free_configurations(checker, 150)
+    ends = steps(robot, rng, Q, 0.2)
+    off = rng.uniform(0.0, 0.03, Q.shape) * (rng.random(Q.shape) < 0.5)
+    strays = loewner.robots.motions.certify(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, off).verdicts
+    bare = checker.certify_edges(Q, ends).verdict
+    hit = np.zeros(len(Q), dtype=bool)
+    for _ in range(300):
+        there = robot.between(Q, ends, rng.random(len(Q))) + off * rng.choice([-1.0, 1.0], Q.shape)
+        for at in robot._quaternions.values():
+            there[:, at] /= np.linalg.norm(there[:, at], axis=1, keepdims=True)
+        hit |= checker.collide(there)
+    assert not (hit & (strays == FREE)).any()
+    assert (hit & (bare == FREE)).any()
+    assert (strays == FREE).sum() > 0.3 * (bare == FREE).sum()
+    assert (bare[strays == FREE] == FREE).all()
+    same = loewner.robots.motions.certify(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, np.zeros_like(off))
+    assert (same.verdicts == bare).all()
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_random_robots(tmp_path, seed):
     """The same of robots of all joints with bodies of all kinds and many pieces, margins and attachments."""

@@ -8,7 +8,7 @@ import pytest
 from checker_oracle import random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker
 from loewner._kernels import columns
-from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between
+from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
 from motion_oracle import AFLOAT, example, steps, written
 
 Real = np.longdouble
@@ -188,3 +188,40 @@ def test_orientations(tmp_path, angle, astray):
         a[at] *= 1 + astray * rng.uniform(-1, 1)
         b[at] *= 1 + astray * rng.uniform(-1, 1)
         assert largest_error(checker, a, b, rng.uniform(size=50)) < 1.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+@far_outside
+def test_strays(tmp_path, seed):
+    """Configurations off a motion by so much have no point of a body farther off, as seen from any other, than told."""
+    rng, checker = checkers(tmp_path, seed)
+    robot, (ready, points) = checker.robot, points_of(checker)
+    if robot.dof == 0:
+        pytest.skip("nothing moves")
+    closest = 0.0
+    for q in robot.random_configurations(4, seed):
+        end = steps(robot, rng, q[None], 0.1)[0]
+        tables, made, _ = rates(checker, q, end)
+        strays = Rates(*(np.empty(len(robot.link_names)) for _ in range(3)))
+        off = rng.uniform(0.0, 0.05, robot.dof) * (rng.random(robot.dof) < 0.5)
+        write_strays(robot.tree, off, made, strays)
+        start = robot.between(q, robot._on_the_way(q, end), 0.5)
+        there = start + off * rng.choice([-1.0, 1.0], (20, robot.dof))
+        for at in robot._quaternions.values():
+            there[:, at] /= np.linalg.norm(there[:, at], axis=1, keepdims=True)
+        before = real_poses(robot, start, start, [0.0])
+        after = np.concatenate([real_poses(robot, x, x, [0.0]) for x in there])
+        for a in range(len(ready.link)):
+            for b in range(len(ready.link)):
+                if a == b:
+                    continue
+                x = np.c_[points[a], np.ones(len(points[a]))].astype(Real)
+                seen = []
+                for poses in (before, after):
+                    to = np.linalg.inv(poses[:, ready.link[b]].astype(float)).astype(Real)
+                    seen.append(np.einsum("tij,tjk,nk->tni", to, poses[:, ready.link[a]], x)[..., :3])
+                moved = np.sqrt(((seen[1] - seen[0]) ** 2).sum(axis=-1)).max()
+                told = ways_between(tables, strays, a, ready.link[a], ready.link[b]).speed
+                assert moved <= told * (1 + 1e-9) + 1e-12
+                closest = max(closest, float(moved / told) if told else 0.0)
+    assert closest > 0.3  # the bound is no wild guess

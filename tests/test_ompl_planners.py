@@ -197,6 +197,9 @@ def test_states_and_motions_are_the_checkers(checker, scene, rng):
         assert 0 < sum(moves) < 59
         seen.append(valid)
     assert seen[0] != seen[1]
+    proofs = planners.space_information(checker, joints=["y", "x"], fixed=LEFT, certified=True)
+    moves = [proofs.checkMotion(a, b) for a, b in zip(states[:-1], states[1:], strict=True)]
+    np.testing.assert_array_equal(moves, checker.certify_edges(Q[:-1], Q[1:]).verdict == Verdict.FREE)
 
 
 def test_bounds_are_the_limits(checker):

@@ -1,5 +1,6 @@
 """The 3-D page: what it shows is what the library answers, in Python and in a real browser; who may open it."""
 
+import dataclasses
 import http.server
 import os
 import re
@@ -17,7 +18,7 @@ import pytest
 
 import loewner
 from families import translation
-from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, viewer
+from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, planners, viewer
 from loewner.viewer import drawing, guard
 from loewner.viewer.visuals import visual_meshes
 
@@ -370,6 +371,84 @@ def test_sliders_move_the_robot(arm):
         eventually(lambda: page.colliding == arm.collide([1.5, 0.0]))
 
 
+@pytest.fixture
+def moved(arm):
+    """From the middle into the wall, in two seconds."""
+    return planners.trajectory(arm.robot, [[0.0, 0.0], [1.5, 0.0]], velocity=1.0, acceleration=2.0)
+
+
+def test_a_trajectory_is_shown(arm, moved):
+    """The robot is where the trajectory is at the time of the slider, set in Python or on the page."""
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        assert page.time == 0.0
+        for t in (0.7, moved.duration, 0.0):
+            page.time = t
+            assert page.q.tolist() == moved.positions(t).tolist()
+            assert page.colliding == arm.collide(page.q)
+            assert page._clock.value == t
+        page._clock.value = 0.5
+        page._tell("time")
+        eventually(lambda: page.time == 0.5)
+        assert page.q.tolist() == moved.positions(0.5).tolist()
+        assert [slider.value for slider in page._sliders] == page.q.tolist()
+
+
+def test_a_trajectory_is_played(arm, moved):
+    """It runs at the pace of the clock to its end, pauses when asked to, and starts anew from the end."""
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        began = time.monotonic()
+        page.play()
+        assert page.playing
+        assert page._button.label == "pause"
+        eventually(lambda: page.time > 0.3)
+        page._tell("play")  # the button
+        eventually(lambda: not page.playing)
+        assert 0.3 < page.time <= time.monotonic() - began
+        paused = page.time
+        assert page._button.label == "play"
+        assert page.q.tolist() == moved.positions(paused).tolist()
+        page.play()
+        eventually(lambda: not page.playing)
+        assert page.time == moved.duration
+        assert page.q.tolist() == [1.5, 0.0]
+        assert time.monotonic() - began >= moved.duration
+        page.play()
+        assert page.time < moved.duration
+        page.pause()
+        assert not page.playing
+
+
+def test_hands_end_a_trajectory(arm, moved):
+    """Whoever moves a joint, on the page or in Python, is not overruled by the trajectory."""
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        page.play()
+        page.q = [-1.0, 0.5]
+        assert not page.playing
+        page.play()
+        page._sliders[0].value = 0.25
+        page._tell("joints")
+        eventually(lambda: not page.playing)
+        page.refresh()
+        assert page._clock.value == page.time
+
+
+def test_trajectories_of_others(arm, moved, lonely):
+    """What is no trajectory, or another robot's, is refused; a page without one cannot play."""
+    with pytest.raises(loewner.InputError, match="planners.trajectory makes one"):
+        viewer.show_robot(arm, trajectory=[[0.0, 0.0], [1.0, 0.0]])
+    other = dataclasses.replace(moved, names=("shoulder", "wrist"))
+    with pytest.raises(loewner.InputError, match="trajectory: expected one of 'arm', for shoulder, elbow"):
+        viewer.show_robot(arm, trajectory=other)
+    with viewer.show_robot(arm) as page:
+        for act in (page.play, page.pause, lambda: setattr(page, "time", 0.0)):
+            with pytest.raises(loewner.InputError, match="trajectory"):
+                act()
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        for bad in (-1.0, 100.0, np.nan, "now", None):
+            with pytest.raises(loewner.InputError, match="t: expected|time: expected"):
+                page.time = bad
+
+
 def test_many_moves_are_answered_by_the_last():
     """Moves that wait are not answered one by one: the page never lags behind the mouse."""
     with viewer.show_pair(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), translation(2.5)) as page:
@@ -444,6 +523,9 @@ def test_nothing_to_check(lonely):
         (["--robot", "arm.urdf", "--scene", "empty.yaml"], "empty.yaml: expected a scene with bodies, found none"),
         (["--robot", "broken.urdf"], "broken.urdf, line 1: expected a URDF"),
         (["--robot", "none.urdf"], "none.urdf: expected"),
+        (["part.npz", "part.npz", "--trajectory", "a.csv"], "expected --trajectory with --robot only"),
+        (["--robot", "arm.urdf", "--trajectory", "none.csv"], "none.csv: expected a trajectory, found no such file"),
+        (["--robot", "arm.urdf", "--trajectory", "other.csv"], "trajectory: expected one of 'arm'"),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
         (["part.npz", "nothing.npz"], "nothing.npz: expected a file"),
         (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
@@ -463,6 +545,7 @@ def test_command_line_says_what_is_wrong(arguments, expected, arm, tmp_path, mon
     Path("broken.urdf").write_text("<robot")
     Path("bare.urdf").write_text('<robot name="bare"><link name="base"/></robot>')
     Path("broken.stl").write_text("solid part\nfacet")
+    planners.Trajectory(("a",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(0, bool)).save("other.csv")
     assert cli.main(["view", *arguments, "--no-browser"]) == 2
     captured = capsys.readouterr()
     assert expected in captured.err
@@ -887,6 +970,17 @@ def test_robot_in_the_browser(tab, arm):
         tab.get_by_text("random configuration").click()
         eventually(lambda: page.q.tolist() != [1.5, 0.0], PATIENCE / 1000)
         assert shown(tab, arm.classify(page.q).name) == page.verdict.name
+
+
+def test_trajectory_in_the_browser(tab, arm, moved):
+    """The button plays it to its end, where the page names the pair that collides."""
+    with viewer.show_robot(arm, trajectory=moved) as page:
+        tab.goto(page.url)
+        assert shown(tab, "FREE") == "FREE"
+        tab.get_by_role("button", name="play").click()
+        eventually(lambda: page.time == moved.duration, PATIENCE / 1000)
+        tab.locator('[data-loewner="note"]', has_text="wall/left").first.wait_for()
+        assert page.q.tolist() == [1.5, 0.0]
 
 
 def test_command_line_serves_a_page(tab, tmp_path):

@@ -320,6 +320,10 @@ def checker() -> CollisionChecker:
     return CollisionChecker(robot(), scene())
 
 
+def moved() -> planners.Trajectory:
+    return planners.trajectory(robot(), PATH, velocity=1.0)
+
+
 def roadmap() -> planners.Roadmap:
     return planners.roadmap(checker(), 20, joints="y", fixed=[-0.5, 0.25, 0.0])
 
@@ -386,6 +390,7 @@ def write_files() -> None:
         json.dumps({"robot": "gantry", "joints": ["x", "y"], "problems": {"g": [problem]}})
     )
     np.save("configs.npy", np.zeros((2, 3)))
+    moved().save("moved.json")
     FILES.update(os.listdir())
 
 
@@ -492,6 +497,10 @@ POINTS = array(CUBE, FINITE, "without the first row")
 FLAT_POINTS = array(CUBE, FINITE, "without the first row", "without the last column")  # in the plane
 TOL = arg(1e-4, "5e-324", "Fraction")
 PATH_OUT = arg("out.npz", TEXTS)
+PATH = [[-0.5, 0.25, 0.0], [-0.5, 0.5, 0.0], [-0.25, 0.5, 0.5]]
+TIMES = array([[0.0, 0.125], [0.25, 0.5]], FINITE, BATCHES, ZERO, "5e-324", "Fraction", "1.5", "empty list",
+              "empty tuple", "Scene", "empty (0, 3)", "empty (3, 0)", "5 axes", "100,000 zeros", "turned over",
+              "without the last column", "a column more", "a number alone")  # fmt: skip
 VECTORS = array([[1.0, 0.5, 0.25], [0.5, -0.25, 0.125]], FINITE, BATCHES, "empty (0, 3)")
 
 CALLS: dict[str, Call] = {
@@ -812,6 +821,23 @@ CALLS: dict[str, Call] = {
             "seed": count(1, "0"),
         },
     ),
+    "planners.trajectory": Call(
+        planners.trajectory,
+        {
+            "robot": arg(robot, "Robot"),
+            "path": array(PATH, FINITE, "without the first row", "turned over"),
+            "velocity": array([1.0, 0.5, 2.0], FINITE, NUMBERS, "a number alone"),
+            "acceleration": array([1.0, 0.5, 2.0], FINITE, NUMBERS, NONE, "a number alone"),
+            "checker": arg(checker, NONE),
+            "blend": arg(0.25, ZERO, "5e-324"),
+        },
+    ),
+    "planners.Trajectory.positions": Call(on(moved, "positions"), {"t": TIMES}),
+    "planners.Trajectory.velocities": Call(on(moved, "velocities"), {"t": TIMES}),
+    "planners.Trajectory.accelerations": Call(on(moved, "accelerations"), {"t": TIMES}),
+    "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive()}),
+    "planners.Trajectory.save": Call(on(moved, "save"), {"path": arg("out.csv"), "rate": positive(0.5, NONE)}),
+    "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,
         {
@@ -988,6 +1014,7 @@ CALLS: dict[str, Call] = {
         {
             "checker": arg(checker),
             "q": array(Q[0], FINITE, NONE),
+            "trajectory": arg(moved, NONE),
             "host": arg("127.0.0.1"),
             "port": arg(0, "0"),
             "block": flag(False),
@@ -1104,7 +1131,7 @@ LINES: dict[str, Call] = {
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet",
-    "paper.Experiment", "paper.Pairs", "paper.Result",
+    "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}

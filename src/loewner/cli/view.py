@@ -34,6 +34,7 @@ def add(commands: Any) -> None:
     view.add_argument("--robot", dest="urdf", metavar="URDF", type=Path, help="a robot instead of two bodies")
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
     view.add_argument("--scene", metavar="YAML", type=Path, help="what stands around it (docs/scenes.md)")
+    view.add_argument("--trajectory", metavar="FILE", type=Path, help="of the robot, to play: .csv or .json")
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
     view.add_argument("--decompose", action="store_true", help="split meshes of the robot that are not convex")
     view.add_argument("--port", type=int, default=0, help="default: any that is free")
@@ -60,7 +61,8 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
     if options.a is None or options.b is None:
         raise InputError("view: expected two bodies, A and B, or --robot URDF")
-    _refuse(options, ("srdf", "scene", "package_dir", "decompose"), "with --robot only, found it with A and B")
+    of_robots = ("srdf", "scene", "trajectory", "package_dir", "decompose")
+    _refuse(options, of_robots, "with --robot only, found it with A and B")
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.body(options.a, options), inputs.body(options.b, options)
     if Tb is None:
@@ -71,7 +73,7 @@ def _view_pair(options: argparse.Namespace) -> Any:
 
 
 def _view_robot(options: argparse.Namespace) -> Any:
-    from loewner import viewer
+    from loewner import planners, viewer
 
     if options.a is not None:
         raise InputError(f"view: expected no A and B with --robot, found {options.a}")
@@ -82,7 +84,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
         raise InputError(
             f"{options.scene}: expected a scene with bodies, found none; for the robot alone, drop --scene"
         )
-    return viewer.show_robot(loewner.CollisionChecker(inputs.robot(options), scene), port=options.port)
+    played = None if options.trajectory is None else planners.Trajectory.load(options.trajectory)
+    checker = loewner.CollisionChecker(inputs.robot(options), scene)
+    return viewer.show_robot(checker, trajectory=played, port=options.port)
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:

@@ -3,5 +3,6 @@
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.roadmaps import Roadmap, roadmap
+from loewner.planners.trajectories import Trajectory, trajectory
 
-__all__ = ["Roadmap", "plan", "roadmap", "shorten", "space_information"]
+__all__ = ["Roadmap", "Trajectory", "plan", "roadmap", "shorten", "space_information", "trajectory"]

@@ -26,6 +26,9 @@ CAPACITY = 2048
 # Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: some 10 ms.
 AT_A_TIME = 512
 
+# Cuts that are tried by default: more find little, and take longer than the search itself.
+CUTS = 60
+
 # Configurations that a path may gain while it is shortened.
 MOST_ROOM = 4096
 
@@ -41,8 +44,16 @@ class Trees(NamedTuple):
     def of(cls, joints: int, capacity: int) -> Trees:
         """Room for so many configurations in each."""
         fits_memory(2 * capacity * 8 * (joints + 3), f"trees of {capacity} configurations")
-        parents, domains = np.full((2, capacity), -1), np.full((2, capacity), np.inf)
-        return cls(np.empty((2, joints, capacity)), parents, domains)
+        nodes, parents = np.empty((2, joints, capacity)), np.empty((2, capacity), dtype=np.int64)
+        return cls(nodes, parents, np.empty((2, capacity)))
+
+    def rooted(self, start: Floats, goals: Floats) -> Trees:
+        """The same with roots: a start, shape (joints,), and goals, shape (goals, joints)."""
+        count = len(goals)
+        self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
+        self.parents[0, 0], self.parents[1, :count] = -1, -1
+        self.domains[0, 0], self.domains[1, :count] = np.inf, np.inf
+        return self
 
     @property
     def capacity(self) -> int:
@@ -88,11 +99,10 @@ def connect(
     longest = float(np.linalg.norm(upper - lower)) * SHARE
     judge = Judge.of(space.checker, resolution, longest)
     joints, many = len(space.columns), len(goals)
-    trees = Trees.of(joints, max(CAPACITY, 2 * many))
-    trees.nodes[0, :, 0], trees.nodes[1, :, :many] = start[space.columns], goals[:, space.columns].T
+    trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(start[space.columns], goals[:, space.columns])
     state = np.zeros(STATE, dtype=np.int64)
     state[[STARTS, GOALS]] = 1, many
-    limits = np.stack([lower, upper, _strides(joints), np.random.default_rng(seed).random(joints)])
+    limits = np.stack([lower, upper, *_sequence(joints, seed)])
     gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
     numbers = np.stack([space.columns, space.turning])
     began: float | None = None  # only after the first call, for which Numba may have to compile
@@ -113,18 +123,23 @@ def connect(
     return _path(space, judge, trees, state)
 
 
-@cache
-def _strides(joints: int) -> Floats:
-    """Strides of a sequence of low discrepancy, whose k-th entry is the fraction of shift + k strides.
+def _sequence(joints: int, seed: int) -> tuple[Floats, Floats]:
+    """Strides and shifts of a sequence of low discrepancy, whose k-th entry is the fraction of shift + k strides."""
+    strides, shifts = _irrationals(joints)
+    return strides, np.modf(0.5 + seed * shifts)[0]
 
-    They are powers of the root of x^(d + 1) = x + 1, which is the golden ratio for d = 1: Roberts, The unreasonable
-    effectiveness of quasirandom sequences, 2018.
+
+@cache
+def _irrationals(joints: int) -> tuple[Floats, Floats]:
+    """Powers of the root of x^(d + 1) = x + 1, the golden ratio for d = 1; and numbers independent of these.
+
+    Roberts: The unreasonable effectiveness of quasirandom sequences, 2018.
     """
     root = 2.0
     for _ in range(64):
         root = (1.0 + root) ** (1.0 / (joints + 1))
-    strides: Floats = root ** -np.arange(1.0, joints + 1.0)
-    return strides
+    order = np.arange(1.0, joints + 1.0)
+    return root**-order, np.modf(np.pi * np.sqrt(order + 1.0))[0]
 
 
 def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:

@@ -31,6 +31,7 @@ def space_information(
     *,
     joints: str | Iterable[str] | None = None,
     fixed: ArrayLike | None = None,
+    certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
     """An OMPL ``SpaceInformation`` whose states and motions the checker judges, for planners of your own.
@@ -44,6 +45,8 @@ def space_information(
         `configuration_names`. Default: all.
     fixed : array_like, shape (dof,), optional
         What the other joints keep. Default: `Robot.configuration`'s, all 0.
+    certified : bool
+        Prove motions that are asked about, as `plan` does; otherwise they are looked at in steps.
     resolution : float
         As for `plan`, in the units of the joints.
 
@@ -70,7 +73,9 @@ def space_information(
     step = _validate.positive_scalar(resolution, "resolution")
     robot = checked_checker(checker).robot
     q = robot.configuration() if fixed is None else robot.checked_one(fixed, "fixed")
-    return _information(Space.of(checker, joints, q, q[None]), step, step)
+    return _information(
+        Space.of(checker, joints, q, q[None]), step, 0.0 if _validate.flag(certified, "certified") else step
+    )
 
 
 def named(planner: str | Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -15,9 +15,6 @@ from loewner.planners.judge import checked_path, refuse_unfree
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 
-# Cuts that `plan` tries to make: more find little, and take longer than the search itself.
-CUTS = 100
-
 
 @guarded
 def plan(
@@ -117,7 +114,11 @@ def plan(
     found = compiled.connect(
         space, q, goals, resolution=step, max_iterations=max_iterations, timeout=timeout, seed=seed
     )
-    return compiled.shortened(checker, found, resolution=step, max_iterations=CUTS, seed=seed) if simplify else found
+    return (
+        compiled.shortened(checker, found, resolution=step, max_iterations=compiled.CUTS, seed=seed)
+        if simplify
+        else found
+    )
 
 
 @guarded
@@ -127,7 +128,7 @@ def shorten(
     *,
     certified: bool = True,
     resolution: float = 0.05,
-    max_iterations: int = CUTS,
+    max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
     """Make a path shorter: leave corners out, and cut them, wherever the straight way is free.

@@ -25,7 +25,6 @@ from loewner._validate import Bools, Floats, Ints
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge
-from loewner.planners.planning import CUTS
 from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 
@@ -322,7 +321,7 @@ class Roadmap:
         found = self._found(q, goals)
         if not simplify:
             return found
-        return compiled.shortened(self.checker, found, resolution=0.0, max_iterations=CUTS, seed=self._seed)
+        return compiled.shortened(self.checker, found, resolution=0.0, max_iterations=compiled.CUTS, seed=self._seed)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the roadmap into a file, with which of its motions are free in the scene as it is now.

@@ -98,8 +98,13 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
+def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
     """Settle the motions between configurations a and b, shape (N, dof) each.
+
+    Parameters
+    ----------
+    off : ndarray, shape (N, dof), optional
+        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
 
     Raises
     ------
@@ -112,10 +117,11 @@ def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Foun
         np.empty((total, 2), dtype=np.int64),
     )  # fmt: skip
     prepared = ready.motions
+    strays = np.empty((0, a.shape[1])) if off is None else off
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(
-            first, last, a, b, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
+            first, last, a, b, strays, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
             workspace(prepared.memory),
         )  # fmt: skip
 

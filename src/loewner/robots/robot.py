@@ -25,7 +25,7 @@ from loewner.fits import checked_tolerance
 from loewner.robots.link_bodies import link_bodies
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
-from loewner.robots.urdf import VALUES, read_urdf
+from loewner.robots.urdf import VALUES, Description, read_urdf
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
 QUATERNION_TOLERANCE = 1e-6
@@ -59,6 +59,9 @@ class Robot:
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
         outside are allowed everywhere; one that is far outside is told once (see `checked`).
+    velocity : ndarray, shape (dof,)
+        The fastest that each value may change [rad/s or m/s]: the URDF's limit, or less where a joint that mimics it
+        would break its own. NaN where the URDF gives none above 0, and for planar and floating joints.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. Any other name is an
         UnknownNameError.
@@ -97,6 +100,7 @@ class Robot:
     configuration_names: tuple[str, ...]
     lower: Floats
     upper: Floats
+    velocity: Floats
     bodies: dict[str, Body]
     groups: dict[str, tuple[str, ...]]
     states: dict[str, State]
@@ -193,8 +197,9 @@ class Robot:
             lower[column], upper[column] = robot.joints[name].lower, robot.joints[name].upper
             if kinds[name] == "floating":
                 lower[column.start + 3 : column.stop], upper[column.start + 3 : column.stop] = -1.0, 1.0
-        lower.setflags(write=False)
-        upper.setflags(write=False)
+        velocity = _velocities(robot, columns, dof)
+        for limits in (lower, upper, velocity):
+            limits.setflags(write=False)
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
@@ -206,6 +211,7 @@ class Robot:
             configuration_names=names,
             lower=lower,
             upper=upper,
+            velocity=velocity,
             bodies=_LinkBodies(bodies),
             groups=semantics.groups,
             states=semantics.states,
@@ -650,6 +656,17 @@ class Robot:
         return {
             joint: slice(at.start + 3, at.stop) for joint, at in self._columns.items() if at.stop - at.start == width
         }
+
+
+def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:
+    """The fastest that the values of configurations may change; NaN where that is not known."""
+    velocity = np.full(dof, np.nan)
+    for joint in robot.joints.values():
+        moved, multiplier = (joint.name, 1.0) if joint.mimic is None else (joint.mimic.joint, joint.mimic.multiplier)
+        if moved in columns and multiplier != 0:
+            at = columns[moved]
+            velocity[at] = np.fmin(velocity[at], joint.velocity / abs(multiplier))
+    return velocity
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:

@@ -80,7 +80,10 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF."""
+    """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
+
+    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0.
+    """
 
     name: str
     kind: str
@@ -90,6 +93,7 @@ class Joint:
     axis: Floats
     lower: float
     upper: float
+    velocity: float
     mimic: Mimic | None
     line: int
 
@@ -239,6 +243,7 @@ def _joint(element: Element, links: Collection[str]) -> Joint:
         axis=_axis(element, kind),
         lower=lower,
         upper=upper,
+        velocity=_velocity(element, kind),
         mimic=_mimic(element, kind),
         line=element.line,
     )
@@ -276,6 +281,15 @@ def _limits(joint: Element, kind: str) -> tuple[float, float]:
         expected = f"limits that leave joint {joint.text('name')!r} values within ±{FARTHEST_LIMIT:g}"
         element.fault(expected, f"{lower:g} .. {upper:g}")
     return lower, upper
+
+
+def _velocity(joint: Element, kind: str) -> float:
+    """The fastest that a joint of one value moves; many files write 0 for none."""
+    element = joint.first("limit")
+    if element is None or VALUES[kind] != ("",):
+        return math.nan
+    (velocity,) = element.numbers("velocity", 1, "0")
+    return velocity if 0 < velocity < math.inf else math.nan
 
 
 def _mimic(joint: Element, kind: str) -> Mimic | None:

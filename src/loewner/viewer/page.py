@@ -148,6 +148,10 @@ class Viewer:
         """Whether Python has changed what the page shows, without telling it."""
         return False
 
+    def _look_every(self) -> float:
+        """Seconds until the page looks again, if nothing happens."""
+        return LOOK_EVERY
+
     def _tell(self, name: str, value: Any = None) -> None:
         """Note that a control of the page was used; may be called from any thread."""
         self._events.put((name, value))
@@ -184,7 +188,7 @@ class Viewer:
         """Wait for something to happen, then take all that has."""
         done: dict[str, Any] = {}
         try:
-            event = self._events.get(timeout=LOOK_EVERY)
+            event = self._events.get(timeout=self._look_every())
             while event is not None:
                 done[event[0]] = event[1]
                 event = self._events.get_nowait()

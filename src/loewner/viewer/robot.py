@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
+from loewner.planners import Trajectory
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
@@ -26,6 +28,11 @@ LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
 # Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
 TURN, TRAVEL = math.pi, 2.0
+
+# Seconds between two pictures of a trajectory that is played.
+FRAME = 1 / 30
+
+PLAY, PAUSE = "play", "pause"
 
 # So many contacts, and so many notes, are written out.
 MOST_LINES = 12
@@ -40,6 +47,7 @@ def show_robot(
     checker: CollisionChecker,
     q: ArrayLike | None = None,
     *,
+    trajectory: Trajectory | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
     block: bool = False,
@@ -51,7 +59,9 @@ def show_robot(
     checker : CollisionChecker
         Of the robot and the scene to show. Bodies moved on the page are moved in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration; default: all joints at 0.
+        The first configuration; default: all joints at 0, or where the trajectory starts.
+    trajectory : planners.Trajectory, optional
+        Of this robot. The page gets a slider for the time and a button to play it.
     host, port, block
         As for `show_pair`.
 
@@ -64,8 +74,8 @@ def show_robot(
     MissingExtraError
         If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If the configuration does not fit, there is nothing to check, the host is none of this machine's, or the port
-        is taken.
+        If the configuration or the trajectory does not fit, there is nothing to check, the host is none of this
+        machine's, or the port is taken.
 
     Examples
     --------
@@ -76,7 +86,7 @@ def show_robot(
     >>> page.close()
     """
     waits = _validate.flag(block, "block")
-    viewer = RobotViewer(checker, q, host=host, port=port)
+    viewer = RobotViewer(checker, q, trajectory, host=host, port=port)
     if waits:
         viewer.wait()
     return viewer
@@ -103,6 +113,8 @@ class RobotViewer(Viewer):
     Attributes
     ----------
     checker : CollisionChecker
+    trajectory : planners.Trajectory or None
+        What can be played.
     verdict : Verdict
         The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
@@ -129,11 +141,19 @@ class RobotViewer(Viewer):
     contacts: tuple[Contact, ...]
     bounds: StateDistance
 
-    def __init__(self, checker: CollisionChecker, q: ArrayLike | None, *, host: str, port: int) -> None:
+    def __init__(
+        self, checker: CollisionChecker, q: ArrayLike | None, trajectory: Trajectory | None, *, host: str, port: int
+    ) -> None:
         if not isinstance(checker, CollisionChecker):
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         robot = checker.robot
         self.checker = checker
+        self.trajectory = _checked(robot, trajectory)
+        self._time = 0.0
+        # What `monotonic` said at the time 0 of the trajectory that is being played.
+        self._began: float | None = None
+        if q is None and trajectory is not None:
+            q = trajectory.positions(0.0)
         # Not every robot can stand at zero.
         start = np.clip(robot.configuration(), robot.lower, robot.upper) if q is None else q
         self._q = np.array(robot.checked_one(start))
@@ -159,8 +179,57 @@ class RobotViewer(Viewer):
         self._check_open()
         checked = np.array(self.checker.robot.checked_one(q))
         with self.lock:
+            self._stop()
             self._state.value = OTHER
             self._set_configuration(checked)
+            self.refresh()
+
+    @property
+    def time(self) -> float:
+        """Where the page is on its trajectory, in seconds; set it to move the robot there."""
+        return self._time
+
+    @time.setter
+    def time(self, t: float) -> None:
+        self._check_open()
+        self._the_trajectory().positions(_validate.real(t, "time"))
+        with self.lock:
+            self._stop()
+            self._go_to(float(t))
+            self.refresh()
+
+    @property
+    def playing(self) -> bool:
+        """Whether the trajectory runs."""
+        return self._began is not None
+
+    def play(self) -> None:
+        """Let the trajectory run from where it is, or from its start if it is at its end; InputError if there is none.
+
+        Examples
+        --------
+        >>> from loewner import planners, viewer
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> moved = planners.trajectory(robot, [[0, 0], [2, 0]])
+        >>> with viewer.show_robot(CollisionChecker(robot), trajectory=moved) as page:
+        ...     page.time = 1.5
+        ...     page.q, page.playing
+        ...     page.play()
+        ...     page.playing
+        (array([1., 0.]), False)
+        True
+        """
+        self._check_open()
+        with self.lock:
+            self._start(self._the_trajectory())
+            self.refresh()
+
+    def pause(self) -> None:
+        """Stop it where it is; InputError if there is no trajectory."""
+        self._check_open()
+        self._the_trajectory()
+        with self.lock:
+            self._stop()
             self.refresh()
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
@@ -203,6 +272,12 @@ class RobotViewer(Viewer):
                 low, high = min(low, value), max(high, value)
                 slider = gui.add_slider(name, low, high, max((high - low) / 1000, 1e-6), value)
                 self._sliders.append(self._watch(slider, "joints"))
+        if self.trajectory is not None:
+            with gui.add_folder("Trajectory"):
+                end = max(self.trajectory.duration, 1e-6)
+                self._clock = self._watch(gui.add_slider("time, s", 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
+                self._button = gui.add_button(PLAY)
+                self._button.on_click(lambda _: self._tell("play"))
         with gui.add_folder("Scene"):
             self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
             self._inputs = PoseInputs(self, "body", step=0.005)
@@ -330,7 +405,10 @@ class RobotViewer(Viewer):
     # -- what is done on it -----------------------------------------------------------------------
 
     def _changed(self) -> bool:
-        return self.checker.scene.version != self._seen
+        return self.playing or self.checker.scene.version != self._seen
+
+    def _look_every(self) -> float:
+        return FRAME if self.playing else super()._look_every()
 
     def _take(self, done: dict[str, Any]) -> None:
         robot, scene = self.checker.robot, self.checker.scene
@@ -342,6 +420,8 @@ class RobotViewer(Viewer):
         elif "joints" in done:
             self._state.value = OTHER
             self._q = _with_unit_quaternions(robot, np.array([slider.value for slider in self._sliders]))
+        if self.trajectory is not None:
+            self._follow(self.trajectory, done)
         if "clicked" in done and done["clicked"] in scene.static_names:
             self._chosen.value = done["clicked"]
         dragged = [name for name in scene.static_names if f"drag {name}" in done and name in self._shown]
@@ -359,6 +439,46 @@ class RobotViewer(Viewer):
         for slider, value in zip(self._sliders, q.tolist(), strict=True):
             slider.min, slider.max = min(slider.min, value), max(slider.max, value)
             slider.value = value
+
+    # -- the trajectory ---------------------------------------------------------------------------
+
+    def _the_trajectory(self) -> Trajectory:
+        if self.trajectory is None:
+            raise InputError("page: expected one with a trajectory, found none; show_robot(trajectory=...) takes it")
+        return self.trajectory
+
+    def _follow(self, trajectory: Trajectory, done: dict[str, Any]) -> None:
+        """Go on while it is played; what is done to the joints by hand ends that."""
+        if {"state", "random", "joints"} & done.keys():
+            self._stop()
+        elif "time" in done:
+            self._stop()
+            self._go_to(min(max(float(self._clock.value), 0.0), trajectory.duration))
+        elif "play" in done:
+            if self.playing:
+                self._stop()
+            else:
+                self._start(trajectory)
+        if self._began is not None:
+            self._go_to(min(monotonic() - self._began, trajectory.duration))
+            if self._time == trajectory.duration:
+                self._stop()
+
+    def _start(self, trajectory: Trajectory) -> None:
+        begin = 0.0 if self._time >= trajectory.duration else self._time
+        self._began = monotonic() - begin
+        self._button.label = PAUSE
+
+    def _stop(self) -> None:
+        self._began = None
+        if self.trajectory is not None:
+            self._button.label = PLAY
+
+    def _go_to(self, t: float) -> None:
+        self._time = t
+        self._clock.value = t
+        self._state.value = OTHER
+        self._set_configuration(self._the_trajectory().positions(t))
 
     def _answer(self) -> None:
         links = self.checker.robot.forward_kinematics(self._q)
@@ -393,6 +513,23 @@ class RobotViewer(Viewer):
             for c in deepest
         ]  # fmt: skip
         return cut_short(lines)
+
+
+def _checked(robot: Robot, trajectory: Any) -> Trajectory | None:
+    """The trajectory, if it is one of this robot."""
+    if trajectory is None:
+        return None
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(
+            f"trajectory: expected loewner.planners.Trajectory, found {type(trajectory).__name__}; "
+            "planners.trajectory makes one of a path"
+        )
+    if trajectory.names != robot.configuration_names:
+        raise InputError(
+            f"trajectory: expected one of {robot.name!r}, for {', '.join(robot.configuration_names)}; found one for "
+            f"{', '.join(trajectory.names)}"
+        )
+    return trajectory
 
 
 def cut_short(lines: list[str]) -> list[str]:

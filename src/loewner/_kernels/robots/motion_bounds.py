@@ -148,6 +148,48 @@ def rates_of(tree, ends, rates):
     return travel, angles, places
 
 
+@njit()
+def write_strays(tree, off, rates, strays):
+    """Write how far joints may be from a motion, as `Rates`.
+
+    Parameters
+    ----------
+    tree : Tree
+    off : ndarray, shape (dof,)
+        How far each value may be from the motion's at the same fraction.
+    rates : Rates
+        Of the motion.
+    strays : Rates
+        Receives by how much joints may be turned and slid away from it; `far` holds on the way there as well.
+
+    Returns
+    -------
+    float
+        By how much farther from 0 all sliding joints together may be [m].
+    """
+    travel = 0.0
+    for link in range(tree.kind.size):
+        kind, at, by = tree.kind[link], tree.column[link], tree.multiplier[link]
+        turn, slide = 0.0, 0.0
+        if kind == FIXED:
+            pass
+        elif kind == FLOATING:
+            slide = _larger_norm(off[at], off[at + 1], off[at + 2], 0.0, 0.0, 0.0)
+            w, x, y, z = off[at + 3], off[at + 4], off[at + 5], off[at + 6]
+            # Made a unit again it is off by twice as much, and a chord c of unit quaternions is an angle of up to π c.
+            turn = 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
+        elif kind == PLANAR:
+            slide, turn = _larger_norm(off[at], off[at + 1], 0.0, 0.0, 0.0, 0.0), off[at + 2]
+        elif kind == PRISMATIC:
+            slide = abs(by) * off[at]
+        else:
+            turn = abs(by) * off[at]
+        strays.turn[link], strays.slide[link] = turn * UPWARD, slide * UPWARD
+        strays.far[link] = rates.far[link] + slide * UPWARD
+        travel += slide * UPWARD
+    return travel
+
+
 @inline
 def uncertainty(tables, travel, angles, places):
     """How far a computed point of the robot may be from where it is on the real motion [m].

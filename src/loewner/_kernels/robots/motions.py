@@ -31,7 +31,7 @@ from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, TOUCHING, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import place_links, workspace_size
-from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between
+from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at
 from loewner._kernels.robots.sweeps import (
     BODY,
@@ -86,8 +86,10 @@ class Motion(NamedTuple):
     ----------
     pack, problem, tables : handles of the pieces, the problem and `records.MotionTables`
     tolerance : m
+    confirmed : whether collisions are confirmed where `collide` places the bodies; if not, it matters only what is free
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
-    skew : how far turned lengths may be off, as a share of them: that of a margin comes on top
+    skew : how far turned lengths may be off, as a share of them: that of what a pair keeps comes on top
+    strays : whether values may be off the motion's; then pairs keep that much more
     counts : how much there is of everything
     work : address of the memory that `_..._of` divide up
     """
@@ -96,8 +98,10 @@ class Motion(NamedTuple):
     problem: Any
     tables: Any
     tolerance: Any
+    confirmed: Any
     rounding: Any
     skew: Any
+    strays: Any
     counts: Any
     work: Any
 
@@ -172,6 +176,8 @@ def _sizes(counts):
         lines(8 * BODY * moving),
         lines(8 * PIECE * counts.moving_pieces),
         lines(8 * counts.pairs),
+        lines(8 * counts.dof),
+        lines(8 * 3 * links),
     )
 
 
@@ -283,6 +289,19 @@ def _rates_of(motion):
 
 
 @inline
+def _off_of(motion):
+    """How far values may be off the motion's."""
+    return floats_at(_at(motion, 11), (motion.counts.dof,))
+
+
+@inline
+def _strays_of(motion):
+    """What that is of joints."""
+    strays = floats_at(_at(motion, 12), (3, motion.counts.links))
+    return Rates(strays[0], strays[1], strays[2])
+
+
+@inline
 def _ways_of(motion):
     """How the bodies that move do, seen from the world: shape (moving, 2)."""
     return floats_at(_at(motion, 5), (motion.counts.moving, 2))
@@ -320,7 +339,7 @@ def _counts(pieces, problem, dof):
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, 0.0, 0.0, counts, 0), 11)
+    return _at(Motion(pack, problem_handle, 0, 0.0, False, 0.0, 0.0, False, counts, 0), 13)
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -435,6 +454,8 @@ def _confirmed(motion, near, t, n):
 
     COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
     """
+    if not motion.confirmed:
+        return np.int64(COLLIDING)
     problem = problem_of(motion.problem)
     Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
@@ -798,6 +819,10 @@ def _settle_block(motion, low, high, found, tally):
         pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
         slack = motion.rounding + motion.skew * margin
+        if motion.strays:
+            fixed = problem.link[other] if other < moving else np.int64(-1)
+            astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
+            slack += (1.0 + motion.skew) * astray
         if other >= moving:
             k = other - moving
             bend, speed = ways[one, 0], ways[one, 1]
@@ -827,12 +852,16 @@ def _certify(motion, tally):
     problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
     rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
     travel, angles, places = rates_of(problem.tree, ends, rates)
+    if motion.strays:
+        travel += write_strays(problem.tree, _off_of(motion), rates, _strays_of(motion))
     off, length, turned = uncertainty(tables, travel, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
-        motion.pack, motion.problem, motion.tables, motion.tolerance, rounding, skew, motion.counts, motion.work
+        motion.pack, motion.problem, motion.tables, motion.tolerance, motion.confirmed, rounding, skew, motion.strays,
+        motion.counts,
+        motion.work,
     )  # fmt: skip
     most = 0.0
     for body in range(motion.counts.moving):
@@ -859,16 +888,16 @@ def _certify(motion, tally):
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, dof, memory):
+def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, dof, memory):
     """A motion whose ends are still to be written, in memory that is ready."""
     counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, 0.0, 0.0, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write to the memory what all motions find there."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
@@ -883,7 +912,7 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 
 @njit()
 def certify_motions(
-    start, stop, Q0, Q1, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
+    start, stop, Q0, Q1, off, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
 ):
     """Settle the straight motions start .. stop at every one of their configurations.
 
@@ -891,6 +920,9 @@ def certify_motions(
     ----------
     Q0, Q1 : ndarray, shape (N, dof)
         Ends.
+    off : ndarray, shape (N, dof) or (0, dof)
+        How far each value may be from the motion's at the same fraction: FREE holds for all such configurations, and
+        COLLIDING for one of the motion itself. No rows: not at all.
     tolerance : float
         m; what comes within the margin and this may be AMBIGUOUS.
     pack : int
@@ -909,11 +941,14 @@ def certify_motions(
         Address of `motion_memory` bytes to write to; one thread uses them at a time.
     """
     make_ready(pack, problem_handle, tables_handle, Q0.shape[1], memory)
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, Q0.shape[1], memory)
-    ends = _ends_of(motion)
+    motion = _motion(
+        pack, problem_handle, tables_handle, tolerance, True, len(off) > 0, Q0.shape[1], memory
+    )  # fmt: skip
+    ends, strays = _ends_of(motion), _off_of(motion)
     for k in range(start, stop):
         for c in range(motion.counts.dof):
             ends[0, c], ends[1, c] = Q0[k, c], Q1[k, c]
+            strays[c] = off[k, c] if motion.strays else 0.0
         tallies[k, 0], tallies[k, 1] = 0, 0
         found = _certify(motion, tallies[k])
         out[k], t_out[k], pair_out[k] = found.verdict, found.t, found.pair
@@ -926,7 +961,7 @@ def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memor
     The work done is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be
     free is taken earlier the next time: pairs that hit most often come first.
     """
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, ends.shape[1], memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, ends.shape[1], memory)
     own = _ends_of(motion)
     for c in range(motion.counts.dof):
         own[0, c], own[1, c] = ends[0, c], ends[1, c]

@@ -1,0 +1,224 @@
+"""Trajectories along planned paths for Panda: blends beside stops, and TOPP-RA along the same curves.
+
+    python benchmarks/trajectories.py --data FILE [--every N] [--out FOLDER]
+
+FILE is the set of 700 problems that docs/scenes.md describes. Results go to benchmarks/results/<machine>/, or to
+FOLDER. toppra (pip install toppra) is asked for times along the blended paths, if it is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import report
+from clock import threads_set_to
+from loewner import PlanningError, Robot, planners, read_motion_bench_maker
+from loewner.planners import Trajectory
+from motion_bench_maker import Task
+from rivals import Missing
+from robot_samples import panda
+from samples import Array
+
+HERE = Path(__file__).parent
+# Limits of acceleration: what the maker of the arm states (rad/s², the finger m/s²), and those of `trajectory`.
+STATED = [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0, 1.0]
+LIMITS = {"stated": STATED, "default": None}
+# Where TOPP-RA holds limits, beside the ends of blends; and where what it found is looked at.
+GRID, LOOKS = 800, 20_000
+SAMPLES = 2_000
+
+
+@dataclass(frozen=True)
+class Result:
+    """One path with one set of limits.
+
+    Attributes
+    ----------
+    corners, blends : int
+    stopping, blended : float
+        Seconds that the robot takes.
+    stopping_ms, blended_ms : float
+        Milliseconds to find that out: the best of several.
+    colliding : int
+        Samples of the blended trajectory that collide.
+    toppra_share, toppra_ms, toppra_excess : float or None
+        TOPP-RA on the same curve: seconds as a share of `blended`, milliseconds, and the largest acceleration as a
+        multiple of the limit.
+    """
+
+    group: str
+    limits: str
+    corners: int
+    blends: int
+    stopping: float
+    blended: float
+    stopping_ms: float
+    blended_ms: float
+    colliding: int
+    toppra_share: float | None
+    toppra_ms: float | None
+    toppra_excess: float | None
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="the problems, in JSON")
+    parser.add_argument("--every", type=int, default=14, help="every Nth problem of a group; 1 for all")
+    parser.add_argument("--out", type=Path, help="folder for results")
+    options = parser.parse_args(arguments)
+    if not options.data.exists():
+        print(f"not run: there is no {options.data}; docs/scenes.md says what it would be")
+        return 0
+    try:
+        robot = panda().robot
+    except Missing as missing:
+        print(f"not run: {missing}")
+        return 0
+    results = options.out or HERE / "results" / report.machine_name(report.machine())
+    with threads_set_to(1):
+        problems = [p for p in read_motion_bench_maker(options.data) if p.index % options.every == 0]
+        found = [result for problem in problems for result in measured(Task.of(problem, robot))]
+    write(found, results / "mbm-trajectories.csv")
+    for name in LIMITS:
+        print(summary(name, [result for result in found if result.limits == name]))
+    return 0
+
+
+def measured(task: Task) -> list[Result]:
+    """Both trajectories of the path that `plan` finds, for each set of limits; none of paths without corners."""
+    if not task.solvable:
+        return []
+    try:
+        path = planners.plan(task.checker, task.start, task.usable_goals, joints=task.problem.joint_names, timeout=5.0)
+    except PlanningError:
+        return []
+    robot, found = task.checker.robot, []
+    for name, limits in LIMITS.items() if len(path) > 2 else ():
+        stopping, stopping_ms = best(lambda a=limits: planners.trajectory(robot, path, acceleration=a))
+        blended, blended_ms = best(
+            lambda a=limits: planners.trajectory(robot, path, acceleration=a, checker=task.checker)
+        )
+        hits = task.checker.collide(blended.positions(np.linspace(0, blended.duration, SAMPLES)))
+        acceleration = robot.velocity if limits is None else np.array(limits)
+        rival = by_toppra(robot, blended, acceleration)
+        found.append(
+            Result(
+                task.problem.group, name, len(path) - 2, len(blended.blends), stopping.duration, blended.duration,
+                stopping_ms, blended_ms, int(hits.sum()), *(rival or (None, None, None)),
+            )
+        )  # fmt: skip
+    return found
+
+
+def best(make: Any, rounds: int = 5) -> tuple[Trajectory, float]:
+    """What a call returns, and the milliseconds of the fastest of several."""
+    seconds = []
+    for _ in range(rounds):
+        began = time.perf_counter()
+        made = make()
+        seconds.append(time.perf_counter() - began)
+    return made, 1e3 * min(seconds)
+
+
+class Curve:
+    """The way of a trajectory as toppra takes it: by seconds at full speed, so that the first derivative has no jumps.
+
+    Over a blend it turns at a constant rate.
+    """
+
+    def __init__(self, moved: Trajectory, velocity: Array) -> None:
+        self.dof, self.waypoints = len(moved.names), None
+        ways = np.diff(moved.knots, axis=0)
+        middles = moved.knots[:-1] + moved.rates[:-1] * np.diff(moved.times)[:, None] / 2
+        halves = np.abs(np.stack([middles - moved.knots[:-1], moved.knots[1:] - middles]) / velocity)
+        lengths = halves.max(axis=2).sum(axis=0)
+        self.starts = np.concatenate([[0.0], np.cumsum(lengths)])
+        self.path_interval = np.array([0.0, self.starts[-1]])
+        straight = ~moved.blended[:, None]
+        self.knots = moved.knots
+        self.first = np.where(straight, ways, 2 * (middles - moved.knots[:-1])) / lengths[:, None]
+        last = np.where(straight, ways, 2 * (moved.knots[1:] - middles)) / lengths[:, None]
+        self.second = (last - self.first) / lengths[:, None]
+
+    def __call__(self, s: Any, order: int = 0) -> Array:
+        s = np.asarray(s, dtype=float)
+        k = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.first) - 1)
+        h = (s - self.starts[k])[..., None]
+        if order == 0:
+            return np.asarray(self.knots[k] + h * self.first[k] + h * h * self.second[k] / 2)
+        return np.asarray(self.first[k] + h * self.second[k] if order == 1 else self.second[k])
+
+
+def by_toppra(robot: Robot, moved: Trajectory, acceleration: Array) -> tuple[float, float, float] | None:
+    """TOPP-RA's seconds as a share, its milliseconds, and how far it goes beyond the limits of acceleration."""
+    try:
+        from toppra import setup_logging
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+        from toppra.interpolator import AbstractGeometricPath
+    except ImportError:
+        return None
+    setup_logging("ERROR")
+    path = type("Path", (Curve, AbstractGeometricPath), {"dof": 0, "path_interval": None, "waypoints": None})(
+        moved, robot.velocity
+    )
+    began = time.perf_counter()
+    constraints = [
+        JointVelocityConstraint(np.stack([-robot.velocity, robot.velocity], axis=1)),
+        JointAccelerationConstraint(
+            np.stack([-acceleration, acceleration], axis=1), discretization_scheme=DiscretizationType.Interpolation
+        ),
+    ]
+    grid = np.union1d(np.linspace(*path.path_interval, GRID), path.starts)
+    found = TOPPRA(constraints, path, gridpoints=grid).compute_trajectory(0, 0)
+    took = 1e3 * (time.perf_counter() - began)
+    if found is None:
+        return None
+    excess = np.abs(found(np.linspace(0, found.duration, LOOKS), 2)) / acceleration
+    return found.duration / moved.duration, took, float(excess.max())
+
+
+def summary(name: str, found: Sequence[Result]) -> str:
+    """A line for people."""
+    if not found:
+        return f"{name} limits: no path with corners"
+    stopping, blended = (sum(getattr(result, key) for result in found) for key in ("stopping", "blended"))
+    text = (
+        f"{name} limits: {len(found)} paths, {sum(r.blends for r in found)} of {sum(r.corners for r in found)} corners "
+        f"blended; {stopping / len(found):.2f} s with stops, {blended / len(found):.2f} s with blends "
+        f"({blended / stopping:.3f}); found in {np.median([r.stopping_ms for r in found]):.2f} and "
+        f"{np.median([r.blended_ms for r in found]):.1f} ms; {sum(r.colliding for r in found)} samples collide"
+    )
+    rivals = [r for r in found if r.toppra_share is not None]
+    if rivals:
+        shares, took, excess = (
+            np.array([getattr(r, key) for r in rivals]) for key in ("toppra_share", "toppra_ms", "toppra_excess")
+        )
+        text += (
+            f"; TOPP-RA: {np.median(shares):.3f} of the time (least {shares.min():.3f}), found in "
+            f"{np.median(took):.0f} ms, with accelerations up to {np.median(excess):.2f} of the limits "
+            f"(most {excess.max():.2f})"
+        )
+    return text
+
+
+def write(found: Sequence[Result], path: Path) -> None:
+    """All results as a CSV."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(Result)])
+        writer.writeheader()
+        writer.writerows(asdict(result) for result in found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

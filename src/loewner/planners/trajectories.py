@@ -1,0 +1,772 @@
+"""When to be where on a path: within limits of velocity and acceleration, and on what was proven free.
+
+A trajectory is made of pieces of constant acceleration: along a motion the robot gets faster, keeps its speed and gets
+slower, and across a corner it follows a parabola. All of that is closed form, so that limits hold at every time and
+not on a grid. docs/design/trajectories.md says what else was considered.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._files import read_regular, replacing, shown
+from loewner._guard import guarded
+from loewner._kernels import tolerances
+from loewner._validate import Bools, Floats
+from loewner.errors import FileError, InputError
+from loewner.planners.judge import TOLERANCE, refuse_unfree
+from loewner.planners.space import checked_checker
+from loewner.queries import Verdict
+from loewner.robots import CollisionChecker, Robot, motions
+
+# Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
+UP_IN = 1.0
+
+# How far a blend may be from its chords in one joint [rad or m], and into how many chords it is cut at most.
+OFF_CHORD, MOST_CHORDS = 2e-4, 64
+
+# A blend that is not proven is halved so often; then the robot stops at the corner.
+HALVINGS = 5
+
+# Seconds that half a blend takes at least, unless a motion is shorter: nearly straight corners would need none.
+LEAST_BLEND = 1e-3
+
+# What computed blends may be off by, in units of the largest value and of the way at full speed in all of the time.
+BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B35
+
+# A row counts as on the straight between its neighbours within this share of their values.
+ROUNDED = 1e-15
+
+# Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it
+# is a stop: in so short a phase, rounding would show in the acceleration.
+SHORTEST = 1e-7
+
+# The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
+LARGEST_SHARE = 0.49
+
+# Rows on one straight that are taken for one motion, at most.
+MOST_MERGED = 4096
+
+# Seconds that a motion takes at full speed, those to reach it, and one by either, at most: squares are within range.
+LARGEST_RATIO = 1e100
+
+# How far pieces of a file may be from constant acceleration, as a share of the largest value.
+FILE_TOLERANCE = 1e-9
+LARGEST_FILE = 2**28  # bytes
+
+ENDINGS = (".csv", ".json")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where a robot is at every time; made by `trajectory`, or read by `load`.
+
+    Between two of `times` all accelerations are constant.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The columns, as `Robot.configuration_names`.
+    times : ndarray, shape (n,)
+        Seconds from the start; the first is 0.
+    knots, rates : ndarray, shape (n, dof)
+        Positions [rad or m] and velocities [rad/s or m/s] at these times; it starts and ends at rest.
+    blended : ndarray of bool, shape (n - 1,)
+        Between which of them the robot cuts a corner; everywhere else it is on the path.
+
+    Examples
+    --------
+    >>> from loewner import Robot
+    >>> moved = trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [1, 0], [1, 2]], velocity=1.0, acceleration=2.0)
+    >>> moved
+    Trajectory(4 s, 2 joints, stops at 1 corner, 0 blends)
+    >>> moved.stops, moved.positions([0.0, 0.75, 4.0])
+    (array([1.5]), array([[0. , 0. ],
+           [0.5, 0. ],
+           [1. , 2. ]]))
+    """
+
+    names: tuple[str, ...]
+    times: Floats
+    knots: Floats
+    rates: Floats
+    blended: Bools
+
+    def __repr__(self) -> str:
+        stops, blends = len(self.stops), len(self.blends)
+        return (
+            f"Trajectory({self.duration:.4g} s, {len(self.names)} joints, stops at {stops} "
+            f"corner{'s' * (stops != 1)}, {blends} blend{'s' * (blends != 1)})"
+        )
+
+    @property
+    def duration(self) -> float:
+        """Seconds from start to end."""
+        return float(self.times[-1])
+
+    @property
+    def stops(self) -> Floats:
+        """Times at which the robot rests at a corner, between start and end."""
+        return np.asarray(self.times[1:-1][~self.rates[1:-1].any(axis=1)])
+
+    @property
+    def blends(self) -> Floats:
+        """First and last times of the blends, shape (blends, 2)."""
+        return np.stack([self.times[:-1][self.blended], self.times[1:][self.blended]], axis=1)
+
+    def positions(self, t: ArrayLike) -> Floats:
+        """Configurations at times.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Seconds, from 0 to `duration`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+
+        Raises
+        ------
+        InputError
+            If a time is none, or outside.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).positions(1.5)
+        array([1., 0.])
+        """
+        k, x, T = self._pieces(t)
+        # Of the three points of a parabola: it never leaves their hull, and ends where they do.
+        middle = self.knots[k] + self.rates[k] * (T / 2)
+        found: Floats = (1 - x) ** 2 * self.knots[k] + 2 * x * (1 - x) * middle + x**2 * self.knots[k + (T[..., 0] > 0)]
+        return found
+
+    def velocities(self, t: ArrayLike) -> Floats:
+        """Velocities at times.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            As for `positions`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            In radians or metres a second.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).velocities([0.0, 0.5, 1.5])
+        array([[0. , 0. ],
+               [0.5, 0. ],
+               [1. , 0. ]])
+        """
+        k, x, T = self._pieces(t)
+        found: Floats = (1 - x) * self.rates[k] + x * self.rates[k + (T[..., 0] > 0)]
+        return found
+
+    def accelerations(self, t: ArrayLike) -> Floats:
+        """Accelerations at times; where they jump, those from then on.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            As for `positions`.
+
+        Returns
+        -------
+        ndarray, shape (..., dof)
+            In radians or metres a second squared.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).accelerations([0.0, 1.5, 3.0])
+        array([[ 1.,  0.],
+               [ 0.,  0.],
+               [-1.,  0.]])
+        """
+        k, _, T = self._pieces(t)
+        change = self.rates[k + (T[..., 0] > 0)] - self.rates[k]
+        found: Floats = np.divide(change, T, out=np.zeros_like(change), where=T > 0)
+        return found
+
+    def sample(self, rate: float) -> tuple[Floats, Floats]:
+        """Times at a constant rate, and positions.
+
+        Parameters
+        ----------
+        rate : float
+            Samples a second.
+
+        Returns
+        -------
+        times : ndarray, shape (m,)
+            Multiples of 1 / rate, and then the end.
+        positions : ndarray, shape (m, dof)
+
+        Raises
+        ------
+        InputError
+            If the rate is not a number above 0, or the samples do not fit into memory.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> moved = trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0)
+        >>> moved.sample(1.0)
+        (array([0., 1., 2., 3.]), array([[0. , 0. ],
+               [0.5, 0. ],
+               [1.5, 0. ],
+               [2. , 0. ]]))
+        """
+        times = self._ticks(rate)
+        return times, self.positions(times)
+
+    def save(self, path: str | os.PathLike[str], *, rate: float | None = None) -> None:
+        """Write a file, ``.csv`` or ``.json``, that `load` reads: times, positions and velocities in full precision.
+
+        Parameters
+        ----------
+        path : path
+            A CSV has the columns ``time``, those of the joints, ``NAME velocity`` of each, and ``blend``: 1 where the
+            robot cuts a corner until the next row.
+        rate : float, optional
+            Write rows at this rate as well [1/s], for programs that join rows by straight lines. Between the rows
+            that are always there, accelerations are constant.
+
+        Raises
+        ------
+        InputError
+            If the name has another ending, or the rate is not a number above 0.
+        FileError
+            If the file cannot be written; an older one of that name is then untouched.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> moved = trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0)
+        >>> moved.save("moved.csv")
+        >>> print(open("moved.csv").readline().strip())
+        time,rail,elbow,rail velocity,elbow velocity,blend
+        """
+        target = _with_ending(path)
+        saved = self if rate is None else self._with_ticks(rate)
+        text = saved._json() if target.suffix.lower() == ".json" else saved._csv()
+        with replacing(target) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read what `save` has written.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        FileError
+            If there is no such file, or it holds no trajectory.
+        InputError
+            If the name ends neither in ``.csv`` nor in ``.json``.
+
+        Examples
+        --------
+        >>> from loewner import Robot
+        >>> trajectory(Robot.from_urdf("arm.urdf"), [[0, 0], [2, 0]], acceleration=1.0).save("moved.json")
+        >>> Trajectory.load("moved.json")
+        Trajectory(3 s, 2 joints, stops at 0 corners, 0 blends)
+        """
+        source = _with_ending(path)
+        name = shown(source)
+        try:
+            text = read_regular(source, "a trajectory", LARGEST_FILE).decode()
+            read = _read_json(text) if source.suffix.lower() == ".json" else _read_csv(text)
+        except FileError:
+            raise
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError, csv.Error) as error:
+            raise FileError(f"{name}: expected a trajectory, found {_why(error)}") from None
+        fault = read._fault()
+        if fault:
+            raise FileError(f"{name}: expected {fault}")
+        return read._read_only()
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
+        """Numbers of the pieces, how much of them has passed, and their durations; with an axis for joints."""
+        at = _validate.finite_array(t, "t", ("...",))
+        if at.size and not (at.min() >= 0 and at.max() <= self.duration):
+            worst = float(at.min() if at.min() < 0 else at.max())
+            raise InputError(f"t: expected times from 0 to {self.duration!r}, found {worst!r}")
+        _validate.fits_memory(40 * at.size * (len(self.names) + 2), f"{at.size} times")
+        k = np.clip(np.searchsorted(self.times, at, side="right") - 1, 0, max(len(self.times) - 2, 0))
+        T = self.times[np.minimum(k + 1, len(self.times) - 1)] - self.times[k]
+        x = np.divide(at - self.times[k], T, out=np.zeros_like(at), where=T > 0)
+        return k, x[..., None], T[..., None]
+
+    def _ticks(self, rate: float) -> Floats:
+        """Multiples of a period, and the end."""
+        rate = _validate.positive_scalar(rate, "rate")
+        count = self.duration * rate
+        _validate.fits_memory(int(min(count, 2.0**60)) * 40 * (len(self.names) + 2), f"{count:.3g} samples")
+        times = np.arange(math.floor(count) + 1) / rate
+        return np.append(times[times < self.duration], self.duration)
+
+    def _with_ticks(self, rate: float) -> Trajectory:
+        """The same with more knots."""
+        ticks = self._ticks(rate)
+        after = np.searchsorted(self.times, ticks)  # the last is the end itself
+        # Between two rows that are almost at the same time, accelerations would be noise.
+        apart = np.minimum(self.times[after] - ticks, ticks - self.times[np.maximum(after - 1, 0)]) * rate > SHORTEST
+        times = np.union1d(self.times, ticks[apart])
+        blended = self.blended[np.searchsorted(self.times, times[:-1], side="right") - 1]
+        return Trajectory(self.names, times, self.positions(times), self.velocities(times), blended)
+
+    def _csv(self) -> str:
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(_header(self.names))
+        table = np.column_stack([self.times, self.knots, self.rates]).tolist()
+        writer.writerows([*row, int(bent)] for row, bent in zip(table, [*self.blended, False], strict=True))
+        return out.getvalue()
+
+    def _json(self) -> str:
+        return json.dumps({
+            "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
+            "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
+        })  # fmt: skip
+
+    def _read_only(self) -> Trajectory:
+        """The same, with arrays that nobody can change."""
+        for array in (self.times, self.knots, self.rates, self.blended):
+            array.setflags(write=False)
+        return self
+
+    def _fault(self) -> str:
+        """What is expected of a trajectory and not found; "" if all is well."""
+        n, dof = self.times.size, len(self.names)
+        shapes = [a.shape for a in (self.times, self.knots, self.rates, self.blended)]
+        if n == 0 or dof == 0 or shapes != [(n,), (n, dof), (n, dof), (n - 1,)]:
+            return "a time, a position and a velocity of every joint in each row, found something else"
+        if not all(np.isfinite(a).all() for a in (self.times, self.knots, self.rates)):
+            return "finite numbers, found others"
+        T = np.diff(self.times)
+        if self.times[0] != 0 or not (T > 0).all():
+            return "times that start at 0 and increase, found others"
+        if self.rates[[0, -1]].any():
+            return "rest at both ends, found a velocity"
+        off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
+        if not off.max(initial=0.0) <= FILE_TOLERANCE * np.abs(self.knots).max(initial=1.0):
+            k = int(off.max(axis=1).argmax())
+            return f"constant accelerations between rows, found others after the time {self.times[k]:g}"
+        return ""
+
+
+@guarded
+def trajectory(
+    robot: Robot,
+    path: ArrayLike,
+    *,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    checker: CollisionChecker | None = None,
+    blend: float = 0.4,
+) -> Trajectory:
+    """Say when to be where on a path, as fast as limits of velocity and acceleration allow.
+
+    Without a checker the robot follows the path exactly and stops at every corner. With one, corners are cut by
+    parabolas (blends) that are proven free of collisions at every time; where none is, the robot stops.
+
+    Parameters
+    ----------
+    robot : Robot
+    path : array_like, shape (k, dof)
+        Two configurations or more, as from `plan`; between two of them each joint runs straight.
+    velocity : float or array_like, shape (dof,), optional
+        Limits [rad/s or m/s]. Default: the URDF's, `Robot.velocity`.
+    acceleration : float or array_like, shape (dof,), optional
+        Limits [rad/s² or m/s²]. A URDF has none; the default reaches the limits of velocity in one second.
+    checker : CollisionChecker, optional
+        Of this robot. The motions of the path have to be free, proven.
+    blend : float
+        Share of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Only
+        with a checker.
+
+    Returns
+    -------
+    Trajectory
+        At rest at both ends. `Trajectory.stops` and `Trajectory.blends` say how it takes the corners.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong shape or value; if there is no limit of velocity for a joint that moves; if the
+        robot has a floating joint, whose orientations do not run straight; or if the checker is another robot's.
+    PlanningError
+        If there is a checker and a motion of the path is not proven free; the message names it and a pair of bodies.
+
+    See Also
+    --------
+    plan : Finds paths.
+
+    Notes
+    -----
+    Stopping at corners, the trajectory is the fastest along the path. A blend is passed with a constant acceleration,
+    as fast as limits and neighbours allow. Each joint keeps its limits at every time, up to rounding.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker, Robot
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> path = [[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]]
+    >>> trajectory(robot, path, velocity=1.0, acceleration=2.0)
+    Trajectory(3 s, 2 joints, stops at 1 corner, 0 blends)
+    >>> trajectory(robot, path, velocity=1.0, acceleration=2.0, checker=CollisionChecker(robot))
+    Trajectory(2.5 s, 2 joints, stops at 0 corners, 1 blend)
+    """
+    rows = _checked(robot, path)
+    share = _validate.positive_scalar(blend, "blend", zero=True)
+    if share > LARGEST_SHARE:
+        raise InputError(f"blend: expected a share from 0 to {LARGEST_SHARE:g}, found {share:g}")
+    if checker is not None and checked_checker(checker).robot is not robot:
+        raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
+    rows = _corners(rows)
+    fastest, strongest = _limits(robot, rows, velocity, acceleration)
+    if checker is not None and len(rows) > 1:
+        refuse_unfree(checker, rows, 0.0, "path")
+    straights = Straights.of(rows, fastest, strongest)
+    halves = np.zeros(max(len(rows) - 2, 0))
+    if checker is not None and share > 0 and len(halves):
+        halves = _shortest(straights, _proven_blends(checker, straights, share))
+    return _timed(robot, straights, halves)
+
+
+class Straights(NamedTuple):
+    """The motions of a path.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (k + 1, dof)
+        Their ends.
+    lengths : ndarray, shape (k,)
+        Seconds that they take at full speed.
+    full : ndarray, shape (k, dof)
+        Velocities at full speed, at which a joint is at its limit.
+    gains : ndarray, shape (k,)
+        Shares of full speed that a second can add.
+    strongest : ndarray, shape (dof,)
+        Limits of acceleration.
+    """
+
+    rows: Floats
+    lengths: Floats
+    full: Floats
+    gains: Floats
+    strongest: Floats
+
+    @classmethod
+    def of(cls, rows: Floats, fastest: Floats, strongest: Floats) -> Straights:
+        """Motions between rows, within limits."""
+        with np.errstate(all="ignore"):
+            ways = np.diff(rows, axis=0)
+            lengths = np.abs(ways / fastest).max(axis=1, initial=0.0)
+            full = ways / lengths[:, None]
+            gains = _least(strongest / np.abs(full))
+        ratios = np.concatenate([lengths, gains])
+        if not ((ratios > 1 / LARGEST_RATIO) & (ratios < LARGEST_RATIO)).all():
+            raise InputError(
+                f"expected a path and limits with ratios up to {LARGEST_RATIO:g}, found motions of "
+                f"{lengths.min():g} to {lengths.max():g} s at full speed, of which a second adds a share of "
+                f"{gains.min():g} to {gains.max():g}"
+            )
+        return cls(rows, lengths, full, gains, strongest)
+
+    def at(self, k: Any, share: Floats) -> Floats:
+        """Configurations on motions, by the share of the way."""
+        a, b = self.rows[k], self.rows[k + 1]
+        return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
+
+    def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
+        """Where blends leave their motions, the corners, and where they join the next; `halves` as for `_passed`."""
+        k = np.arange(len(halves))
+        return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
+
+
+# -- arguments ----------------------------------------------------------------------------------
+
+
+def _checked(robot: Robot, path: ArrayLike) -> Floats:
+    """A path as users give it."""
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
+    if not robot.runs_straight:
+        raise InputError(
+            f"robot: expected joints whose values run straight, found a floating one in {robot.name!r}, whose "
+            "orientations do not"
+        )
+    rows = robot.checked(path, "path")
+    if rows.ndim != 2 or len(rows) < 2:
+        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
+    return rows
+
+
+def _limits(
+    robot: Robot, rows: Floats, velocity: ArrayLike | None, acceleration: ArrayLike | None
+) -> tuple[Floats, Floats]:
+    """Limits of velocity and of acceleration, shape (dof,) each; infinite for joints that do not move."""
+    moves = (rows != rows[0]).any(axis=0)
+    fastest = robot.velocity if velocity is None else _per_joint(robot, velocity, "velocity")
+    unknown = moves & ~np.isfinite(fastest)
+    if unknown.any():
+        names = ", ".join(name for name, none in zip(robot.configuration_names, unknown, strict=True) if none)
+        raise InputError(
+            f"velocity: expected a limit of each joint that moves, found none above 0 in the URDF for {names}; "
+            f"give velocity=, one number or {robot.dof}"
+        )
+    strongest = fastest / UP_IN if acceleration is None else _per_joint(robot, acceleration, "acceleration")
+    return np.where(moves, fastest, np.inf), np.where(moves, strongest, np.inf)
+
+
+def _per_joint(robot: Robot, limit: ArrayLike, name: str) -> Floats:
+    """One number above 0 for each joint, or for all."""
+    array = _validate.positive_array(limit, name, ("...",))
+    if array.shape not in ((), (robot.dof,)):
+        raise InputError(
+            f"{name}: expected one number or shape ({robot.dof},), found {_validate.shape_text(array.shape)}"
+        )
+    return np.broadcast_to(array, robot.dof)
+
+
+def _corners(rows: Floats) -> Floats:
+    """The rows at which the path turns, and its ends: without those that come twice, or lie on a straight."""
+    moved = np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))
+    rows = rows[moved]
+    kept = [0]
+    for k in range(1, len(rows) - 1):
+        between = rows[kept[-1] + 1 : k + 1]
+        if len(between) > MOST_MERGED or not _on_straight(rows[kept[-1]], rows[k + 1], between):
+            kept.append(k)
+    return rows[[*kept, len(rows) - 1]] if len(rows) > 1 else rows
+
+
+def _on_straight(a: Floats, b: Floats, between: Floats) -> bool:
+    """Whether rows lie on the way from a to b, in order, up to rounding."""
+    way = b - a
+    j = np.abs(way).argmax()
+    if way[j] == 0:
+        return False
+    shares = (between[:, j] - a[j]) / way[j]
+    ordered = (np.diff(shares, prepend=0.0, append=1.0) >= 0).all()
+    off = np.abs(a + shares[:, None] * way - between)
+    return bool(ordered and (off <= ROUNDED * np.maximum(np.abs(a), np.abs(b))).all())
+
+
+def _least(ratios: Floats) -> Floats:
+    """The smallest of each row; 0 / 0 is none."""
+    return np.asarray(np.nanmin(np.where(np.isnan(ratios), np.inf, ratios), axis=1, initial=np.inf))
+
+
+# -- blends -------------------------------------------------------------------------------------
+
+
+def _proven_blends(checker: CollisionChecker, straights: Straights, share: float) -> list[Floats]:
+    """Sizes of blends that are proven free, for each corner, the largest first; with 0, the stop, as the last."""
+    lengths = straights.lengths
+    turns = np.abs(np.diff(straights.full, axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = 1 / (2 * _least(straights.strongest / turns))  # to pass at full speed
+    shorter = np.minimum(lengths[:-1], lengths[1:])
+    halves = np.minimum(np.maximum(wanted, LEAST_BLEND), share * shorter)
+    speeds = np.maximum(np.abs(straights.full[:-1]), np.abs(straights.full[1:]))
+    astray = BLEND_ROUNDINGS * speeds * _duration(straights, np.zeros(len(halves)))
+    proven: list[list[float]] = [[] for _ in halves]
+    for _ in range(HALVINGS):
+        free = _free(checker, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
+        for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
+            if good:
+                sizes.append(half)
+        halves = halves / 2
+    return [np.array([*sizes, 0.0]) for sizes in proven]
+
+
+def _free(checker: CollisionChecker, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
+    """Which parabolas from `first` to `last`, whose tangents there meet in `corner`, are proven free.
+
+    Each is cut into chords, and a chord is proven with what the parabola, and `astray`, may be off it:
+    docs/certified.md, "Blends".
+    """
+    bend = np.abs(first - 2 * corner + last)
+    chords = 1
+    while chords < MOST_CHORDS and bend.max(initial=0.0) > 4 * OFF_CHORD * chords**2:
+        chords *= 2
+    s = np.arange(chords + 1)[:, None, None] / chords
+    points = (1 - s) ** 2 * first + 2 * s * (1 - s) * corner + s**2 * last
+    size = np.maximum(np.maximum(np.abs(first), np.abs(corner)), np.abs(last))
+    off = np.tile(bend / (4 * chords**2) + BLEND_ROUNDINGS * size + astray, (chords, 1))
+    dof = first.shape[1]
+    a, b = np.ascontiguousarray(points[:-1].reshape(-1, dof)), np.ascontiguousarray(points[1:].reshape(-1, dof))
+    found = motions.certify(checker._ready(), a, b, TOLERANCE, off)
+    return np.asarray((found.verdicts == Verdict.FREE).reshape(chords, -1).all(axis=0))
+
+
+def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
+    """Sizes of blends, one of the proven ones for each corner, so that no change of one makes the whole shorter."""
+    halves = np.array([sizes[0] for sizes in proven])
+    shortest = _duration(straights, halves)
+    improved = True
+    while improved:
+        improved = False
+        for k, sizes in enumerate(proven):
+            for half in sizes.tolist():
+                other = halves.copy()
+                other[k] = half
+                needed = _duration(straights, other)
+                if needed < shortest * (1 - 1e-9):
+                    halves, shortest, improved = other, needed, True
+    stops = np.zeros(len(proven))
+    return stops if _duration(straights, stops) < shortest else halves
+
+
+# -- times --------------------------------------------------------------------------------------
+
+
+def _passed(straights: Straights, halves: Floats) -> tuple[list[float], list[float]]:
+    """How fast rows are passed, in shares of full speed, and what the blends leave of the motions, in seconds at it.
+
+    Parameters
+    ----------
+    halves : ndarray, shape (corners,)
+        Seconds at full speed from where a blend begins to the corner, and on to where it ends; 0 for a stop.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = _least(straights.strongest / np.abs(np.diff(straights.full, axis=0)))
+        limits = np.sqrt(np.where(halves > 0, 2 * halves * room, 0.0))
+    taken = np.concatenate([[0.0], halves, [0.0]])
+    left = np.maximum(straights.lengths - taken[:-1] - taken[1:], 0.0).tolist()
+    gains = straights.gains.tolist()
+    speeds = [0.0, *np.minimum(limits, 1.0).tolist(), 0.0]
+    for k in range(len(left)):
+        speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + 2 * gains[k] * left[k]))
+    for k in range(len(left) - 1, -1, -1):
+        speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] ** 2 + 2 * gains[k] * left[k]))
+    return speeds, left
+
+
+def _phases(length: float, gain: float, low: float, high: float) -> list[tuple[float, float]]:
+    """What is between two speeds on a straight: for each phase the way, and the speed at its end."""
+    peak = min(1.0, math.sqrt((2 * gain * length + low * low + high * high) / 2))
+    top = max(low, high)
+    if peak - top <= SHORTEST * peak:
+        peak = top
+    up, down = (peak * peak - low * low) / (2 * gain), (peak * peak - high * high) / (2 * gain)
+    level = length - up - down
+    if abs(high - low) <= SHORTEST * peak and peak == top:
+        return [(length, high)]
+    if level <= SHORTEST * length:  # without it the others take all of the way
+        up, down, level = up * length / (up + down), down * length / (up + down), 0.0
+    return [(way, speed) for way, speed in ((up, peak), (level, peak), (down, high)) if way > 0]
+
+
+def _seconds(phases: list[tuple[float, float]], speed: float) -> list[float]:
+    """How long phases take, from a speed on."""
+    found = []
+    for way, end in phases:
+        found.append(2 * way / (speed + end))
+        speed = end
+    return found
+
+
+def _duration(straights: Straights, halves: Floats) -> float:
+    """Seconds that all takes."""
+    speeds, left = _passed(straights, halves)
+    total = sum(2 * half / speed if half else 0.0 for half, speed in zip(halves.tolist(), speeds[1:-1], strict=True))
+    for k, (length, gain) in enumerate(zip(left, straights.gains.tolist(), strict=True)):
+        total += sum(_seconds(_phases(length, gain, speeds[k], speeds[k + 1]), speeds[k]))
+    return total
+
+
+def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
+    """All phases, one after the other."""
+    speeds, left = _passed(straights, halves)
+    first, _, last = straights.corners(halves)
+    ends, taken = [*first, straights.rows[-1]], [0.0, *halves.tolist(), 0.0]
+    times, knots, rates, blended = [0.0], [straights.rows[0]], [np.zeros(robot.dof)], []
+    for k, (full, length) in enumerate(zip(straights.full, straights.lengths.tolist(), strict=True)):
+        phases = _phases(left[k], float(straights.gains[k]), speeds[k], speeds[k + 1])
+        gone = np.cumsum([taken[k], *(way for way, _ in phases)])[1:]
+        knots += [*straights.at(k, gone[:-1] / length), ends[k]]
+        rates += [speed * full for _, speed in phases]
+        times += _seconds(phases, speeds[k])
+        blended += [False] * len(phases)
+        if taken[k + 1] > 0:
+            knots.append(last[k])
+            rates.append(speeds[k + 1] * straights.full[k + 1])
+            times.append(2 * taken[k + 1] / speeds[k + 1])
+            blended.append(True)
+    passed = np.cumsum(times)
+    # What takes less than the last digit of the time is over at once.
+    kept = np.append(np.diff(passed) > 0, True)
+    arrays = passed, np.array(knots), np.array(rates), np.append(np.array(blended, dtype=bool), False)
+    at, positions, velocities, bent = (array[kept] for array in arrays)
+    return Trajectory(robot.configuration_names, at, positions, velocities, bent[:-1])._read_only()
+
+
+# -- files --------------------------------------------------------------------------------------
+
+
+def _with_ending(path: str | os.PathLike[str]) -> Path:
+    """A path that ends in what can be read and written."""
+    checked = _validate.path(path, "path")
+    if checked.suffix.lower() not in ENDINGS:
+        raise InputError(f"path: expected a name that ends in {' or '.join(ENDINGS)}, found {shown(checked)}")
+    return checked
+
+
+def _header(names: tuple[str, ...]) -> list[str]:
+    return ["time", *names, *(f"{name} velocity" for name in names), "blend"]
+
+
+def _read_csv(text: str) -> Trajectory:
+    """What `_csv` has written."""
+    header, *rows = csv.reader(io.StringIO(text), strict=True)
+    names = tuple(header[1 : len(header) // 2])
+    if header != _header(names):
+        raise ValueError(f"the header {_validate.short(header)}")
+    table = np.array([[float(entry) for entry in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
+    knots, rates = np.split(table[:, 1:-1], 2, axis=1)
+    return Trajectory(names, table[:, 0], knots, rates, table[:-1, -1] != 0)
+
+
+def _read_json(text: str) -> Trajectory:
+    """What `_json` has written."""
+    held = json.loads(text)
+    names, blended = held["names"], held["blended"]
+    if not all(isinstance(name, str) for name in names) or not all(isinstance(each, bool) for each in blended):
+        raise ValueError("other names than texts, or blends that are neither true nor false")
+    times, knots, rates = (np.array(held[key], dtype=np.float64) for key in ("times", "positions", "velocities"))
+    return Trajectory(tuple(names), times, knots, rates, np.array(blended, dtype=bool))
+
+
+def _why(error: Exception) -> str:
+    """What a decoder says."""
+    return f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))
