@@ -31,7 +31,7 @@ help:
 demo: $(VENV)/.compiler
 	@{ $(BUILD); } & building=$$!; \
 	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$building; exit $$installed
-	$(COMPILE) --only verdicts robots fits paper
+	$(COMPILE) --only verdicts robots fits distances paper
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev

@@ -70,7 +70,7 @@ def main() -> None:
         f'              {command} check bodies/a.npz bodies/b.npz --pose-b "0.1 0 0"\n'
         f"your robot    {command} robot check robot.urdf --srdf robot.srdf --scene scene.yaml --random 10000\n"
         f"              {command} plan robot.urdf --srdf robot.srdf --scene scene.yaml --start home --goal away\n"
-        f"in Python     examples/panda_in_clutter.py, examples/grasped_object.py,\n"
+        f"in Python     examples/plan_with_grasped_object.py, examples/panda_in_clutter.py,\n"
         f"              examples/two_meshes.py, examples/batch.py, README.md\n"
         f"the tests     make test",
         markup=False,
@@ -214,7 +214,6 @@ def draw_shelf(checker: loewner.CollisionChecker, Q: np.ndarray, colliding: np.n
 
 def path_in_shelf(checker: loewner.CollisionChecker, path: Path) -> Path:
     """Plan from the lower compartment of the shelf to the upper one, with proofs and with samples, and tell of both."""
-    robot = checker.robot
     lower, upper = in_compartments(checker)
     planners.plan(checker, lower[0], upper[0])  # compiles, if this machine has not before
     started = time.perf_counter()
@@ -223,11 +222,11 @@ def path_in_shelf(checker: loewner.CollisionChecker, path: Path) -> Path:
     proofs = checker.certify_edges(way[:-1], way[1:])
     console.print(
         f"The arm goes from the lower compartment to the upper one by {len(way) - 1} motions, planned in "
-        f"{1e3 * seconds:.1f} ms. {(proofs.verdict == Verdict.FREE).sum()} of them are proven to keep the centimetre at "
-        "every configuration on the way, with nothing sampled."
+        f"{1e3 * seconds:.1f} ms. {(proofs.verdict == Verdict.FREE).sum()} of them are proven to keep the centimetre "
+        "at every configuration on the way, with nothing sampled."
     )
     broken, nearest = sampled_paths(checker, lower, upper)
-    missed = f"{broken} are not free between two looks; the worst comes within {1e3 * nearest:.1f} mm of a board."
+    missed = f"{broken} are not free between two looks; the worst comes within {1e3 * nearest:.1f} mm of the shelf."
     console.print(
         f"Of {len(lower) * len(upper)} such paths planned by looking at every 0.05 rad only, "
         + (missed if broken else "all are free between two looks as well.")
@@ -246,7 +245,7 @@ def in_compartments(checker: loewner.CollisionChecker) -> tuple[np.ndarray, np.n
 
 
 def sampled_paths(checker: loewner.CollisionChecker, lower: np.ndarray, upper: np.ndarray) -> tuple[int, float]:
-    """How many sampled paths between these have a motion that is not free, and how near to a board the worst comes."""
+    """How many sampled paths between these have a motion that is not free, and how near the shelf the worst gets."""
     broken, nearest = 0, np.inf
     for start in lower:
         for goal in upper:
@@ -255,11 +254,13 @@ def sampled_paths(checker: loewner.CollisionChecker, lower: np.ndarray, upper: n
             collides = found.verdict == Verdict.COLLIDING
             if collides.any():
                 broken += 1
-                at = np.insert(np.tile(np.linspace(0, 1, 200), (collides.sum(), 1)), 0, found.fraction[collides], axis=1)
+                at = np.insert(
+                    np.tile(np.linspace(0, 1, 200), (collides.sum(), 1)), 0, found.fraction[collides], axis=1
+                )
                 on_way = checker.robot.between(way[:-1][collides, None], way[1:][collides, None], at)
                 near = checker.distance(on_way, exact=True)
-                of_board = np.isin(near.names, checker.scene.names).any(axis=-1)
-                nearest = near.distance.min(initial=nearest, where=of_board)
+                of_shelf = np.isin(near.names, checker.scene.names).any(axis=-1)
+                nearest = near.distance.min(initial=nearest, where=of_shelf)
     return broken, nearest
 
 
@@ -282,7 +283,8 @@ def draw_path(checker: loewner.CollisionChecker, way: np.ndarray, path: Path) ->
     figure = Figure(figsize=(20, 5.4))
     for column, q in enumerate(shown):
         ax = plots.configuration(checker, q, ax=figure.add_subplot(1, 4, column + 1, projection="3d"))
-        ax.plot(*line.reshape(-1, 3).T, color="black")
+        ax.plot(*line.reshape(-1, 3).T, color="tab:orange")
+        ax.set_title(f"{reached[-1] * column / 3:.1f} of {reached[-1]:.1f} rad, {ax.get_title()}")
         ax.view_init(elev=20, azim=-120)
     return plots.save(figure, path)
 
