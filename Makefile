@@ -1,5 +1,5 @@
 # Everything here sets up .venv by itself from Python >= 3.11 with pip; nothing is installed elsewhere.
-#   make demo     the main job on robot meshes, a picture, the paper, an arm in a shelf
+#   make demo     the main job on robot meshes, a picture, the paper, an arm that plans in a shelf
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
 #   make fuzz     bad input by the thousand, interrupts, damaged files
