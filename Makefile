@@ -1,5 +1,5 @@
 # Everything here sets up .venv by itself from Python >= 3.11 with pip; nothing is installed elsewhere.
-#   make demo     the main job on robot meshes, a picture, the paper, an arm in a shelf
+#   make demo     the main job on robot meshes, a picture, the paper, an arm that plans in a shelf
 #   make test     the quick suite          make check    lint, types, import rules
 #   make verify   the long proofs          make bench    the benchmarks
 #   make fuzz     bad input by the thousand, interrupts, damaged files
@@ -31,7 +31,7 @@ help:
 demo: $(VENV)/.compiler
 	@{ $(BUILD); } & building=$$!; \
 	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$building; exit $$installed
-	$(COMPILE) --only verdicts robots fits paper
+	$(COMPILE) --only verdicts robots fits distances paper
 	$(BIN)/python examples/demo.py
 
 test: $(VENV)/.dev

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 import loewner
-from gantry import RADIUS, gantry
-from loewner import cli
+from gantry import LEFT, RADIUS, RIGHT, clearance, gantry
+from loewner import cli, planners
 from loewner._native import library
 from loewner.cli.info import MISSING
 from loewner.cli.output import covering_text
@@ -412,7 +412,7 @@ def test_robot_check_files(folder, capsys):
         ([*ROBOT, "--state", "left", "--margin", "0.1"], "--margin: expected --scene with it"),
         ([*ROBOT, "--scene", "wall.yaml", "--state", "left", "--margin", "-1"], "margin: expected"),
         ([*WITH_WALL, "--configs", "none.npy"], "none.npy: expected configurations, found no such file"),
-        ([*WITH_WALL, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy or .csv file, found .urdf"),
+        ([*WITH_WALL, "--configs", "gantry.urdf"], "gantry.urdf: expected a .npy, .csv or .json file, found .urdf"),
         ([*WITH_WALL, "--configs", "text.npy"], "text.npy: expected an array of numbers"),
         ([*WITH_WALL, "--configs", "narrow.npy"], "narrow.npy: expected shape (..., 3)"),
         ([*WITH_WALL, "--configs", "deep.npy"], "deep.npy: expected shape (n, 3), found (2, 2, 3)"),
@@ -463,6 +463,211 @@ def test_robot_warnings_are_lines(folder, capsys):
     assert ".py" not in err
 
 
+# -- plan ---------------------------------------------------------------------------------------
+
+# The rod stands beside the ball, along y: the wall, which ends at y = 0.5, is between the two.
+HERE, THERE = "-0.5 -0.5 1.5707963267948966", "0.5 -0.5 1.5707963267948966"
+AROUND = ("plan", *ROBOT, "--scene", "end.yaml", "--start", HERE, "--goal", THERE)
+
+
+@pytest.fixture
+def with_end(folder):
+    """The folder, with a wall that one can go around."""
+    Path("end.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1], position: [0, -1.5, 0]}\n")
+    return folder
+
+
+def checker_of_folder():
+    """The library's own view of the robot before that wall."""
+    robot = loewner.Robot.from_urdf("gantry.urdf", srdf="gantry.srdf")
+    return loewner.CollisionChecker(robot, loewner.load_scene("end.yaml"))
+
+
+def test_plan_prints_what_is_proven(with_end, capsys):
+    """The JSON holds the library's path and its proofs; distances to the wall are those of plane geometry."""
+    status, out, err = run(capsys, *AROUND, "--joints", "slide", "--seed", 3, "--json")
+    answer = json.loads(out)
+    checker = checker_of_folder()
+    path = planners.plan(checker, LEFT, RIGHT, joints="slide", seed=3)
+    assert (status, err) == (0, "")
+    np.testing.assert_array_equal(answer["configurations"], path)
+    found = checker.certify_edges(path[:-1], path[1:])
+    assert answer["verdict"] == "FREE"
+    assert [motion["verdict"] for motion in answer["motions"]] == ["FREE"] * (len(path) - 1)
+    assert [motion["poses"] for motion in answer["motions"]] == found.poses.tolist()
+    assert [motion["searches"] for motion in answer["motions"]] == found.searches.tolist()
+    assert sum(motion["length"] for motion in answer["motions"]) == pytest.approx(answer["length"])
+    nearest = min(motion["nearest"] for motion in answer["motions"])
+    assert clearance(path) - 1e-9 <= nearest <= clearance(path) + 0.02
+
+
+def test_plan_prints_a_table(with_end, capsys):
+    """The verdict comes first; a row for each motion names what is nearest; the length adds up."""
+    status, out, err = run(capsys, *AROUND, "--joints", "slide")
+    assert (status, err) == (0, "")
+    count = int(re.match(r"FREE  (\d+) motions from start to goal, proven free at every configuration", out)[1])
+    rows = re.findall(r"^│ (\d+) +│ ([0-9.]+) +│ FREE +│ ([0-9.]+) +│ (?:ball|rod) +│ wall ", out, flags=re.M)
+    assert [int(k) for k, _, _ in rows] == list(range(count))
+    length = float(re.search(r"^length +([0-9.]+)", out, flags=re.M)[1])
+    assert sum(float(part) for _, part, _ in rows) == pytest.approx(length, rel=1e-3)
+    nearest = float(re.search(r"^nearest +([0-9.]+) mm, on motion \d+: exact, but measured at 33", out, flags=re.M)[1])
+    assert nearest == min(float(part) for _, _, part in rows)
+
+
+@pytest.mark.parametrize("name", ["path.csv", "path.json"])
+def test_plan_writes_what_can_be_read(with_end, capsys, name):
+    """To the last bit, with the columns' names, under no other name; other commands read the file."""
+    status, out, _ = run(capsys, *AROUND, "-o", name, "--json")
+    answer = json.loads(out)
+    written = Path(name).read_text()
+    if name.endswith("csv"):
+        head, *rows = written.splitlines()
+        assert (head, answer["out"]) == ("x,y,turn", name)
+        assert [[float(cell) for cell in row.split(",")] for row in rows] == answer["configurations"]
+    else:
+        assert json.loads(written) == {"names": ["x", "y", "turn"], "configurations": answer["configurations"]}
+    assert status == 0
+    assert [p.name for p in Path().iterdir() if "path" in p.name] == [name]
+    check = ("robot", "check", *ROBOT, "--scene", "end.yaml", "--configs", name, "--json")
+    checked = json.loads(run(capsys, *check)[1])
+    assert (checked["configurations"], checked["colliding"]) == (len(answer["configurations"]), 0)
+
+
+def test_plan_takes_states_files_and_numbers(with_end, capsys):
+    """A goal by name keeps the start's values of what its state does not name; a file may hold several goals."""
+    Path("end.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1], position: [0, -1.5, 0]}\nallow: [[rod, wall]]\n")
+    plan = ("plan", *ROBOT, "--scene", "end.yaml", "--json")
+    np.save("goals.npy", [[0.0, -0.5, 0.5], [0.5, -0.5, 0.5]])  # the first is in the wall
+    Path("start.json").write_text("[0.5, -0.5, 0.5]")
+    for start, goal, first, last in (
+        ("left", "goals.npy", [-0.5, -0.5, 0.0], [0.5, -0.5, 0.5]),
+        ("start.json", "left", [0.5, -0.5, 0.5], [-0.5, -0.5, 0.5]),
+        ("-0.5,-0.5, 1", "left", [-0.5, -0.5, 1.0], [-0.5, -0.5, 1.0]),
+    ):
+        status, out, _ = run(capsys, *plan, f"--start={start}", "--goal", goal)
+        rows = json.loads(out)["configurations"]
+        assert (status, rows[0], rows[-1]) == (0, first, last)
+
+
+@pytest.mark.parametrize("simplify", [[], ["--no-simplify"]])
+def test_plan_options_reach_the_planner(with_end, capsys, simplify):
+    """Seed, joints, simplification and sampling are the library's."""
+    sampled = ("--sampled", "--resolution", 0.01, "--timeout", 30, "--max-iterations", 5000)
+    answer = json.loads(
+        run(capsys, *AROUND, "--seed", 5, *sampled, *simplify, "--json", "--joints", "x", "--joints", "y")[1]
+    )
+    path = planners.plan(
+        checker_of_folder(), LEFT, RIGHT, joints=["x", "y"], certified=False, resolution=0.01, timeout=30.0,
+        max_iterations=5000, seed=5, simplify=not simplify,
+    )  # fmt: skip
+    np.testing.assert_array_equal(answer["configurations"], path)
+    assert answer["sampled"]
+
+
+def test_plan_tells_what_sampling_missed(with_end, capsys):
+    """Steps of 0.9 m pass through the wall: the certificate finds it, names the pair, and the status is 1."""
+    steps = ("--sampled", "--resolution", 0.9, "--joints", "slide")
+    status, out, _ = run(capsys, *AROUND, *steps, "-o", "path.json")
+    assert status == 1
+    assert re.match(r"COLLIDING  \d of \d motions from start to goal not proven free\n", out)
+    k, pair, fraction = re.search(r"motion (\d+): (\w+ and wall) collide at the fraction ([0-9.]+)\n", out).groups()
+    path = np.array(json.loads(Path("path.json").read_text())["configurations"])
+    checker = checker_of_folder()
+    q = checker.robot.between(path[int(k)], path[int(k) + 1], float(fraction))
+    assert pair in {f"{contact.name_a} and {contact.name_b}" for contact in checker.pairs(q)}
+    answer = json.loads(run(capsys, *AROUND, *steps, "--json")[1])
+    assert answer["verdict"] == answer["motions"][int(k)]["verdict"] == "COLLIDING"
+    assert " and ".join(answer["motions"][int(k)]["pair"]) == pair
+
+
+def test_plan_that_is_ambiguous_exits_with_3(with_end, capsys, monkeypatch):
+    """What cannot be told free is not called free."""
+    certify = loewner.CollisionChecker.certify_edges
+
+    def unsure(self, Q0, Q1):
+        found = certify(self, Q0, Q1)
+        found.verdict[0], found.fraction[0], found.names[0] = loewner.Verdict.AMBIGUOUS, 0.25, ("ball", "wall")
+        return found
+
+    monkeypatch.setattr(loewner.CollisionChecker, "certify_edges", unsure)
+    status, out, _ = run(capsys, *AROUND)
+    assert status == 3
+    assert out.startswith("AMBIGUOUS  1 of ")
+    assert "motion 0: ball and wall come too near to tell at the fraction 0.25\n" in out
+
+
+def test_plan_with_a_planner_of_ompl(with_end, capsys):
+    """By name; its path is proven like any other."""
+    answer = json.loads(run(capsys, *AROUND, "--joints", "slide", "--planner", "RRTConnect", "--json")[1])
+    assert answer["verdict"] == "FREE"
+    assert clearance(np.array(answer["configurations"])) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--start", "lefd", "--goal", THERE],
+            "--start, state: expected one of left, wall; found 'lefd' (did you mean",
+        ),
+        (["--start", HERE, "--goal", "1 2"], "--goal: expected shape (..., 3), one column each for x, y, turn"),
+        (["--start", HERE, "--goal", "nan 0 0"], "--goal: expected finite numbers, found nan for x"),
+        (["--start", "two.csv", "--goal", THERE], "--start: expected one configuration, shape (3,), found (2, 3)"),
+        (["--start", HERE, "--goal", "none.npy"], "none.npy: expected configurations, found no such file"),
+        (["--start", HERE, "--goal", "empty.csv"], "goal: expected shape (3,) or (goals, 3), found (0, 3)"),
+        (["--start", HERE, "--goal", "text.json"], "text.json: expected an array of numbers, found something else"),
+        (["--start", HERE, "--goal", "keys.json"], "\"names\" and \"configurations\", found 'names', 'values'"),
+        (["--start", HERE, "--goal", "names.json"], "names.json, column: expected one of x, y, turn; found 'turm'"),
+        (["--start", HERE, "--goal", "narrow.json"], "narrow.json: expected 3 numbers for each configuration, found"),
+        (["--start", HERE, "--goal", "words.json"], "words.json: expected"),
+        (["--start", "left", "--goal", THERE], "start: expected a free configuration within the limits, found a coll"),
+        (["--start", HERE, "--goal", "9 0 0"], "goal: expected a free configuration within the limits, found x = 9"),
+        (["--start", HERE, "--goal", THERE, "--joints", "x", "--timeout", "0.2"], "expected a path from start to goal"),
+        (["--start", HERE, "--goal", THERE, "--max-iterations", "1"], "none within 1 iterations"),
+        (["--start", HERE, "--goal", THERE, "--max-iterations", "0"], "max_iterations: expected an integer >= 1"),
+        (["--start", HERE, "--goal", THERE, "--timeout", "nan"], "timeout: expected a finite number > 0"),
+        (["--start", HERE, "--goal", THERE, "--seed", "-1"], "seed: expected an integer >= 0, found -1"),
+        (["--start", HERE, "--goal", THERE, "--joints", "slid"], "joints: expected one of slide, nothing, x, y, turn"),
+        (["--start", HERE, "--goal", THERE, "--planner", "RRTStar"], "(did you mean 'RRTstar'?)"),
+        (["--start", HERE, "--goal", THERE, "--planner", "PRM", "--max-iterations", "9"], "expected no --planner with"),
+        (["--start", HERE, "--goal", THERE, "--resolution", "0.1"], "--resolution: expected --sampled or --planner"),
+        (["--start", HERE, "--goal", THERE, "--sampled", "--resolution", "0"], "resolution: expected a finite number"),
+        (["--start", HERE, "--goal", THERE, "-o", "path.txt"], "--out: expected a .csv or .json file, found path.txt"),
+        (["--start", HERE, "--goal", THERE, "-o", "none/path.csv"], "none/path.csv: could not be written"),
+        (["--start", HERE, "--goal", THERE, "--scene", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_plan_errors(with_end, capsys, arguments, message):
+    """One line on standard error, status 2, and no file."""
+    Path("two.csv").write_text("0,0,0\n1,1,1\n")
+    Path("empty.csv").touch()
+    Path("text.json").write_text("[1, 2")
+    Path("keys.json").write_text('{"names": [], "values": []}')
+    Path("names.json").write_text('{"names": ["x", "y", "turm"], "configurations": [[0, 0, 0]]}')
+    Path("narrow.json").write_text('{"names": ["x", "y", "turn"], "configurations": [[0, 0]]}')
+    Path("words.json").write_text('["one", "two", "three"]')
+    status, out, err = run(capsys, "plan", *ROBOT, "--scene", "end.yaml", *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("loewner: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not list(Path().glob("*path*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["gantry.urdf", "--scene", "end.yaml", "--start", "left"], "--start: expected numbers, a .npy, .csv or .json"),
+        ([*ROBOT, "--start", "left"], "gantry.urdf: expected pairs to check, found none"),
+    ],
+)
+def test_plan_needs_states_and_pairs(with_end, capsys, arguments, message):
+    """A state needs an SRDF; where nothing can collide, nothing is called free."""
+    status, out, err = run(capsys, "plan", *arguments, "--goal", THERE)
+    assert (status, out) == (2, "")
+    assert message in err
+
+
 # -- paper --------------------------------------------------------------------------------------
 
 
@@ -490,7 +695,7 @@ def test_paper_refuses(saved, capsys, arguments):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["fit"], ["check"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"]]
+    "command", [[], ["fit"], ["check"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"], ["plan"]]
 )
 def test_help_has_examples(command, capsys):
     """--help works everywhere; each command shows examples, and `check` its exit status."""
@@ -559,6 +764,11 @@ def test_installed_program(saved):
             1,
             r"(?m)^settled by +free +colliding$",
         ),
+        (
+            ["plan", "gantry.urdf", "--scene", "end.yaml", "--start", HERE, "--goal", THERE],
+            0,
+            r"(?m)^motion +length +verdict +nearest, mm +pair +poses +searches$",
+        ),
         (["paper", "--pairs", "5"], 0, r"(?m)^table +detector "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -567,6 +777,7 @@ def test_without_rich_tables_are_plain(saved, arguments, status, told):
     """Status and cells are those with Rich; there are no lines about them, and no progress."""
     gantry(saved)
     (saved / "wall.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1]}\n")
+    (saved / "end.yaml").write_text("bodies:\n  wall: {box: [0.1, 4, 1], position: [0, -1.5, 0]}\n")
     code = f"import sys; sys.modules['rich'] = None; from loewner import cli; sys.exit(cli.main({arguments}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode in (status, 0), done.stderr

@@ -124,12 +124,21 @@ def test_demo(tmp_path):
     free, colliding = (int(n) for n in re.search(r"in all\W+(\d+)\W+(\d+)", out).groups())
     assert free + colliding == 500
     assert min(free, colliding) > 0
+    told = " ".join(out.split())  # the console breaks lines
+    motions, proven = re.search(r"by (\d+) motions, planned in [0-9.]+ ms\. (\d+) of them are proven", told).groups()
+    assert motions == proven
+    paths, broken, nearest = re.search(
+        r"Of (\d+) such paths .*, (\d+) are not free between two looks; the worst comes within ([-0-9.]+) mm", told
+    ).groups()
+    assert 0 < int(broken) < int(paths)
+    assert float(nearest) < 10
     made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     wanted = {
         "link5.npz",
         "hand.npz",
         "verdicts.png",
         "shelf.png",
+        "path.png",
         "paper/report.html",
         "paper/report.md",
         "paper.json",
@@ -163,6 +172,19 @@ def test_example_grasped_object(tmp_path):
     assert counts[0] > 0
     assert counts[1] > 0
     assert counts[2] == 0
+
+
+def test_example_plan_with_grasped_object(tmp_path):
+    """The way of the empty hand is free for it and not for the bottle; that planned with the bottle is, all of it."""
+    out = example("plan_with_grasped_object.py", cwd=tmp_path)
+    assert "planned for the empty hand: 1 of 1 motions proven free" in out
+    assert re.search(r"without touch links: start: .* a collision of .*finger and bottle", out)
+    assert "the empty hand's path, with the bottle: 0 of 1 motions proven free" in out
+    assert re.search(r"(bottle and wall|wall and bottle) come nearer than a centimetre at \d+% of motion 0", out)
+    proven, motions = re.search(r"planned with the bottle: (\d+) of (\d+) motions proven free", out).groups()
+    assert int(proven) == int(motions) > 1
+    apart = [float(x) for x in re.findall(r"([0-9.]+) mm apart", out)]
+    assert min(apart) >= 10
 
 
 def test_example_humanoid_self_collision(tmp_path):

@@ -209,6 +209,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot",
         " robot info",
         " robot check",
+        " plan",
         " view",
         " compile",
         " info",

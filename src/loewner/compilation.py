@@ -92,6 +92,7 @@ def _fits() -> None:
 
 def _robots() -> None:
     import loewner
+    from loewner import planners
 
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder, "arm.urdf")
@@ -102,6 +103,8 @@ def _robots() -> None:
     checker.collide([[0.0], [5.0]])
     checker.valid_edges([5.0], [6.0], resolution=0.5)
     checker.certify_edges([5.0], [6.0])
+    planners.plan(checker, [5.0], [6.0])
+    planners.shorten(checker, [[5.0], [5.5], [6.0]])
 
 
 _PARTS = {

@@ -12,7 +12,7 @@ import loewner
 from loewner._rotations import from_quaternion
 from loewner._validate import Floats
 from loewner.cli.output import progress_bar
-from loewner.errors import FileError, PoseError
+from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
 
 
@@ -114,3 +114,12 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     return robot
+
+
+def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:
+    """Refuse a robot that nothing can happen to: all would count as free."""
+    if not checker.checked_pairs:
+        raise InputError(
+            f"{urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
+            "there is nothing of a scene to meet; any configuration would count as free"
+        )

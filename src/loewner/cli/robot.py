@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,11 +14,10 @@ import numpy as np
 
 import loewner
 from loewner import _validate
-from loewner._files import read_regular
 from loewner._validate import Floats
-from loewner.cli import inputs
+from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, covering_text, new_table, print_table, progress_bar
-from loewner.errors import FileError, InputError
+from loewner.errors import InputError
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
 AT_ONCE = 50_000
@@ -29,9 +25,6 @@ LISTED = 20
 
 # What is timed for less says nothing about a rate: the first large batch takes about 10 ms more to start [s].
 LEAST_TIMED = 0.1
-
-# The largest file of configurations that is read [bytes].
-MOST_BYTES = 2**33
 
 EXAMPLES = """examples:
   loewner robot info panda.urdf --srdf panda.srdf
@@ -50,7 +43,8 @@ CHECK_EXAMPLES = """examples:
   loewner robot check panda.urdf --srdf panda.srdf --scene shelf.yaml --random 100000 --seed 7
   loewner robot check panda.urdf --scene shelf.yaml --configs path.csv --margin 0.02 --json
 
-configurations: a .npy file of shape (N, dof), or a .csv file with one line each, whose first line may name the columns
+configurations: a .npy file of shape (N, dof); a .csv file with one line each, whose first line may name the
+  columns; or a .json file with a list of them, or with a path of loewner plan
 
 exit status: 0 all free, 1 one or more colliding, 2 error
 """
@@ -68,7 +62,7 @@ def add(commands: Any) -> None:
     check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     which = check.add_mutually_exclusive_group(required=True)
     which.add_argument("--random", type=int, metavar="N", help="N random configurations within the limits")
-    which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy or .csv)")
+    which.add_argument("--configs", type=Path, metavar="FILE", help="configurations (.npy, .csv or .json)")
     which.add_argument("--state", metavar="NAME", help="a state of the SRDF")
     check.add_argument("--seed", type=int, default=0, help="seed of --random (0)")
     check.add_argument("--margin", type=float, metavar="M", help=MARGIN_HELP)
@@ -115,11 +109,7 @@ def _check(options: argparse.Namespace) -> int:
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     Q = _configurations(robot, options)
-    if not checker.checked_pairs:
-        raise InputError(
-            f"{options.urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "
-            "there is nothing of a scene to meet; any configuration would count as free"
-        )
+    inputs.refuse_no_pairs(checker, options.urdf)
     answer = _checked_configurations(checker, Q)
     if options.json:
         print(json.dumps(answer, indent=2))
@@ -133,56 +123,12 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
     if options.state is not None:
         return robot.configuration(options.state)[None]
     if options.configs is not None:
-        Q = np.atleast_2d(robot.checked(_configuration_file(options.configs, robot), str(options.configs)))
+        Q = np.atleast_2d(robot.checked(configurations.read(options.configs, robot), str(options.configs)))
         return _validate.finite_array(Q, str(options.configs), (None, robot.dof))
     if options.random < 1 or options.seed < 0:
         what, least, found = ("random", 1, options.random) if options.random < 1 else ("seed", 0, options.seed)
         raise InputError(f"--{what}: expected an integer >= {least}, found {found}")
     return robot.random_configurations(options.random, options.seed)
-
-
-def _configuration_file(path: Path, robot: loewner.Robot) -> Floats:
-    """Numbers of a .npy or .csv file, in the order of the robot's columns."""
-    if path.suffix.lower() not in (".npy", ".csv"):
-        raise FileError(f"{path}: expected a .npy or .csv file, found {path.suffix or 'no suffix'}")
-    data = read_regular(path, "configurations", MOST_BYTES)
-    try:
-        if path.suffix.lower() == ".npy":
-            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(data.decode("utf-8-sig").splitlines()) if any(row)]
-    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, csv.Error):
-        raise FileError(f"{path}: expected an array of numbers, found something else") from None
-    names = list(robot.configuration_names)
-    if rows and any(";" in cell for cell in rows[0]):
-        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
-    order = names
-    if rows and not any(_are_numbers([cell]) for cell in rows[0]):
-        order = rows.pop(0)
-        _check_columns(order, names, path)
-    for k, row in enumerate(rows):
-        if len(row) != len(names) or not _are_numbers(row):
-            raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
-    numbers = np.array(rows, dtype=np.float64).reshape(-1, len(names))
-    return np.asarray(numbers[:, [order.index(name) for name in names]])
-
-
-def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> None:
-    """Check that each column is named once."""
-    for name in order:
-        if name not in names:
-            raise _validate.unknown_name(f"{path}, column", name, names)
-        if order.count(name) > 1:
-            raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
-    missing = [name for name in names if name not in order]
-    if missing:
-        raise FileError(f"{path}: expected a column for each joint value, found none for {', '.join(missing)}")
-
-
-def _are_numbers(cells: Sequence[str]) -> bool:
-    try:
-        return all(np.isfinite(float(cell)) for cell in cells)
-    except ValueError:
-        return False
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:

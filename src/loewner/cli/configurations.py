@@ -1,0 +1,116 @@
+"""Configurations from .npy, .csv and .json files, and paths written to .csv and .json files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import _validate
+from loewner._files import read_regular, replacing
+from loewner._validate import Floats
+from loewner.errors import FileError
+
+# What configurations are read from, and what paths are written to.
+READ = (".npy", ".csv", ".json")
+WRITTEN = (".csv", ".json")
+
+# The largest file of configurations that is read [bytes].
+MOST_BYTES = 2**33
+
+
+def read(path: Path, robot: loewner.Robot) -> Floats:
+    """Numbers of a file, in the order of the robot's columns; their shape is not checked where a file may have any."""
+    suffix = path.suffix.lower()
+    if suffix not in READ:
+        raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")
+    data = read_regular(path, "configurations", MOST_BYTES)
+    try:
+        if suffix == ".npy":
+            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
+        text = data.decode("utf-8-sig")
+        found: Any = json.loads(text) if suffix == ".json" else _rows(text)
+    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, RecursionError, csv.Error):
+        raise FileError(f"{path}: expected an array of numbers, found something else") from None
+    return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
+
+
+def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
+    """Write a path with the names of its columns, whole or not at all, so that reading gives the same numbers."""
+    names, numbers = list(robot.configuration_names), rows.tolist()
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        if path.suffix.lower() == ".csv":
+            csv.writer(file, lineterminator="\n").writerows([names, *numbers])
+        else:
+            # One configuration on each line.
+            listed = ",\n  ".join(map(json.dumps, numbers))
+            file.write(f'{{\n "names": {json.dumps(names)},\n "configurations": [\n  {listed}\n ]\n}}\n')
+
+
+def _rows(text: str) -> list[list[str]]:
+    return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if any(row)]
+
+
+def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
+    """Numbers of a table, whose first row may name its columns."""
+    names = list(robot.configuration_names)
+    if rows and any(";" in cell for cell in rows[0]):
+        raise FileError(f"{path}: expected numbers divided by commas, found semicolons: {','.join(rows[0])}")
+    order = names
+    if rows and not any(_are_numbers([cell]) for cell in rows[0]):
+        order = rows.pop(0)
+        _check_columns(order, names, path)
+    for k, row in enumerate(rows):
+        if len(row) != len(names) or not _are_numbers(row):
+            raise FileError(f"{path}: expected {len(names)} numbers in each row, found {','.join(row)} in row {k + 1}")
+    return _ordered(np.array(rows, dtype=np.float64).reshape(-1, len(names)), order, names)
+
+
+def _of_json(found: Any, robot: loewner.Robot, path: Path) -> Floats:
+    """Numbers of a list, or of what `write` writes."""
+    if not isinstance(found, Mapping):
+        return _validate.float_array(found, str(path))
+    if set(found) != {"names", "configurations"}:
+        raise FileError(
+            f'{path}: expected a list of numbers, or "names" and "configurations", '
+            f"found {', '.join(map(repr, found)) or 'neither'}"
+        )
+    names, order = list(robot.configuration_names), _validate.listed(found["names"], f"{path}, names")
+    _check_columns(order, names, path)
+    numbers = _validate.float_array(found["configurations"], f"{path}, configurations")
+    if numbers.ndim == 0 or numbers.shape[-1] != len(names):
+        raise FileError(
+            f"{path}: expected {len(names)} numbers for each configuration, "
+            f"found shape {_validate.shape_text(numbers.shape)}"
+        )
+    return _ordered(numbers, order, names)
+
+
+def _ordered(numbers: Floats, order: Sequence[str], names: Sequence[str]) -> Floats:
+    """Columns in the robot's order."""
+    return np.asarray(numbers[..., [order.index(name) for name in names]])
+
+
+def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> None:
+    """Check that each column is named once."""
+    for name in order:
+        if name not in names:
+            raise _validate.unknown_name(f"{path}, column", name, names)
+        if order.count(name) > 1:
+            raise FileError(f"{path}: expected each column once, found {name} {order.count(name)} times")
+    missing = [name for name in names if name not in order]
+    if missing:
+        raise FileError(f"{path}: expected a column for each joint value, found none for {', '.join(missing)}")
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    try:
+        return all(np.isfinite(float(cell)) for cell in cells)
+    except ValueError:
+        return False

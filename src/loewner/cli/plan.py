@@ -1,0 +1,238 @@
+"""``loewner plan``: a path of a robot from start to goal, and what is proven of each of its motions."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import Verdict, planners
+from loewner._validate import Floats, unknown_name
+from loewner.cli import configurations, inputs
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
+from loewner.errors import FileError, InputError
+
+# Configurations of each motion at which the distance to the nearest pair is measured, its ends among them.
+MEASURED = 33
+
+EXAMPLES = """examples:
+  loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal goals.csv -o path.csv
+  loewner plan panda.urdf --srdf panda.srdf --scene shelf.yaml --start ready --goal above --joints panda_arm
+  loewner plan gantry.urdf --scene wall.yaml --start "-0.5 -0.5 1.57" --goal "0.5 -0.5 1.57" --seed 7 --json
+
+configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as for loewner robot check; or the
+  numbers themselves. A file may hold several goals: any one will do. A goal by name keeps the start's values of
+  all joints that its state does not name; in a start by name these are 0.
+
+Every motion of the path is proven free at every one of its configurations. With --sampled, motions are looked at
+in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
+
+exit status: 0 every motion proven free, 1 one or more collide (--sampled only), 2 error, or no path was found,
+  3 none collides, but one or more are ambiguous
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    plan = inputs.command(commands, "plan", "a path from start to goal, its motions proven free", EXAMPLES)
+    inputs.add_robot_options(plan)
+    plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    plan.add_argument("--start", required=True, metavar="Q", help="where to start: a state, a file, or numbers")
+    plan.add_argument("--goal", required=True, metavar="Q", help="where to go, likewise")
+    plan.add_argument(
+        "--joints",
+        metavar="NAME",
+        action="append",
+        help="a group of the SRDF, or a joint: these move, all others stay; joints are repeatable (all)",
+    )
+    plan.add_argument("-o", "--out", type=Path, metavar="FILE", help="write the path (.csv or .json)")
+    plan.add_argument("--seed", type=int, default=0, help="equal seeds give equal paths (0)")
+    plan.add_argument(
+        "--max-iterations", type=int, metavar="N", help="configurations to draw before giving up (100000)"
+    )
+    plan.add_argument("--timeout", type=float, default=10.0, metavar="S", help="seconds to search (10)")
+    plan.add_argument("--sampled", action="store_true", help="look at motions in steps; do not prove them")
+    plan.add_argument(
+        "--resolution",
+        type=float,
+        metavar="R",
+        help="of --sampled, and of OMPL's planners: the longest step, in the units of the joints (0.05)",
+    )
+    plan.add_argument("--no-simplify", action="store_true", help="keep the path as it was found; do not shorten it")
+    plan.add_argument(
+        "--planner", metavar="NAME", help="a planner of OMPL, such as BITstar (RRT-Connect, compiled, without OMPL)"
+    )
+    plan.add_argument("--json", action="store_true", help="print JSON")
+    plan.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    _refuse_unused(options)
+    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    robot = inputs.robot(options)
+    checker = loewner.CollisionChecker(robot, scene)
+    start = robot.checked_one(_configurations(options.start, "--start", options, robot, None), "--start")
+    goal = _configurations(options.goal, "--goal", options, robot, start)
+    inputs.refuse_no_pairs(checker, options.urdf)
+    path, seconds = _found(checker, start, goal, options)
+    if options.out is not None:
+        configurations.write(options.out, robot, path)
+    answer = _answer(checker, path, seconds, options)
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_answer(answer)
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+
+
+def _refuse_unused(options: argparse.Namespace) -> None:
+    """Refuse what would be passed over in silence, and a path that could not be written, before the work begins."""
+    if options.resolution is not None and not options.sampled and options.planner is None:
+        raise InputError("--resolution: expected --sampled or --planner with it; without them no motion is sampled")
+    if options.max_iterations is not None and options.planner is not None:
+        raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
+    if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
+        raise FileError(f"--out: expected a .csv or .json file, found {options.out}")
+
+
+def _configurations(
+    text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None
+) -> Floats:
+    """One configuration or several, from the name of a state, a file, or numbers; the shape is checked by others.
+
+    A state keeps the values of `start` of joints that it does not name.
+    """
+    if text in robot.states:
+        kept = {} if start is None else dict(zip(robot.configuration_names, start, strict=True))
+        return robot.configuration(kept | dict(robot.states[text][1]))
+    if Path(text).suffix.lower() in configurations.READ:
+        Q = robot.checked(configurations.read(Path(text), robot), text)
+        return Q[0] if len(Q) == 1 else Q
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = None
+    if numbers is not None:
+        return robot.checked(numbers, name)
+    if options.srdf is not None:
+        raise unknown_name(f"{name}, state", text, robot.states)
+    raise InputError(
+        f"{name}: expected numbers, a .npy, .csv or .json file, or with --srdf the name of a state; found {text!r}"
+    )
+
+
+def _found(
+    checker: loewner.CollisionChecker, start: Floats, goal: Floats, options: argparse.Namespace
+) -> tuple[Floats, float]:
+    """The path, and how many seconds it took."""
+    given = {"max_iterations": options.max_iterations, "resolution": options.resolution}
+    joints = options.joints
+    with progress_bar() as progress:
+        progress.add_task("searching", total=None)
+        started = time.perf_counter()
+        path = planners.plan(
+            checker,
+            start,
+            goal,
+            joints=joints[0] if joints is not None and len(joints) == 1 else joints,
+            planner=options.planner,
+            certified=not options.sampled,
+            timeout=options.timeout,
+            simplify=not options.no_simplify,
+            seed=options.seed,
+            **{name: value for name, value in given.items() if value is not None},
+        )
+        return path, time.perf_counter() - started
+
+
+def _answer(
+    checker: loewner.CollisionChecker, path: Floats, seconds: float, options: argparse.Namespace
+) -> dict[str, Any]:
+    """All that is told about a path."""
+    robot, a, b = checker.robot, path[:-1], path[1:]
+    started = time.perf_counter()
+    found = checker.certify_edges(a, b)
+    proof_seconds = time.perf_counter() - started
+    lengths = robot.distances(a, b)
+    measured = checker.distance(robot.between(a[:, None], b[:, None], np.linspace(0, 1, MEASURED)), exact=True)
+    motions = []
+    for k, least in enumerate(measured.distance.argmin(axis=1)):
+        verdict = Verdict(int(found.verdict[k]))
+        free = verdict == Verdict.FREE
+        motions.append(
+            {
+                "length": float(lengths[k]),
+                "verdict": verdict.name,
+                "fraction": None if free else float(found.fraction[k]),
+                "pair": None if free else found.names[k].tolist(),
+                "nearest": float(measured.distance[k, least]),
+                "nearest_pair": measured.names[k, least].tolist(),
+                "poses": int(found.poses[k]),
+                "searches": int(found.searches[k]),
+            }
+        )
+    counts = {verdict.name: int((found.verdict == verdict).sum()) for verdict in Verdict}
+    worst = next((name for name in ("COLLIDING", "AMBIGUOUS") if counts[name]), "FREE")
+    return {
+        "robot": robot.name,
+        "verdict": worst,
+        "sampled": options.sampled,
+        "names": list(robot.configuration_names),
+        "configurations": path.tolist(),
+        "motions": motions,
+        "length": float(lengths.sum()),
+        "measured": MEASURED,
+        "checked_pairs": len(checker.checked_pairs),
+        "seconds": seconds,
+        "proof_seconds": proof_seconds,
+        "out": None if options.out is None else str(options.out),
+    }
+
+
+def _print_answer(answer: dict[str, Any]) -> None:
+    motions = answer["motions"]
+    _print_verdict(answer)
+    table = new_table(
+        "motion", "length", "verdict", "nearest, mm", "pair", "", "poses", "searches",
+        title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+    )  # fmt: skip
+    for k, motion in enumerate(motions):
+        table.add_row(
+            str(k), f"{motion['length']:.4g}", motion["verdict"], f"{1e3 * motion['nearest']:.3f}",
+            *motion["nearest_pair"], f"{motion['poses']:,}", f"{motion['searches']:,}",
+        )  # fmt: skip
+    print_table(table)
+    if motions:
+        k = min(range(len(motions)), key=lambda k: motions[k]["nearest"])
+        print(
+            f"nearest   {1e3 * motions[k]['nearest']:.3f} mm, on motion {k}: exact, but measured at "
+            f"{answer['measured']} configurations of each motion; margins are not subtracted"
+        )
+    work = [sum(motion[kind] for motion in motions) for kind in ("poses", "searches")]
+    print(f"length    {answer['length']:.6g}, in the units of the joints")
+    print(
+        f"proof     {work[0]:,} poses, {work[1]:,} searches on pairs of pieces, {1e3 * answer['proof_seconds']:.3g} ms"
+    )
+    print(f"found in  {1e3 * answer['seconds']:.3g} ms, this machine, this run")
+    if answer["out"] is not None:
+        print(f"written   {answer['out']}")
+
+
+def _print_verdict(answer: dict[str, Any]) -> None:
+    """What is known of the whole path, and where it is not free."""
+    motions = answer["motions"]
+    count = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
+    if answer["verdict"] == "FREE":
+        print(f"FREE  {count} from start to goal, proven free at every configuration on the way")
+        return
+    unproven = [k for k, motion in enumerate(motions) if motion["verdict"] != "FREE"]
+    print(f"{answer['verdict']}  {len(unproven)} of {count} from start to goal not proven free")
+    for k in unproven:
+        motion = motions[k]
+        how = "collide" if motion["verdict"] == "COLLIDING" else "come too near to tell"
+        print(f"          motion {k}: {' and '.join(motion['pair'])} {how} at the fraction {motion['fraction']:.6g}")
