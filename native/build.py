@@ -42,9 +42,8 @@ CPU_OF = {"arm64": "generic"}
 # Entries that one process compiles; another has the rest, which takes it as long. Those of a file stay together, since
 # what they call is compiled once.
 FIRST = (
-    "settle_range", "check_configurations", "check_motion", "memory_size", "workspace_size", "link_poses",
     "certify_motions", "motion_memory", "connect_trees", "shorten_path",
-    "first_fault", "body_boxes", "curve_order", "box_tree", "meeting_boxes", "piece_trees", "direction_map",
+    "distance_range", "memory_of_distances", "measure_left",
 )  # fmt: skip
 
 
