@@ -237,6 +237,50 @@ def test_what_is_attached_goes_along(robot):
     assert proven(checker, path)
 
 
+# -- a scene that changes -----------------------------------------------------------------------
+
+
+def posts(first, second):
+    """Two walls across the straight way from (-0.9, -0.5) to (0.9, -0.5), each of which is there or far off."""
+    scene = Scene()
+    for name, x, there in (("first", -0.45, first), ("second", 0.45, second)):
+        scene.add(name, Body.box([0.1, 0.6, 1.0]), translation(x, -0.5 if there else 9.0))
+    return scene
+
+
+def swapped(scene):
+    """Take the first wall away and put the second one up, in one place after the other."""
+    scene.move("first", translation(-0.45, 9.0))
+    scene.move("second", translation(0.45, -0.5))
+
+
+AROUND_FIRST = np.array([
+    [-0.9, -0.5, UP], [-0.9, 0.2, UP], [0.0, 0.2, UP], [0.0, -0.5, UP], [0.9, -0.5, UP]])  # fmt: skip
+
+
+@pytest.mark.parametrize("certified", [True, False])
+def test_a_change_before_shortening_is_not_seen(robot, monkeypatch, certified):
+    """A path around one wall is not cut through it, because it is gone by then, while it leads through a new one."""
+    options = {"certified": certified, "resolution": RESOLUTION}
+    as_it_was = CollisionChecker(robot, posts(True, False))
+    expected = planners.shorten(as_it_was, AROUND_FIRST, **options)
+    found = planners.plan(as_it_was, AROUND_FIRST[0], AROUND_FIRST[-1], joints="slide", seed=1, **options)
+    shortened = compiled.shortened
+
+    def late(*arguments, **keywords):
+        swapped(scene)
+        return shortened(*arguments, **keywords)
+
+    monkeypatch.setattr(compiled, "shortened", late)
+    scene = posts(True, False)
+    np.testing.assert_array_equal(planners.shorten(CollisionChecker(robot, scene), AROUND_FIRST, **options), expected)
+    scene = posts(True, False)
+    path = planners.plan(
+        CollisionChecker(robot, scene), AROUND_FIRST[0], AROUND_FIRST[-1], joints="slide", seed=1, **options
+    )
+    np.testing.assert_array_equal(path, found)
+
+
 # -- shortening ---------------------------------------------------------------------------------
 
 

@@ -15,7 +15,6 @@ from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
-from loewner.robots import CollisionChecker
 
 # The longest motion of a tree, as a share of the way from one end of the limits to the other: 1 rad for a usual arm.
 SHARE = 1 / 12
@@ -79,10 +78,10 @@ class Trees(NamedTuple):
 
 def connect(
     space: Space,
+    judge: Judge,
     start: Floats,
     goals: Floats,
     *,
-    resolution: float,
     max_iterations: int,
     timeout: float,
     seed: int,
@@ -97,7 +96,7 @@ def connect(
     lower = np.where(space.turning, start[space.columns] - np.pi, space.lower)
     upper = np.where(space.turning, start[space.columns] + np.pi, space.upper)
     longest = float(np.linalg.norm(upper - lower)) * SHARE
-    judge = Judge.of(space.checker, resolution, longest)
+    judge = judge.up_to(longest)
     joints, many = len(space.columns), len(goals)
     trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(start[space.columns], goals[:, space.columns])
     state = np.zeros(STATE, dtype=np.int64)
@@ -173,11 +172,10 @@ def _how_far(state: Ints, gap: Floats, spent: str, option: str) -> str:
     )
 
 
-def shortened(checker: CollisionChecker, path: Floats, *, resolution: float, max_iterations: int, seed: int) -> Floats:
-    """A shorter path with the same ends; its motions are free where those of `path` are."""
+def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
+    """A shorter path with the same ends; the judge has found the motions of `path` free, and so are those of this."""
     count = len(path)
-    longest = float(np.sum(checker.robot.distances(path[:-1], path[1:])))
-    judge = Judge.of(checker, resolution, longest)
+    judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     room = count + min(max_iterations, MOST_ROOM)
     fits_memory(8 * room * path.shape[1], f"a path of {room} configurations")
     rows, state = np.empty((room, path.shape[1])), np.zeros(STATE, dtype=np.int64)

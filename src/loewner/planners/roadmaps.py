@@ -318,10 +318,10 @@ class Roadmap:
         if not space.outside(q):  # limits are told of before all else
             self._check_kept(q)
         goals = space.checked_goals(q, goals)
-        found = self._found(q, goals)
-        if not simplify:
-            return found
-        return compiled.shortened(self.checker, found, resolution=0.0, max_iterations=compiled.CUTS, seed=self._seed)
+        while (found := self._found(q, goals)) is None:
+            pass  # what was known of the motions is no longer so
+        judge, rows = found
+        return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the roadmap into a file, with which of its motions are free in the scene as it is now.
@@ -419,7 +419,7 @@ class Roadmap:
     def _proven(self) -> _Graph:
         """All motions proven anew."""
         # What changes from here on is noticed the next time.
-        version, judge = self.checker._ready().version, Judge.of(self.checker, 0.0, 0.0)
+        judge = Judge.of(self.checker, 0.0)
         sound = _free(self._space, self._nodes)
         free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
         at = np.flatnonzero(free)
@@ -427,7 +427,7 @@ class Roadmap:
             part = at[first : first + AT_A_TIME]
             a, b = self._nodes[self._edges[part].T]
             free[part] = judge.free(a, self._space.unwound(a, b))
-        self._graph = graph = self._graph_of(version, free, proven=True)
+        self._graph = graph = self._graph_of(judge.ready.version, free, proven=True)
         return graph
 
     def _graph_of(self, version: int, free: Bools, *, proven: bool) -> _Graph:
@@ -446,22 +446,22 @@ class Roadmap:
                 f"which is not among its joints; found {q[column]:g}"
             )
 
-    def _found(self, q: Floats, goals: Floats) -> Floats:
-        """The shortest path over motions that are free, proven as a whole."""
+    def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
+        """The shortest path over motions that are free, and what proved it as a whole; None if that proved more."""
         known = graph = self._now()
-        judge = Judge.of(self.checker, 0.0, 0.0)
-        links = self._links(graph, judge, q, goals)
+        links = self._links(graph, Judge.of(self.checker, 0.0), q, goals)
         while (way := graph.shortest(links)) is not None:
             rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
             for k in range(1, len(rows)):
                 rows[k] = self._space.unwound(rows[k - 1], rows[k])
+            judge = Judge.of(self.checker, 0.0)  # for the scene as it has come to be
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
-                return rows
+                return judge, rows
             if not known.proven:
                 self._proven()
             if self._now() is not known:
-                return self._found(q, goals)
+                return None
             graph, links = self._without(graph, links, way, unfree)
         raise PlanningError(
             "expected a path from start to goal that is free when it is proven as a whole, found none: all ways over "
