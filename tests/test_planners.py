@@ -1,6 +1,7 @@
 """The compiled planner: paths whose every motion is proven free, or an error that says why there is none."""
 
 import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -279,6 +280,29 @@ def test_a_change_before_shortening_is_not_seen(robot, monkeypatch, certified):
         CollisionChecker(robot, scene), AROUND_FIRST[0], AROUND_FIRST[-1], joints="slide", seed=1, **options
     )
     np.testing.assert_array_equal(path, found)
+
+
+def test_of_thousands_of_goals_few_are_explained(checker, monkeypatch):
+    """Pairs and depths are looked up for goals that the message names, and for none if one can be reached."""
+    looked, pairs = [], checker.pairs
+    monkeypatch.setattr(checker, "pairs", lambda q: looked.append(q) or pairs(q))
+    goals = np.tile(IN_WALL, (1000, 1))
+    with pytest.raises(PlanningError, match=r"goal\[4\]: a collision .*; and 995 more"):
+        planners.plan(checker, LEFT, goals)
+    assert len(looked) == 5
+    planners.plan(checker, LEFT, [*goals, RIGHT])
+    assert len(looked) == 5
+
+
+def test_slow_motions_keep_the_timeout(robot):
+    """Where each motion takes long the clock is looked at more often than between 512 of them."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]))
+    checker = CollisionChecker(robot, scene)
+    began = time.monotonic()
+    with pytest.raises(PlanningError, match="within 0.1 s"):
+        planners.plan(checker, LEFT, RIGHT, certified=False, resolution=1e-6, timeout=0.1)
+    assert time.monotonic() - began < 5  # 13 s at 512 iterations at a time
 
 
 # -- shortening ---------------------------------------------------------------------------------

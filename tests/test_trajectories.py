@@ -226,13 +226,13 @@ def test_a_plate_in_the_bulge(robot, monkeypatch, chords):
         free = trajectories._free(Judge.of(checker, 0.0), FIRST, CORNER, LAST, np.zeros((1, 3)))
         assert free[0] == (not blocked)
         if blocked:
-            certify = motions.certify
+            settle = motions.settle
             monkeypatch.setattr(
-                motions, "certify",
-                lambda ready, a, b, tolerance, off, certify=certify: certify(ready, a, b, tolerance),
+                motions, "settle",
+                lambda ready, a, b, tolerance, off, settle=settle: settle(ready, a, b, tolerance),
             )  # fmt: skip
             assert trajectories._free(Judge.of(checker, 0.0), FIRST, CORNER, LAST, np.zeros((1, 3)))[0]
-            monkeypatch.setattr(motions, "certify", certify)
+            monkeypatch.setattr(motions, "settle", settle)
 
 
 def sampled(first, corner, last, count):
@@ -535,3 +535,22 @@ def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
     found = moved(CollisionChecker(robot, late))
     np.testing.assert_array_equal(found.knots, expected.knots)
     np.testing.assert_array_equal(found.blends, expected.blends)
+
+
+def test_thousands_of_corners(tmp_path, monkeypatch):
+    """The effort grows with the number of corners, not with its square; what is chosen in parts is as good as ever."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    x = np.linspace(-0.9, 0.9, 2002)
+    path = np.stack([x, 0.01 * (np.arange(2002) % 2), np.full(2002, UP)], axis=1)
+
+    def moved(rows):
+        return trajectory(checker.robot, rows, velocity=1.0, acceleration=10.0, checker=checker)
+
+    tried, duration = [], trajectories._duration
+    monkeypatch.setattr(trajectories, "_duration", lambda on, halves: tried.append(len(halves)) or duration(on, halves))
+    assert len(moved(path).blends) == 2000
+    assert sum(tried) < 3000 * len(path)
+    in_parts = moved(path[:102])
+    monkeypatch.setattr(trajectories, "CHOSEN_AT_A_TIME", 1000)
+    assert in_parts.duration == pytest.approx(moved(path[:102]).duration, rel=0.01)

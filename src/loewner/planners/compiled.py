@@ -22,8 +22,10 @@ SHARE = 1 / 12
 # Configurations that trees have room for at first.
 CAPACITY = 2048
 
-# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: some 10 ms.
+# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed, at most; iterations
+# are fewer where so many take longer than this [s].
 AT_A_TIME = 512
+A_WHILE = 0.01
 
 # Cuts that are tried by default: more find little, and take longer than the search itself.
 CUTS = 60
@@ -105,7 +107,7 @@ def connect(
     gap, points, ends = np.full(1, np.inf), np.empty((3, joints)), np.stack([start, start])
     numbers = np.stack([space.columns, space.turning])
     began: float | None = None  # only after the first call, for which Numba may have to compile
-    outcome = codes.SPENT
+    outcome, portion = codes.SPENT, 1
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
@@ -114,11 +116,14 @@ def connect(
             raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
+        asked = time.monotonic()
         outcome = entries.connect_trees(
-            min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
+            min(done + portion, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
             points, np.empty(trees.capacity), *judge.looks(),
         )  # fmt: skip
-        began = began or time.monotonic()
+        now = time.monotonic()
+        portion = min(2 * portion, AT_A_TIME) if now - asked < A_WHILE else max(portion // 2, 1)
+        began = began or now
     return _path(space, judge, trees, state)
 
 

@@ -19,7 +19,6 @@ from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, motions
 from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.edges import MOST_STEPS
-from loewner.robots.motions import Found
 
 # Metres: what comes nearer than this to colliding may count as not free.
 TOLERANCE = 1e-5
@@ -82,21 +81,22 @@ class Judge:
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Which motions of a batch are free; what cannot be settled is not."""
+        if not self.resolution:
+            return self.proven(Q0, Q1)
         try:
-            if self.resolution:
-                return self.checker._valid_edges(self.ready, Q0, Q1, self.resolution)
-            return np.asarray(self.certified(Q0, Q1).verdicts == Verdict.FREE)
+            return self.checker._valid_edges(self.ready, Q0, Q1, self.resolution)
         except ConvergenceError:
             if len(Q0) == 1:
                 return np.array([False])
             return np.concatenate([self.free(a[None], b[None]) for a, b in zip(Q0, Q1, strict=True)])
 
-    def certified(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Found:
-        """What is proven of a batch of motions, and of what is up to `off` away from them."""
-        Q0, Q1 = np.array(Q0, order="C"), np.array(Q1, order="C")  # kernels take no views
-        if off is not None:
-            return motions.certify(self.ready, Q0, Q1, TOLERANCE, off)
-        return self.checker._certified(self.ready, Q0, Q1, TOLERANCE)
+    def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
+        """Which motions of a batch are proven free; with `off`, all that is so far away from them too."""
+        Q0, Q1 = (
+            np.array(Q0, order="C"),
+            self.checker.robot._on_the_way(Q0, Q1).copy(order="C"),
+        )  # kernels take no views
+        return np.asarray(motions.settle(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
@@ -138,7 +138,8 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if free.all():
         return
     k = int(free.argmin())
-    found = judge.certified(path[k : k + 1], path[k + 1 : k + 2]).of_shape((), judge.ready)
+    found = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    found = found.of_shape((), judge.ready)
     if found.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:

@@ -22,7 +22,7 @@ from loewner._archives import Format
 from loewner._guard import guarded
 from loewner._threads import get_num_threads
 from loewner._validate import Bools, Floats, Ints
-from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge
 from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
@@ -420,7 +420,7 @@ class Roadmap:
         """All motions proven anew."""
         # What changes from here on is noticed the next time.
         judge = Judge.of(self.checker, 0.0)
-        sound = _free(self._space, self._nodes)
+        sound = self._space.free_among(self._nodes)
         free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
         at = np.flatnonzero(free)
         for first in range(0, len(at), AT_A_TIME):
@@ -603,7 +603,7 @@ def roadmap(
     if neighbours is not None:
         neighbours = _validate.whole_number(neighbours, "neighbours", 1)
     space, Q = _samples(checked_checker(checker), samples, joints, fixed, seed)
-    nodes = Q[_free(space, Q)]
+    nodes = Q[space.free_among(Q)]
     if len(nodes) == 0:
         raise PlanningError(f"samples: expected some that are free, found none among {len(Q)}")
     if neighbours is None:
@@ -676,15 +676,6 @@ def _outside(space: Space, Q: Floats) -> Bools:
     for k in np.flatnonzero(beyond.any(axis=1)):  # by a rounding is not outside
         found[k] = bool(space.outside(Q[k]))
     return found
-
-
-def _free(space: Space, Q: Floats) -> Bools:
-    """Which configurations are proven free; what cannot be settled is not."""
-    try:
-        free: Bools = np.logical_not(space.checker.collide(Q))
-    except ConvergenceError:
-        free = np.array([space.free(q) for q in Q])
-    return free
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:

@@ -98,15 +98,15 @@ class Space:
         if not inside.any():
             raise _no_goal(faults)
         self._check_still(goals[inside])
-        found = self._faults(np.concatenate([q[None], goals[inside]]))
-        _refuse_start(found[0])
-        if not any(found) and inside.all():
-            return goals
-        for k, fault in zip(np.flatnonzero(inside), found[1:], strict=True):
-            faults[k] = fault
-        if all(faults):
-            raise _no_goal(faults)
-        return goals[[not fault for fault in faults]]
+        free = self.free_among(np.concatenate([q[None], goals[inside]]))
+        if not free[0]:
+            _refuse_start(self._fault(q))
+        good = goals[inside][free[1:]]
+        if len(good):
+            return good
+        # Only those are looked at closely that the message names: there may be thousands.
+        named = [fault or self._fault(goal) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
+        raise _no_goal(named + faults[NAMED:])
 
     def outside(self, q: Floats) -> str:
         """Which joints that move are outside their limits; "" if none is."""
@@ -128,6 +128,13 @@ class Space:
         except ConvergenceError:
             return False
 
+    def free_among(self, Q: Floats) -> Bools:
+        """Which configurations of a batch are proven free; what cannot be settled is not."""
+        try:
+            return np.logical_not(self.checker.collide(Q))
+        except ConvergenceError:
+            return np.array([self.free(q) for q in Q])
+
     def name(self, column: int) -> str:
         """Name of a column of configurations."""
         return self.checker.robot.configuration_names[column]
@@ -144,21 +151,14 @@ class Space:
                 f"among the joints that move; found {goal:g}"
             )
 
-    def _faults(self, Q: Floats) -> list[str]:
-        """Why configurations within the limits cannot be on a path, each: "" where they can."""
-        try:
-            hits = self.checker.collide(Q)
-        except ConvergenceError:
-            hits = np.ones(len(Q), dtype=bool)
-        return [self._fault(q) if hit else "" for q, hit in zip(Q, np.atleast_1d(hits), strict=True)]
-
     def _fault(self, q: Floats) -> str:
+        """Why a configuration within the limits that is not free cannot be on a path."""
         try:
             contacts = self.checker.pairs(q)
         except ConvergenceError as error:
             return f"one that cannot be proven free: {error}"
         if not contacts:
-            return ""
+            return "a collision, which was gone when it was looked at: the scene has changed"
         named = ", ".join(
             f"{contact.name_a} and {contact.name_b} ("
             + (f"{1e3 * -contact.distance:.3g} mm deep" if contact.distance <= 0 else

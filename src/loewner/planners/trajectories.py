@@ -27,7 +27,6 @@ from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.judge import Judge, refuse_unfree
 from loewner.planners.space import checked_checker
-from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
 
 # Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
@@ -51,6 +50,9 @@ ROUNDED = 1e-15
 # Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it
 # is a stop: in so short a phase, rounding would show in the acceleration.
 SHORTEST = 1e-7
+
+# Corners whose blends are chosen together: the effort grows with the square of it, and those far off hardly matter.
+CHOSEN_AT_A_TIME = 32
 
 # The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
 LARGEST_SHARE = 0.49
@@ -502,6 +504,13 @@ class Straights(NamedTuple):
             )
         return cls(rows, lengths, full, gains, strongest)
 
+    def part(self, first: int, last: int) -> Straights:
+        """Those about the corners first .. last, `last` excluded."""
+        motions = slice(first, last + 1)
+        return Straights(
+            self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
+        )
+
     def at(self, k: Any, share: Floats) -> Floats:
         """Configurations on motions, by the share of the way."""
         a, b = self.rows[k], self.rows[k + 1]
@@ -625,12 +634,22 @@ def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Flo
     size = np.maximum(np.maximum(np.abs(first), np.abs(corner)), np.abs(last))
     off = np.tile(bend / (4 * chords**2) + BLEND_ROUNDINGS * size + astray, (chords, 1))
     dof = first.shape[1]
-    found = judge.certified(points[:-1].reshape(-1, dof), points[1:].reshape(-1, dof), off)
-    return np.asarray((found.verdicts == Verdict.FREE).reshape(chords, -1).all(axis=0))
+    free = judge.proven(points[:-1].reshape(-1, dof), points[1:].reshape(-1, dof), off)
+    return np.asarray(free.reshape(chords, -1).all(axis=0))
 
 
 def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
-    """Sizes of blends, one of the proven ones for each corner, so that no change of one makes the whole shorter."""
+    """Sizes of blends, one of the proven ones for each corner, chosen for as many neighbours at a time as are told."""
+    parts = [
+        _shortest_part(straights.part(first, first + len(sizes)), sizes)
+        for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
+    ]
+    halves, stops = np.concatenate(parts), np.zeros(len(proven))
+    return stops if _duration(straights, stops) < _duration(straights, halves) else halves
+
+
+def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
+    """The same so that no change of one makes the whole shorter, for a path of few corners."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
     improved = True
@@ -643,8 +662,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
                 needed = _duration(straights, other)
                 if needed < shortest * (1 - 1e-9):
                     halves, shortest, improved = other, needed, True
-    stops = np.zeros(len(proven))
-    return stops if _duration(straights, stops) < shortest else halves
+    return halves
 
 
 # -- times --------------------------------------------------------------------------------------
