@@ -138,8 +138,8 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     if free.all():
         return
     k = int(free.argmin())
-    found = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
-    found = found.of_shape((), judge.ready)
+    certified = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    found = certified.of_shape((), judge.ready)
     if found.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:

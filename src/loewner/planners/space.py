@@ -101,7 +101,7 @@ class Space:
         free = self.free_among(np.concatenate([q[None], goals[inside]]))
         if not free[0]:
             _refuse_start(self._fault(q))
-        good = goals[inside][free[1:]]
+        good: Floats = goals[inside][free[1:]]
         if len(good):
             return good
         # Only those are looked at closely that the message names: there may be thousands.
@@ -131,7 +131,7 @@ class Space:
     def free_among(self, Q: Floats) -> Bools:
         """Which configurations of a batch are proven free; what cannot be settled is not."""
         try:
-            return np.logical_not(self.checker.collide(Q))
+            return np.asarray(np.logical_not(self.checker.collide(Q)))
         except ConvergenceError:
             return np.array([self.free(q) for q in Q])
 
