@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from loewner import _archives, _validate
 from loewner._archives import Format
 from loewner._guard import guarded
-from loewner._threads import get_num_threads
+from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
@@ -185,9 +185,15 @@ class _Neighbours:
         return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
 
     def _nearest(self, values: Floats, many: int) -> Ints:
-        workers = get_num_threads() if len(values) > ALONE else 1
-        found = self.tree.query(values, np.arange(1, many + 1), workers=workers)[1]
-        return np.asarray(found, dtype=np.int64)
+        found = np.empty((len(values), many), dtype=np.int64)
+        ranks = np.arange(1, many + 1)
+
+        def share(first: int, last: int) -> None:
+            found[first:last] = self.tree.query(values[first:last], ranks)[1]
+
+        # The tree's own threads would go on after an interrupt, and write to memory that is no longer theirs.
+        in_shares(share, len(values), ALONE)
+        return found
 
     @staticmethod
     def _wrapped(space: Space, Q: Floats) -> Floats:
