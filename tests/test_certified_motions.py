@@ -124,7 +124,7 @@ def test_values_off_the_motion(arms, tmp_path, kind, rng):
     Q = free_configurations(checker, 150)
     ends = steps(robot, rng, Q, 0.2)
     off = rng.uniform(0.0, 0.03, Q.shape) * (rng.random(Q.shape) < 0.5)
-    strays = loewner.robots.motions.certify(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, off).verdicts
+    strays = loewner.robots.motions.settle(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, off).verdicts
     bare = checker.certify_edges(Q, ends).verdict
     hit = np.zeros(len(Q), dtype=bool)
     for _ in range(300):
@@ -136,7 +136,7 @@ def test_values_off_the_motion(arms, tmp_path, kind, rng):
     assert (hit & (bare == FREE)).any()
     assert (strays == FREE).sum() > 0.3 * (bare == FREE).sum()
     assert (bare[strays == FREE] == FREE).all()
-    same = loewner.robots.motions.certify(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, np.zeros_like(off))
+    same = loewner.robots.motions.settle(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, np.zeros_like(off))
     assert (same.verdicts == bare).all()
 
 

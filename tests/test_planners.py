@@ -1,6 +1,7 @@
 """The compiled planner: paths whose every motion is proven free, or an error that says why there is none."""
 
 import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -237,6 +238,73 @@ def test_what_is_attached_goes_along(robot):
     assert proven(checker, path)
 
 
+# -- a scene that changes -----------------------------------------------------------------------
+
+
+def posts(first, second):
+    """Two walls across the straight way from (-0.9, -0.5) to (0.9, -0.5), each of which is there or far off."""
+    scene = Scene()
+    for name, x, there in (("first", -0.45, first), ("second", 0.45, second)):
+        scene.add(name, Body.box([0.1, 0.6, 1.0]), translation(x, -0.5 if there else 9.0))
+    return scene
+
+
+def swapped(scene):
+    """Take the first wall away and put the second one up, in one place after the other."""
+    scene.move("first", translation(-0.45, 9.0))
+    scene.move("second", translation(0.45, -0.5))
+
+
+AROUND_FIRST = np.array([
+    [-0.9, -0.5, UP], [-0.9, 0.2, UP], [0.0, 0.2, UP], [0.0, -0.5, UP], [0.9, -0.5, UP]])  # fmt: skip
+
+
+@pytest.mark.parametrize("certified", [True, False])
+def test_a_change_before_shortening_is_not_seen(robot, monkeypatch, certified):
+    """A path around one wall is not cut through it, because it is gone by then, while it leads through a new one."""
+    options = {"certified": certified, "resolution": RESOLUTION}
+    as_it_was = CollisionChecker(robot, posts(True, False))
+    expected = planners.shorten(as_it_was, AROUND_FIRST, **options)
+    found = planners.plan(as_it_was, AROUND_FIRST[0], AROUND_FIRST[-1], joints="slide", seed=1, **options)
+    shortened = compiled.shortened
+
+    def late(*arguments, **keywords):
+        swapped(scene)
+        return shortened(*arguments, **keywords)
+
+    monkeypatch.setattr(compiled, "shortened", late)
+    scene = posts(True, False)
+    np.testing.assert_array_equal(planners.shorten(CollisionChecker(robot, scene), AROUND_FIRST, **options), expected)
+    scene = posts(True, False)
+    path = planners.plan(
+        CollisionChecker(robot, scene), AROUND_FIRST[0], AROUND_FIRST[-1], joints="slide", seed=1, **options
+    )
+    np.testing.assert_array_equal(path, found)
+
+
+def test_of_thousands_of_goals_few_are_explained(checker, monkeypatch):
+    """Pairs and depths are looked up for goals that the message names, and for none if one can be reached."""
+    looked, pairs = [], checker.pairs
+    monkeypatch.setattr(checker, "pairs", lambda q: looked.append(q) or pairs(q))
+    goals = np.tile(IN_WALL, (1000, 1))
+    with pytest.raises(PlanningError, match=r"goal\[4\]: a collision .*; and 995 more"):
+        planners.plan(checker, LEFT, goals)
+    assert len(looked) == 5
+    planners.plan(checker, LEFT, [*goals, RIGHT])
+    assert len(looked) == 5
+
+
+def test_slow_motions_keep_the_timeout(robot):
+    """Where each motion takes long the clock is looked at more often than between 512 of them."""
+    scene = Scene()
+    scene.add("wall", Body.box([0.1, 4.0, 1.0]))
+    checker = CollisionChecker(robot, scene)
+    began = time.monotonic()
+    with pytest.raises(PlanningError, match="within 0.1 s"):
+        planners.plan(checker, LEFT, RIGHT, certified=False, resolution=1e-6, timeout=0.1)
+    assert time.monotonic() - began < 5  # 13 s at 512 iterations at a time
+
+
 # -- shortening ---------------------------------------------------------------------------------
 
 
@@ -332,6 +400,14 @@ def test_outside_the_limits(checker):
         planners.plan(checker, [-1.5, 2.0, 0.0], RIGHT)
     with pytest.raises(PlanningError, match=r"goal: .* y = 7 outside -1 \.\. 1"):
         planners.plan(checker, LEFT, [0.5, 7.0, UP])
+
+
+def test_values_off_by_rounding_are_told_apart(checker):
+    """Numbers that look alike are said to differ, by how much, and what to do."""
+    with pytest.raises(PlanningError, match=r"x = -1 outside -1 \.\. 1 \(by 1e-09: clip or copy it\)"):
+        planners.plan(checker, [-1 - 1e-9, -0.5, UP], RIGHT)
+    with pytest.raises(InputError, match=r"found 1\.5708 \(by 1e-09: clip or copy it\)"):
+        planners.plan(checker, LEFT, RIGHT + [0, 0, 1e-9], joints="slide")
 
 
 def test_limits_are_looked_at_before_all_else(checker):

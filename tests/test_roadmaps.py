@@ -3,11 +3,15 @@
 import dataclasses
 import io
 import pickle
+import signal
+import threading
 import zipfile
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+import loewner
 from families import translation
 from gantry import RADIUS, gantry
 from loewner import (
@@ -630,3 +634,39 @@ def test_motions_are_proven_in_parts(made, scene, monkeypatch):
     scene.move("wall", wall())
     monkeypatch.setattr(roadmaps, "AT_A_TIME", 7)
     np.testing.assert_array_equal(made.edges, edges)
+
+
+def test_motions_too_long_to_prove_are_not_free(tmp_path):
+    """Slides of kilometres and many turns at once: no motion of the roadmap, and no error about its number."""
+    joints = "".join(
+        f"""<link name="l{k}"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+        <joint name="j{k}" type="{kind}"><parent link="{f"l{k - 1}" if k else "world"}"/><child link="l{k}"/>
+        <origin xyz="0.5 0 0"/><axis xyz="{axis}"/><limit lower="-{far}" upper="{far}"/></joint>"""
+        for k, (kind, axis, far) in enumerate(
+            [("revolute", "0 0 1", 100), ("revolute", "0 0 1", 100), ("prismatic", "1 0 0", 9e5)]
+        )
+    )
+    (tmp_path / "far.urdf").write_text(f'<robot name="far"><link name="world"/>{joints}</robot>')
+    scene = Scene()
+    scene.add("box", Body.box([1, 1, 1]), translation(5.0))
+    made = planners.roadmap(CollisionChecker(Robot.from_urdf(tmp_path / "far.urdf"), scene), 10)
+    assert len(made.edges) < len(made._edges)
+
+
+def test_an_interrupt_leaves_no_thread_that_writes(made):
+    """Nobody goes on searching for neighbours, in memory that was given back, once an interrupt has ended the call."""
+    values = np.random.default_rng(0).random((20_000, 30))
+    near = dataclasses.replace(made._near, count=len(values), tree=KDTree(values))
+    threads = loewner.get_num_threads()
+    loewner.set_num_threads(2)
+    near._nearest(values[:100], 2)  # starts the threads that stay
+    before, handler = set(threading.enumerate()), signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        with pytest.raises(KeyboardInterrupt):
+            near._nearest(values[:2000], 20)
+        assert set(threading.enumerate()) <= before
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, handler)
+        loewner.set_num_threads(threads)

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from families import translation
-from gantry import RADIUS, gantry
+from gantry import RADIUS, UP, gantry
 from loewner import Body, CollisionChecker, FileError, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.planners import Trajectory, trajectories, trajectory
+from loewner.planners.judge import Judge
+from loewner.robots import motions
 from motion_oracle import AFLOAT, FINGERS, example, free_configurations, ring, steps, written
 
 # What is promised of limits: beyond the last digits only where a phase is so short that times round.
@@ -221,16 +223,16 @@ def test_a_plate_in_the_bulge(robot, monkeypatch, chords):
         t = np.linspace(0, 1, 20001)[:, None]
         hit = checker.collide((1 - t) ** 2 * FIRST + 2 * t * (1 - t) * CORNER + t**2 * LAST).any()
         assert hit == blocked
-        free = trajectories._free(checker, FIRST, CORNER, LAST, np.zeros((1, 3)))
+        free = trajectories._free(Judge.of(checker, 0.0), FIRST, CORNER, LAST, np.zeros((1, 3)))
         assert free[0] == (not blocked)
         if blocked:
-            certify = trajectories.motions.certify
+            settle = motions.settle
             monkeypatch.setattr(
-                trajectories.motions, "certify",
-                lambda ready, a, b, tolerance, off, certify=certify: certify(ready, a, b, tolerance),
+                motions, "settle",
+                lambda ready, a, b, tolerance, off, settle=settle: settle(ready, a, b, tolerance),
             )  # fmt: skip
-            assert trajectories._free(checker, FIRST, CORNER, LAST, np.zeros((1, 3)))[0]
-            monkeypatch.setattr(trajectories.motions, "certify", certify)
+            assert trajectories._free(Judge.of(checker, 0.0), FIRST, CORNER, LAST, np.zeros((1, 3)))[0]
+            monkeypatch.setattr(motions, "settle", settle)
 
 
 def sampled(first, corner, last, count):
@@ -249,7 +251,7 @@ def test_blends_of_an_arm(monkeypatch, rng, chords):
     first = np.repeat(free_configurations(checker, 60), 5, axis=0)
     corner = steps(arm, rng, first, 0.4)
     last = steps(arm, rng, corner, 0.4)
-    free = trajectories._free(checker, first, corner, last, np.zeros_like(first))
+    free = trajectories._free(Judge.of(checker, 0.0), first, corner, last, np.zeros_like(first))
     assert free.any()
     hit = checker.collide(sampled(first, corner, last, 1000)).any(axis=0)
     assert hit.any()
@@ -505,3 +507,50 @@ def test_names_of_files(moved, tmp_path):
         moved.save(tmp_path / "nowhere" / "a.csv")
     with pytest.raises(InputError, match="rate"):
         moved.save(tmp_path / "a.csv", rate=0)
+
+
+def test_a_change_after_the_path_was_proven(tmp_path, monkeypatch):
+    """A post in the corner goes away, and one comes up on the path: no blend passes where the first one stood."""
+    urdf, srdf = gantry(tmp_path)
+    path = np.array([[-0.5, 0.0, UP], [0.0, 0.0, UP], [0.0, 0.5, UP]])
+
+    def moved(checker):
+        return trajectory(checker.robot, path, velocity=1.0, acceleration=1.0, checker=checker)
+
+    def scene():
+        made = Scene()
+        made.add("post", Body.box([0.02, 0.02, 1.0]), translation(-0.115, 0.115))
+        return made
+
+    robot = Robot.from_urdf(urdf, srdf=srdf)
+    expected = moved(CollisionChecker(robot, scene()))
+    told = trajectories.refuse_unfree
+
+    def and_then(*arguments):
+        told(*arguments)
+        late.move("post", translation(-0.5, 0.0))
+
+    monkeypatch.setattr(trajectories, "refuse_unfree", and_then)
+    late = scene()
+    found = moved(CollisionChecker(robot, late))
+    np.testing.assert_array_equal(found.knots, expected.knots)
+    np.testing.assert_array_equal(found.blends, expected.blends)
+
+
+def test_thousands_of_corners(tmp_path, monkeypatch):
+    """The effort grows with the number of corners, not with its square; what is chosen in parts is as good as ever."""
+    urdf, srdf = gantry(tmp_path)
+    checker = CollisionChecker(Robot.from_urdf(urdf, srdf=srdf))
+    x = np.linspace(-0.9, 0.9, 2002)
+    path = np.stack([x, 0.01 * (np.arange(2002) % 2), np.full(2002, UP)], axis=1)
+
+    def moved(rows):
+        return trajectory(checker.robot, rows, velocity=1.0, acceleration=10.0, checker=checker)
+
+    tried, duration = [], trajectories._duration
+    monkeypatch.setattr(trajectories, "_duration", lambda on, halves: tried.append(len(halves)) or duration(on, halves))
+    assert len(moved(path).blends) == 2000
+    assert sum(tried) < 3000 * len(path)
+    in_parts = moved(path[:102])
+    monkeypatch.setattr(trajectories, "CHOSEN_AT_A_TIME", 1000)
+    assert in_parts.duration == pytest.approx(moved(path[:102]).duration, rel=0.01)

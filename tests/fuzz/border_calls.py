@@ -844,6 +844,7 @@ CALLS: dict[str, Call] = {
             "checker": arg(checker),
             "joints": arg("y", NONE),
             "fixed": array([0.5, 0.25, 0.0], FINITE, NONE),
+            "certified": flag(),
             "resolution": positive(0.125),
         },
         varies=True,

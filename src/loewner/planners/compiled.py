@@ -16,7 +16,6 @@ from loewner._validate import Floats, Ints, fits_memory
 from loewner.errors import PlanningError
 from loewner.planners.judge import Judge
 from loewner.planners.space import Space
-from loewner.robots import CollisionChecker
 
 # The longest motion of a tree, as a share of the way from one end of the limits to the other: 1 rad for a usual arm.
 SHARE = 1 / 12
@@ -24,8 +23,10 @@ SHARE = 1 / 12
 # Configurations that trees have room for at first.
 CAPACITY = 2048
 
-# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: some 10 ms.
-AT_A_TIME = 512
+# Iterations and cuts between two looks at the clock, which is also when an interrupt is noticed: the first time and at
+# most; iterations are fewer where so many take longer than this [s].
+FIRST, AT_A_TIME = 64, 512
+A_WHILE = 0.01
 
 # Cuts that are tried by default: more find little, and take longer than the search itself.
 CUTS = 60
@@ -80,10 +81,10 @@ class Trees(NamedTuple):
 
 def connect(
     space: Space,
+    judge: Judge,
     start: Floats,
     goals: Floats,
     *,
-    resolution: float,
     max_iterations: int,
     timeout: float,
     seed: int,
@@ -103,13 +104,13 @@ def connect(
     limits[1, space.turning] = root[space.turning] + np.pi
     limits[2], limits[3] = _sequence(joints, seed)
     longest = math.dist(limits[0].tolist(), limits[1].tolist()) * SHARE
-    judge = Judge.of(space.checker, resolution, longest)
+    judge = judge.up_to(longest)
     trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(root, goals[:, space.columns])
     state = np.zeros(STATE, dtype=np.int64)
     state[STARTS], state[GOALS] = 1, many
     gap, points, ends = np.array([np.inf]), np.empty((3, joints)), np.array([start, start])
     began: float | None = None  # only after the first call, for which Numba may have to compile
-    outcome = codes.SPENT
+    outcome, portion = codes.SPENT, min(FIRST, AT_A_TIME)
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
@@ -118,11 +119,14 @@ def connect(
             raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
+        asked = time.monotonic()
         outcome = entries.connect_trees(
-            min(done + AT_A_TIME, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
+            min(done + portion, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
             points, np.empty(trees.capacity), *judge.looks(),
         )  # fmt: skip
-        began = began or time.monotonic()
+        now = time.monotonic()
+        portion = min(2 * portion, AT_A_TIME) if now - asked < A_WHILE else max(portion // 2, 1)
+        began = began or now
     return _path(space, judge, trees, state)
 
 
@@ -177,11 +181,10 @@ def _how_far(state: Ints, gap: Floats, spent: str, option: str) -> str:
     )
 
 
-def shortened(checker: CollisionChecker, path: Floats, *, resolution: float, max_iterations: int, seed: int) -> Floats:
-    """A shorter path with the same ends; its motions are free where those of `path` are."""
+def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
+    """A shorter path with the same ends; the judge has found the motions of `path` free, and so are those of this."""
     count = len(path)
-    longest = float(np.sum(checker.robot.distances(path[:-1], path[1:])))
-    judge = Judge.of(checker, resolution, longest)
+    judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     room = count + min(max_iterations, MOST_ROOM)
     fits_memory(8 * room * path.shape[1], f"a path of {room} configurations")
     rows, state = np.empty((room, path.shape[1])), np.zeros(STATE, dtype=np.int64)

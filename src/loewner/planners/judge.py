@@ -1,9 +1,12 @@
-"""Whether motions are free, as planners ask it: proven, or looked at in steps."""
+"""Whether motions are free, as planners ask it: proven, or looked at in steps.
+
+A path is judged by one `Judge` from its first motion to its last shortening. The scene may change meanwhile, and
+motions that are free at different moments make no path that is free at any.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +16,7 @@ from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.queries import Verdict
-from loewner.robots import CollisionChecker
+from loewner.robots import CollisionChecker, motions
 from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.edges import MOST_STEPS
 
@@ -29,7 +32,7 @@ class Judge:
     ----------
     checker : CollisionChecker
     ready : CheckedPairs
-        Of the scene as it was when the search began.
+        Of the scene as it was at one moment, for all motions.
     resolution : float
         0 if motions are proven.
     fractions, verdicts : ndarray
@@ -43,14 +46,19 @@ class Judge:
     verdicts: NDArray[np.int8]
 
     @classmethod
-    def of(cls, checker: CollisionChecker, resolution: float, longest: float) -> Judge:
-        """For motions up to a length.
+    def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
+        """For the scene as it is now."""
+        return cls(checker, checker._ready(), resolution, np.empty(1), np.empty(1, dtype=np.int8))
+
+    def up_to(self, longest: float) -> Judge:
+        """The same, of the same moment, with memory for kernels to look at motions up to a length.
 
         Raises
         ------
         InputError
             If they would be looked at in too many steps.
         """
+        resolution = self.resolution
         steps = longest / resolution + 2 if resolution else 0
         if not steps <= MOST_STEPS:
             raise InputError(
@@ -59,7 +67,7 @@ class Judge:
             )
         size = int(steps) + 1
         fits_memory(9 * size, f"{size} steps of a motion")
-        return cls(checker, checker._ready(), resolution, np.empty(size), np.empty(size, dtype=np.int8))
+        return replace(self, fractions=np.empty(size), verdicts=np.empty(size, dtype=np.int8))
 
     def asked(self) -> tuple[float, float, int, int, int, int]:
         """Tolerance, resolution and addresses, as kernels take them."""
@@ -73,23 +81,32 @@ class Judge:
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Which motions of a batch are free; what cannot be settled is not."""
-        if len(Q0) == 1:
-            return np.array([self._free(Q0[0], Q1[0])])
+        if not self.resolution:
+            return self.proven(Q0, Q1)
         try:
-            if self.resolution:
-                return np.asarray(self.checker.valid_edges(Q0, Q1, self.resolution))
-            return np.asarray(self._proven(Q0, Q1))
+            return self.checker._valid_edges(self.ready, Q0, Q1, self.resolution)
         except ConvergenceError:
-            return np.array([self._free(a, b) for a, b in zip(Q0, Q1, strict=True)])
+            if len(Q0) == 1:
+                return np.array([False])
+            return np.concatenate([self.free(a[None], b[None]) for a, b in zip(Q0, Q1, strict=True)])
 
-    def _free(self, a: Floats, b: Floats) -> bool:
-        try:
-            return bool(self.checker.valid_edges(a, b, self.resolution) if self.resolution else self._proven(a, b))
-        except ConvergenceError:
-            return False
+    def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
+        """Which motions of a batch are proven free; with `off`, all that is so far away from them too."""
+        Q0, Q1 = (
+            np.array(Q0, order="C"),
+            self.checker.robot._on_the_way(Q0, Q1).copy(order="C"),
+        )  # kernels take no views
+        return np.asarray(motions.settle(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
 
-    def _proven(self, Q0: Floats, Q1: Floats) -> Any:
-        return self.checker.certify_edges(Q0, Q1, tolerance=TOLERANCE).verdict == Verdict.FREE
+
+def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
+    """Whether one motion is free in the scene as it is now; what cannot be settled is not."""
+    try:
+        if resolution:
+            return bool(checker.valid_edges(a, b, resolution))
+        return bool(checker.certify_edges(a, b, tolerance=TOLERANCE).verdict == Verdict.FREE)
+    except ConvergenceError:
+        return False
 
 
 def checked_path(checker: CollisionChecker, path: ArrayLike) -> Floats:
@@ -102,13 +119,13 @@ def checked_path(checker: CollisionChecker, path: ArrayLike) -> Floats:
     return rows
 
 
-def refuse_unfree(checker: CollisionChecker, path: Floats, resolution: float, name: str) -> None:
+def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     """Trust nothing: every motion of a path has to be free.
 
     Parameters
     ----------
-    resolution : float
-        0 if motions have to be proven.
+    judge : Judge
+    path : ndarray, shape (k, dof)
     name : str
         What the message calls the path.
 
@@ -117,15 +134,19 @@ def refuse_unfree(checker: CollisionChecker, path: Floats, resolution: float, na
     PlanningError
         If one is not. The message names it and the pair of bodies.
     """
-    judge = Judge.of(checker, resolution, 0.0)
     free = judge.free(path[:-1], path[1:])
     if free.all():
         return
     k = int(free.argmin())
-    found = checker.certify_edges(path[k], path[k + 1], tolerance=TOLERANCE)
+    certified = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    found = certified.of_shape((), judge.ready)
     if found.verdict == Verdict.FREE:
-        told = f"which is not free where it is looked at in steps of {resolution:g}"
+        told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:
-        how = "collide" if found.verdict == Verdict.COLLIDING else f"come within {TOLERANCE:g} m of their margin"
+        how = (
+            "collide or come within their margin"
+            if found.verdict == Verdict.COLLIDING
+            else f"come within {TOLERANCE:g} m of their margin"
+        )
         told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
     raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")

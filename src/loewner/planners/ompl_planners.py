@@ -17,7 +17,7 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.errors import InputError, MissingExtraError, PlanningError, installing
-from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.judge import Judge, free_now, refuse_unfree
 from loewner.planners.space import ON_LIMIT, Space, checked_checker
 from loewner.robots import CollisionChecker
 
@@ -127,7 +127,7 @@ def search(
     inside = (values >= space.lower - ON_LIMIT).all() and (values <= space.upper + ON_LIMIT).all()
     if not (len(path) > 1 and ends and inside):
         raise PlanningError("expected a path from start to goal within the limits, found another one: try another seed")
-    refuse_unfree(space.checker, path, step, "path of OMPL's planner")
+    refuse_unfree(Judge.of(space.checker, step), path, "path of OMPL's planner")
     return path
 
 
@@ -175,8 +175,7 @@ def _information(space: Space, resolution: float, step: float) -> Any:
         return dimensions.satisfiesBounds(state) and space.free(space.configurations(state[0:count]))
 
     information.setStateValidityChecker(valid)
-    judge = Judge.of(space.checker, step, 0.0)
-    information.setMotionValidator(_motion_validator()(information, space, judge))
+    information.setMotionValidator(_motion_validator()(information, space, step))
     # Planners that divide motions by themselves take a share of the space's extent.
     information.setStateValidityCheckingResolution(
         float(np.clip(resolution / information.getMaximumExtent(), SMALLEST_SHARE, 1 - SMALLEST_SHARE))
@@ -191,18 +190,18 @@ def _motion_validator() -> Any:
     parent: Any = _ompl("base").MotionValidator
 
     class Motions(parent):  # type: ignore[misc]
-        """Asks a `Judge` whether motions are free.
+        """Asks whether motions are free in the scene as it is then.
 
         It keeps no reference to the ``SpaceInformation``, which keeps one to it: the two would never be freed.
         """
 
-        def __init__(self, information: Any, space: Space, judge: Judge) -> None:
+        def __init__(self, information: Any, space: Space, step: float) -> None:
             super().__init__(information)
-            self._space, self._judge, self._count = space, judge, len(space.columns)
+            self._space, self._step, self._count = space, step, len(space.columns)
 
         def checkMotion(self, one: Any, other: Any) -> bool:
             Q = self._space.configurations([one[0 : self._count], other[0 : self._count]])
-            return bool(self._judge.free(Q[:1], Q[1:])[0])
+            return free_now(self._space.checker, Q[0], Q[1], self._step)
 
     return Motions
 

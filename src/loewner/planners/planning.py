@@ -11,7 +11,7 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.planners import compiled, ompl_planners
-from loewner.planners.judge import checked_path, refuse_unfree
+from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
 
@@ -111,14 +111,9 @@ def plan(
     goals = space.checked_goals(q, goals)
     if make is not None:
         return ompl_planners.search(space, make, q, goals, timeout, resolution, step, simplify, seed)
-    found = compiled.connect(
-        space, q, goals, resolution=step, max_iterations=max_iterations, timeout=timeout, seed=seed
-    )
-    return (
-        compiled.shortened(checker, found, resolution=step, max_iterations=compiled.CUTS, seed=seed)
-        if simplify
-        else found
-    )
+    judge = Judge.of(checker, step)
+    found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
+    return compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed) if simplify else found
 
 
 @guarded
@@ -170,5 +165,6 @@ def shorten(
     max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
     rows = checked_path(checked_checker(checker), path)
-    refuse_unfree(checker, rows, step, "path")
-    return compiled.shortened(checker, rows, resolution=step, max_iterations=max_iterations, seed=seed)
+    judge = Judge.of(checker, step)
+    refuse_unfree(judge, rows, "path")
+    return compiled.shortened(judge, rows, max_iterations=max_iterations, seed=seed)

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from loewner import _archives, _validate
 from loewner._archives import Format
 from loewner._guard import guarded
-from loewner._threads import get_num_threads
+from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints
-from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.errors import InputError, PlanningError
 from loewner.planners import compiled
 from loewner.planners.judge import Judge
 from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
@@ -185,9 +185,15 @@ class _Neighbours:
         return np.stack(np.divmod(np.unique(np.concatenate(keys)), self.count), axis=1)
 
     def _nearest(self, values: Floats, many: int) -> Ints:
-        workers = get_num_threads() if len(values) > ALONE else 1
-        found = self.tree.query(values, np.arange(1, many + 1), workers=workers)[1]
-        return np.asarray(found, dtype=np.int64)
+        found = np.empty((len(values), many), dtype=np.int64)
+        ranks = np.arange(1, many + 1)
+
+        def share(first: int, last: int) -> None:
+            found[first:last] = self.tree.query(values[first:last], ranks)[1]
+
+        # The tree's own threads would go on after an interrupt, and write to memory that is no longer theirs.
+        in_shares(share, len(values), ALONE)
+        return found
 
     @staticmethod
     def _wrapped(space: Space, Q: Floats) -> Floats:
@@ -318,10 +324,10 @@ class Roadmap:
         if not space.outside(q):  # limits are told of before all else
             self._check_kept(q)
         goals = space.checked_goals(q, goals)
-        found = self._found(q, goals)
-        if not simplify:
-            return found
-        return compiled.shortened(self.checker, found, resolution=0.0, max_iterations=compiled.CUTS, seed=self._seed)
+        while (found := self._found(q, goals)) is None:
+            pass  # what was known of the motions is no longer so
+        judge, rows = found
+        return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the roadmap into a file, with which of its motions are free in the scene as it is now.
@@ -419,15 +425,15 @@ class Roadmap:
     def _proven(self) -> _Graph:
         """All motions proven anew."""
         # What changes from here on is noticed the next time.
-        version, judge = self.checker._ready().version, Judge.of(self.checker, 0.0, 0.0)
-        sound = _free(self._space, self._nodes)
+        judge = Judge.of(self.checker, 0.0)
+        sound = self._space.free_among(self._nodes)
         free = sound[self._edges[:, 0]] & sound[self._edges[:, 1]]
         at = np.flatnonzero(free)
         for first in range(0, len(at), AT_A_TIME):
             part = at[first : first + AT_A_TIME]
             a, b = self._nodes[self._edges[part].T]
             free[part] = judge.free(a, self._space.unwound(a, b))
-        self._graph = graph = self._graph_of(version, free, proven=True)
+        self._graph = graph = self._graph_of(judge.ready.version, free, proven=True)
         return graph
 
     def _graph_of(self, version: int, free: Bools, *, proven: bool) -> _Graph:
@@ -446,22 +452,22 @@ class Roadmap:
                 f"which is not among its joints; found {q[column]:g}"
             )
 
-    def _found(self, q: Floats, goals: Floats) -> Floats:
-        """The shortest path over motions that are free, proven as a whole."""
+    def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
+        """The shortest path over motions that are free, and what proved it as a whole; None if that proved more."""
         known = graph = self._now()
-        judge = Judge.of(self.checker, 0.0, 0.0)
-        links = self._links(graph, judge, q, goals)
+        links = self._links(graph, Judge.of(self.checker, 0.0), q, goals)
         while (way := graph.shortest(links)) is not None:
             rows = np.concatenate([q[None], self._nodes[way.nodes[1:]], goals[way.goal][None]])
             for k in range(1, len(rows)):
                 rows[k] = self._space.unwound(rows[k - 1], rows[k])
+            judge = Judge.of(self.checker, 0.0)  # for the scene as it has come to be
             unfree = np.flatnonzero(~judge.free(rows[:-1], rows[1:]))
             if len(unfree) == 0:
-                return rows
+                return judge, rows
             if not known.proven:
                 self._proven()
             if self._now() is not known:
-                return self._found(q, goals)
+                return None
             graph, links = self._without(graph, links, way, unfree)
         raise PlanningError(
             "expected a path from start to goal that is free when it is proven as a whole, found none: all ways over "
@@ -603,7 +609,7 @@ def roadmap(
     if neighbours is not None:
         neighbours = _validate.whole_number(neighbours, "neighbours", 1)
     space, Q = _samples(checked_checker(checker), samples, joints, fixed, seed)
-    nodes = Q[_free(space, Q)]
+    nodes = Q[space.free_among(Q)]
     if len(nodes) == 0:
         raise PlanningError(f"samples: expected some that are free, found none among {len(Q)}")
     if neighbours is None:
@@ -676,15 +682,6 @@ def _outside(space: Space, Q: Floats) -> Bools:
     for k in np.flatnonzero(beyond.any(axis=1)):  # by a rounding is not outside
         found[k] = bool(space.outside(Q[k]))
     return found
-
-
-def _free(space: Space, Q: Floats) -> Bools:
-    """Which configurations are proven free; what cannot be settled is not."""
-    try:
-        free: Bools = np.logical_not(space.checker.collide(Q))
-    except ConvergenceError:
-        free = np.array([space.free(q) for q in Q])
-    return free
 
 
 def _why(graph: _Graph, links: _Links, tried: int) -> str:

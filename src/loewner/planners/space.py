@@ -17,6 +17,10 @@ from loewner.robots import CollisionChecker, Robot
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
+# What is off by less than this, in the units of the joints, is probably off by rounding.
+A_HAIR = 1e-4
+
+# Configurations that take less time one by one than as a batch.
 FEW = 4
 
 # Configurations and pairs that a message names at most.
@@ -102,15 +106,15 @@ class Space:
         if not inside.any():
             raise _no_goal(faults)
         self._check_still(goals[inside])
-        found = self._faults(Q[within])
-        _refuse_start(found[0])
-        if not any(found) and inside.all():
-            return goals
-        for k, fault in zip(np.flatnonzero(inside), found[1:], strict=True):
-            faults[k] = fault
-        if all(faults):
-            raise _no_goal(faults)
-        return goals[[not fault for fault in faults]]
+        free = self.free_among(Q[within])
+        if not free[0]:
+            _refuse_start(self._fault(q))
+        good: Floats = goals[inside][free[1:]]
+        if len(good):
+            return good
+        # Only those are looked at closely that the message names: there may be thousands.
+        named = [fault or self._fault(goal) for fault, goal in zip(faults[:NAMED], goals[:NAMED], strict=True)]
+        raise _no_goal(named + faults[NAMED:])
 
     def _inside(self, Q: Floats) -> Bools:
         """Which configurations have all joints that move within their limits."""
@@ -126,6 +130,7 @@ class Space:
             return ""
         named = ", ".join(
             f"{self.name(self.columns[k])} = {values[k]:g} outside {self.lower[k]:g} .. {self.upper[k]:g}"
+            + _by_a_hair(max(self.lower[k] - values[k], values[k] - self.upper[k]))
             for k in outside[:NAMED]
         )
         return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
@@ -136,6 +141,15 @@ class Space:
             return not self.checker.collide(q)
         except ConvergenceError:
             return False
+
+    def free_among(self, Q: Floats) -> Bools:
+        """Which configurations of a batch are proven free; what cannot be settled is not."""
+        if len(Q) <= FEW:
+            return np.array([self.free(q) for q in Q])
+        try:
+            return np.asarray(np.logical_not(self.checker.collide(Q)))
+        except ConvergenceError:
+            return np.array([self.free(q) for q in Q])
 
     def name(self, column: int) -> str:
         """Name of a column of configurations."""
@@ -151,25 +165,17 @@ class Space:
             goal = goals[(goals != self.still)[:, column].argmax(), column]
             raise InputError(
                 f"goal: expected the start's value, {self.still[column]:g}, of {self.name(column)}, which is not "
-                f"among the joints that move; found {goal:g}"
+                f"among the joints that move; found {goal:g}{_by_a_hair(abs(goal - self.still[column]))}"
             )
 
-    def _faults(self, Q: Floats) -> list[str]:
-        """Why configurations within the limits cannot be on a path, each: "" where they can."""
-        try:
-            # One by one, a few take less time than as a batch.
-            hits = self.checker.collide(Q) if len(Q) > FEW else [self.checker.collide(q) for q in Q]
-        except ConvergenceError:
-            hits = np.ones(len(Q), dtype=bool)
-        return [self._fault(q) if hit else "" for q, hit in zip(Q, np.asarray(hits), strict=True)]
-
     def _fault(self, q: Floats) -> str:
+        """Why a configuration within the limits that is not free cannot be on a path."""
         try:
             contacts = self.checker.pairs(q)
         except ConvergenceError as error:
             return f"one that cannot be proven free: {error}"
         if not contacts:
-            return ""
+            return "a collision, which was gone when it was looked at: the scene has changed"
         named = ", ".join(
             f"{contact.name_a} and {contact.name_b} ("
             + (f"{1e3 * -contact.distance:.3g} mm deep" if contact.distance <= 0 else
@@ -198,6 +204,11 @@ def checked_checker(checker: Any) -> CollisionChecker:
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     return checker
+
+
+def _by_a_hair(excess: float) -> str:
+    """What is added to a message whose numbers may look alike."""
+    return f" (by {excess:.1g}: clip or copy it)" if excess < A_HAIR else ""
 
 
 def _no_goal(faults: list[str]) -> PlanningError:

@@ -25,10 +25,9 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.judge import TOLERANCE, refuse_unfree
+from loewner.planners.judge import Judge, refuse_unfree
 from loewner.planners.space import checked_checker
-from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, Robot, motions
+from loewner.robots import CollisionChecker, Robot
 
 # Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
 UP_IN = 1.0
@@ -51,6 +50,9 @@ ROUNDED = 1e-15
 # Changes of speed, and ways at one speed, below this share are spread over the phase beside them, and a blend below it
 # is a stop: in so short a phase, rounding would show in the acceleration.
 SHORTEST = 1e-7
+
+# Corners whose blends are chosen together: the effort grows with the square of it, and those far off hardly matter.
+CHOSEN_AT_A_TIME = 32
 
 # The largest share of a motion that a blend may take. Something has to be left, to change the speed on.
 LARGEST_SHARE = 0.49
@@ -452,12 +454,13 @@ def trajectory(
         raise InputError("checker: expected one of this robot, found one of another; pass `checker.robot`")
     rows = _corners(rows)
     fastest, strongest = _limits(robot, rows, velocity, acceleration)
-    if checker is not None and len(rows) > 1:
-        refuse_unfree(checker, rows, 0.0, "path")
+    judge = None if checker is None else Judge.of(checker, 0.0)
+    if judge is not None and len(rows) > 1:
+        refuse_unfree(judge, rows, "path")
     straights = Straights.of(rows, fastest, strongest)
     halves = np.zeros(max(len(rows) - 2, 0))
-    if checker is not None and share > 0 and len(halves):
-        halves = _shortest(straights, _proven_blends(checker, straights, share))
+    if judge is not None and share > 0 and len(halves):
+        halves = _shortest(straights, _proven_blends(judge, straights, share))
     return _timed(robot, straights, halves)
 
 
@@ -500,6 +503,13 @@ class Straights(NamedTuple):
                 f"{gains.min():g} to {gains.max():g}"
             )
         return cls(rows, lengths, full, gains, strongest)
+
+    def part(self, first: int, last: int) -> Straights:
+        """Those about the corners first .. last, `last` excluded."""
+        motions = slice(first, last + 1)
+        return Straights(
+            self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
+        )
 
     def at(self, k: Any, share: Floats) -> Floats:
         """Configurations on motions, by the share of the way."""
@@ -589,7 +599,7 @@ def _least(ratios: Floats) -> Floats:
 # -- blends -------------------------------------------------------------------------------------
 
 
-def _proven_blends(checker: CollisionChecker, straights: Straights, share: float) -> list[Floats]:
+def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Floats]:
     """Sizes of blends that are proven free, for each corner, the largest first; with 0, the stop, as the last."""
     lengths = straights.lengths
     turns = np.abs(np.diff(straights.full, axis=0))
@@ -601,7 +611,7 @@ def _proven_blends(checker: CollisionChecker, straights: Straights, share: float
     astray = BLEND_ROUNDINGS * speeds * _duration(straights, np.zeros(len(halves)))
     proven: list[list[float]] = [[] for _ in halves]
     for _ in range(HALVINGS):
-        free = _free(checker, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
+        free = _free(judge, *straights.corners(halves), astray) & (halves > SHORTEST * shorter)
         for sizes, half, good in zip(proven, halves.tolist(), free.tolist(), strict=True):
             if good:
                 sizes.append(half)
@@ -609,7 +619,7 @@ def _proven_blends(checker: CollisionChecker, straights: Straights, share: float
     return [np.array([*sizes, 0.0]) for sizes in proven]
 
 
-def _free(checker: CollisionChecker, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
+def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
     """Which parabolas from `first` to `last`, whose tangents there meet in `corner`, are proven free.
 
     Each is cut into chords, and a chord is proven with what the parabola, and `astray`, may be off it:
@@ -624,13 +634,22 @@ def _free(checker: CollisionChecker, first: Floats, corner: Floats, last: Floats
     size = np.maximum(np.maximum(np.abs(first), np.abs(corner)), np.abs(last))
     off = np.tile(bend / (4 * chords**2) + BLEND_ROUNDINGS * size + astray, (chords, 1))
     dof = first.shape[1]
-    a, b = np.ascontiguousarray(points[:-1].reshape(-1, dof)), np.ascontiguousarray(points[1:].reshape(-1, dof))
-    found = motions.certify(checker._ready(), a, b, TOLERANCE, off)
-    return np.asarray((found.verdicts == Verdict.FREE).reshape(chords, -1).all(axis=0))
+    free = judge.proven(points[:-1].reshape(-1, dof), points[1:].reshape(-1, dof), off)
+    return np.asarray(free.reshape(chords, -1).all(axis=0))
 
 
 def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
-    """Sizes of blends, one of the proven ones for each corner, so that no change of one makes the whole shorter."""
+    """Sizes of blends, one of the proven ones for each corner, chosen for as many neighbours at a time as are told."""
+    parts = [
+        _shortest_part(straights.part(first, first + len(sizes)), sizes)
+        for first, sizes in ((k, proven[k : k + CHOSEN_AT_A_TIME]) for k in range(0, len(proven), CHOSEN_AT_A_TIME))
+    ]
+    halves, stops = np.concatenate(parts), np.zeros(len(proven))
+    return stops if _duration(straights, stops) < _duration(straights, halves) else halves
+
+
+def _shortest_part(straights: Straights, proven: list[Floats]) -> Floats:
+    """The same so that no change of one makes the whole shorter, for a path of few corners."""
     halves = np.array([sizes[0] for sizes in proven])
     shortest = _duration(straights, halves)
     improved = True
@@ -643,8 +662,7 @@ def _shortest(straights: Straights, proven: list[Floats]) -> Floats:
                 needed = _duration(straights, other)
                 if needed < shortest * (1 - 1e-9):
                     halves, shortest, improved = other, needed, True
-    stops = np.zeros(len(proven))
-    return stops if _duration(straights, stops) < shortest else halves
+    return halves
 
 
 # -- times --------------------------------------------------------------------------------------

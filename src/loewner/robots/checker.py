@@ -382,11 +382,7 @@ class CollisionChecker:
         if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
             return self._valid_edge(a, b, step)
         a, b, shape = _motions(a, b, 40)
-        parts = edges.steps(self._lengths(a, b, step), step)
-        valid = np.ones(len(a), dtype=bool)
-        for edge, at in edges.rounds(parts, valid):
-            out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at))
-            valid[edge[out != Verdict.FREE]] = False
+        valid = self._valid_edges(self._ready(), a, b, step)
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5) -> CertifiedMotions:
@@ -441,9 +437,7 @@ class CollisionChecker:
         else:
             a, b, shape = _motions(a, b, 40)
         ready = self._ready()
-        found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
-        self._confirm(ready, a, b, found.verdicts, found.fractions)
-        return found.of_shape(shape, ready)
+        return self._certified(ready, a, b, tolerance).of_shape(shape, ready)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -576,6 +570,15 @@ class CollisionChecker:
                 out[k], tiers[k] = self._settle_pairs(ready, flat[k]), codes.BY_SEARCH
         return out, tiers
 
+    def _valid_edges(self, ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Bools:
+        """`valid_edges` for motions of shape (N, dof), all of them in the scene as it was at one moment."""
+        parts = edges.steps(self._lengths(a, b, step), step)
+        valid = np.ones(len(a), dtype=bool)
+        for edge, at in edges.rounds(parts, valid):
+            out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at), ready)
+            valid[edge[out != Verdict.FREE]] = False
+        return valid
+
     def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
         """The same for one motion of joints that run straight, in one call."""
         ready = self._ready()
@@ -590,6 +593,12 @@ class CollisionChecker:
             return bool(verdict == codes.FREE)
         still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == codes.AMBIGUOUS)])
         return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
+
+    def _certified(self, ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> motions.Found:
+        """`certify_edges` for motions of shape (N, dof), in the scene as it was at one moment."""
+        found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
+        self._confirm(ready, a, b, found.verdicts, found.fractions)
+        return found
 
     def _confirm(
         self, ready: CheckedPairs, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats

@@ -37,7 +37,8 @@ class CertifiedMotions:
         configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the tolerance,
         or arithmetic could not settle it; to be treated as not free.
     fraction : float or ndarray
-        Of the way, as `Robot.between` takes it; NaN where FREE.
+        Of the way, as `Robot.between` takes it; NaN where FREE. Where COLLIDING it leads to a configuration that does,
+        not to the first one.
     names : tuple of str, or ndarray of str, shape (..., 2)
         The pair that collides or is ambiguous there; empty where FREE.
     poses, searches : int or ndarray of int64
@@ -70,7 +71,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        As of `CertifiedMotions`, or BY_CARE: COLLIDING if `collide` says so.
+        As of `CertifiedMotions`; or BY_CARE: COLLIDING if `collide` says so; or TOO_LONG, from `settle`.
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
         Numbers of the pairs; -1 for none.
@@ -98,18 +99,32 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
+def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
     """Settle the motions between configurations a and b, shape (N, dof) each.
-
-    Parameters
-    ----------
-    off : ndarray, shape (N, dof), optional
-        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
 
     Raises
     ------
     InputError
         If a motion is too long to be cut into intervals.
+    """
+    found = settle(ready, a, b, tolerance)
+    too_long = found.verdicts == TOO_LONG
+    if too_long.any():
+        k = int(np.argmax(too_long))
+        raise InputError(
+            f"expected motions short enough to be proven in {MOST_INTERVALS} intervals, found number {k}, which goes "
+            f"{np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
+        )
+    return found
+
+
+def settle(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
+    """The same, where motions that are too long have the verdict TOO_LONG.
+
+    Parameters
+    ----------
+    off : ndarray, shape (N, dof), optional
+        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
     """
     total = len(a)
     found = Found(
@@ -126,11 +141,4 @@ def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Fl
         )  # fmt: skip
 
     in_shares(share, total, LEAST_SHARE)
-    too_long = found.verdicts == TOO_LONG
-    if too_long.any():
-        k = int(np.argmax(too_long))
-        raise InputError(
-            f"expected motions short enough to be proven in {MOST_INTERVALS} intervals, found number {k}, which goes "
-            f"{np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
-        )
     return found
