@@ -42,8 +42,10 @@ CPU_OF = {"arm64": "generic"}
 # Entries that one process compiles; another has the rest, which takes it as long. Those of a file stay together, since
 # what they call is compiled once.
 FIRST = (
-    "certify_motions", "motion_memory", "connect_trees", "shorten_path",
-    "distance_range", "memory_of_distances", "measure_left",
+    "certify_motions", "motion_memory", "connect_trees", "shorten_path", "check_configurations", "check_motion",
+    "memory_size", "link_poses",
+    "fit_range", "center_in", "fit_halfspaces", "to_unit_size", "finish_hull", "fit_outer", "enclose", "outer_gap",
+    "solve_primal_dual",
 )  # fmt: skip
 
 
