@@ -16,7 +16,7 @@ from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError, InputError, PlanningError
 from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, motions
+from loewner.robots import CollisionChecker, Robot, motions
 from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.edges import MOST_STEPS
 
@@ -109,13 +109,11 @@ def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float)
         return False
 
 
-def checked_path(checker: CollisionChecker, path: ArrayLike) -> Floats:
+def checked_path(robot: Robot, path: ArrayLike) -> Floats:
     """A path as users give it, shape (k, dof), two rows at least."""
-    rows = checker.robot.checked(path, "path")
+    rows = robot.checked(path, "path")
     if rows.ndim != 2 or len(rows) < 2:
-        raise InputError(
-            f"path: expected shape (k, {checker.robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}"
-        )
+        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
     return rows
 
 

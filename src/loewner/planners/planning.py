@@ -164,7 +164,7 @@ def shorten(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     max_iterations = _validate.whole_number(max_iterations, "max_iterations", 0, 2**40)
     seed = _validate.whole_number(seed, "seed", 0, 2**32 - 2)
-    rows = checked_path(checked_checker(checker), path)
+    rows = checked_path(checked_checker(checker).robot, path)
     judge = Judge.of(checker, step)
     refuse_unfree(judge, rows, "path")
     return compiled.shortened(judge, rows, max_iterations=max_iterations, seed=seed)

@@ -322,7 +322,7 @@ class Roadmap:
         # Where a joint has no limits, they follow from start and goals.
         space = Space.of(self.checker, self.joint_names, q, goals)
         if not space.outside(q):  # limits are told of before all else
-            self._check_kept(q)
+            self._space.check_still(q[None], "start", "the roadmap's value", "its joints")
         goals = space.checked_goals(q, goals)
         while (found := self._found(q, goals)) is None:
             pass  # what was known of the motions is no longer so
@@ -440,17 +440,6 @@ class Roadmap:
         return _Graph.of(version, len(self), self._edges, self._lengths, free, proven=proven)
 
     # -- queries --------------------------------------------------------------------------------
-
-    def _check_kept(self, q: Floats) -> None:
-        """Refuse a start that differs from the nodes where nothing moves."""
-        differs = q != self._space.still
-        differs[self._space.columns] = False
-        if differs.any():
-            column = int(differs.argmax())
-            raise InputError(
-                f"start: expected the roadmap's value, {self._space.still[column]:g}, of {self._space.name(column)}, "
-                f"which is not among its joints; found {q[column]:g}"
-            )
 
     def _found(self, q: Floats, goals: Floats) -> tuple[Judge, Floats] | None:
         """The shortest path over motions that are free, and what proved it as a whole; None if that proved more."""

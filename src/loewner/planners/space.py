@@ -105,7 +105,7 @@ class Space:
             faults, inside = [self.outside(goal) for goal in goals], within[1:]
         if not inside.any():
             raise _no_goal(faults)
-        self._check_still(goals[inside])
+        self.check_still(goals[inside], "goal", "the start's value", "the joints that move")
         free = self.free_among(Q[within])
         if not free[0]:
             _refuse_start(self._fault(q))
@@ -155,17 +155,16 @@ class Space:
         """Name of a column of configurations."""
         return self.checker.robot.configuration_names[column]
 
-    def _check_still(self, goals: Floats) -> None:
-        """Refuse goals that differ from the start where nothing moves."""
-        differs = goals != self.still
+    def check_still(self, Q: Floats, what: str, kept: str, joints: str) -> None:
+        """Refuse configurations that differ from `still` where nothing moves; the texts are for the message."""
+        differs = self.still != Q
         differs[:, self.columns] = False
         if differs.any():
-            differs = differs.any(axis=0)
-            column = int(differs.argmax())
-            goal = goals[(goals != self.still)[:, column].argmax(), column]
+            column = int(differs.any(axis=0).argmax())
+            value = Q[differs[:, column].argmax(), column]
             raise InputError(
-                f"goal: expected the start's value, {self.still[column]:g}, of {self.name(column)}, which is not "
-                f"among the joints that move; found {goal:g}{_by_a_hair(abs(goal - self.still[column]))}"
+                f"{what}: expected {kept}, {self.still[column]:g}, of {self.name(column)}, which is not among {joints}"
+                f"; found {value:g}{_by_a_hair(abs(value - self.still[column]))}"
             )
 
     def _fault(self, q: Floats) -> str:

@@ -25,7 +25,7 @@ from loewner._guard import guarded
 from loewner._kernels import tolerances
 from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
-from loewner.planners.judge import Judge, refuse_unfree
+from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import checked_checker
 from loewner.robots import CollisionChecker, Robot
 
@@ -534,10 +534,7 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
             f"robot: expected joints whose values run straight, found a floating one in {robot.name!r}, whose "
             "orientations do not"
         )
-    rows = robot.checked(path, "path")
-    if rows.ndim != 2 or len(rows) < 2:
-        raise InputError(f"path: expected shape (k, {robot.dof}) with k >= 2, found {_validate.shape_text(rows.shape)}")
-    return rows
+    return checked_path(robot, path)
 
 
 def _limits(
