@@ -239,6 +239,21 @@ def convex_pieces(
     return [np.array(piece.vertices) for piece in polytopes], covering
 
 
+def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
+    """Read a mesh as `load` does, in the unit that a factor makes metres of; ask about sizes that look like a slip."""
+    factors = _validate.float_array(scale, "scale")
+    factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
+    if not factors.all():
+        raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
+    vertices, triangles = load(source)
+    name = shown(source) if isinstance(source, str | PathLike) else "mesh"
+    with np.errstate(over="ignore"):
+        vertices = vertices * factors
+    _expect_finite(vertices, name)
+    _ask_about_units(vertices[triangles].reshape(-1, 3), name)
+    return vertices, triangles
+
+
 def convex_polytopes(
     source: Source,
     *,
@@ -256,16 +271,7 @@ def convex_polytopes(
     most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
     seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
     decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
-    factors = _validate.float_array(scale, "scale")
-    factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
-    if not factors.all():
-        raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
-    vertices, triangles = load(source)
-    name = shown(source) if isinstance(source, str | PathLike) else "mesh"
-    with np.errstate(over="ignore"):
-        vertices = vertices * factors
-    _expect_finite(vertices, name)
-    _ask_about_units(vertices[triangles].reshape(-1, 3), name)
+    vertices, triangles = scaled_mesh(source, scale)
     vertices, triangles = _welded(vertices, triangles)
     volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
     if volume < 0:  # turned inside out

@@ -2,8 +2,10 @@
 
 # -- pieces, described in `pieces.shapes` ----------------------------------------------------------
 
-# The polytopes come first: a kind above POLYTOPE is curved.
-MAPPED, POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = -1, 0, 1, 2, 3, 4, 5
+# The polytopes come first: a kind above POLYTOPE is curved, one below MAPPED a surface, whose points for kernels are
+# the corners of a box around it.
+SOLID, SURFACE, MAPPED = -3, -2, -1
+POLYTOPE, ELLIPSOID, CYLINDER, CONE, SEGMENT, POINT = 0, 1, 2, 3, 4, 5
 
 # The first eight serve the spheres, eight more the outer and eight the inner ellipsoids: one cache line each.
 OUTER_CENTER = 0
@@ -20,7 +22,7 @@ ROUNDING = 24  # radius of the ball added to the core
 FRAME_CENTER, FRAME_FACTOR = 25, 28  # c and F (row by row) of the image of a unit shape
 COLUMNS = 37
 
-KIND, POINTS_FROM, POINTS_TO, LAYOUT = 0, 1, 2, 3
+KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
 PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
 
 BLOCK = 8  # points in a block, see `simd.support`

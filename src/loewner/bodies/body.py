@@ -16,6 +16,7 @@ from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
+from loewner.bodies import surfaces
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
@@ -149,8 +150,10 @@ class Body(_Bodies):
         return self._covering
 
     def __repr__(self) -> str:
-        kinds = [KIND_NAMES[k] for k in self._packed.layout[:, columns.KIND]]
+        kinds = [KIND_NAMES[k] for k in self._packed.layout[:, columns.KIND].tolist()]
         text = kinds[0] if len(kinds) == 1 else f"{len(kinds)} pieces"
+        if self._packed.layout[0, columns.KIND] <= columns.SURFACE and len(kinds) == 1:
+            return f"Body({text}, {len(self._packed.triangles)} triangles)"
         return f"Body({text}, {len(self._packed.points)} vertices)"
 
     @classmethod
@@ -266,6 +269,60 @@ class Body(_Bodies):
             seed=seed,
         )
         return cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
+
+    @classmethod
+    def from_surface(
+        cls,
+        source: meshes.Source,
+        *,
+        radius: float = 0.0,
+        solid: bool | None = None,
+        scale: ArrayLike = 1.0,
+    ) -> Body:
+        """Body of the triangles of a mesh themselves, at once and exact.
+
+        Every triangle is a convex piece, a flat core with a radius; holes, duplicates, flipped, degenerate and
+        self-intersecting triangles are fine. See docs/surfaces.md for when to take this, and when `from_mesh`.
+
+        Parameters
+        ----------
+        source : path, trimesh.Trimesh or trimesh.Scene
+            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
+        radius : float
+            Of the ball around each point of the triangles, in metres.
+        solid : bool, optional
+            Whether what the mesh encloses belongs to the body: all points that it winds around. A body inside a solid
+            collides with it, one in a cavity does not. Default: if the mesh is closed, that is, if all its edges are
+            passed as often one way as the other.
+        scale : float, or array_like of shape (3,)
+            Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, empty, truncated or no mesh.
+        GeometryError
+            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are beyond 1e-12 to
+            1e12 m; with ``solid=True``, if the mesh is open, and where.
+        InputError
+            If the radius is negative or not finite.
+
+        Examples
+        --------
+        >>> import trimesh
+        >>> mug = trimesh.creation.annulus(0.036, 0.04, 0.1)
+        >>> body = Body.from_surface(mug)
+        >>> body, body.pieces[0].kind
+        (Body(solid, 256 triangles), 'solid')
+        >>> ball = Body.sphere(0.01)
+        >>> float(np.round(loewner.distance(body, None, ball, None, exact=True).distance, 4))
+        0.0259
+        """
+        length = _validate.positive_scalar(radius, "radius", zero=True)
+        if solid is not None:
+            solid = _validate.flag(solid, "solid")
+        vertices, triangles = meshes.scaled_mesh(source, scale)
+        return cls(Packed.of(surfaces.surface_pieces(vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)))
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:
@@ -721,15 +778,15 @@ def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, o
 
 def _piece(p: Packed, i: int) -> Piece:
     kind = int(p.layout[i, columns.KIND])
-    polytope = kind == columns.POLYTOPE
+    polytope, flat = kind == columns.POLYTOPE, kind <= columns.POLYTOPE
     points = slice(p.layout[i, columns.POINTS_FROM], p.layout[i, columns.POINTS_TO])
     planes = slice(p.layout[i, columns.PLANES_FROM], p.layout[i, columns.PLANES_TO])
     return Piece(
         kind=KIND_NAMES[kind],
-        vertices=p.points[points] if polytope else None,
+        vertices=p.points[points] if flat else None,
         normals=p.planes[planes, :3] if polytope else None,
         offsets=p.planes[planes, 3] if polytope else None,
-        triangles=p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]] if polytope else None,
+        triangles=p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]] if flat else None,
         inner=Ellipsoids._trusted(p.inner_center[i], p.inner_factor[i]),
         outer=Ellipsoids._trusted(p.outer_center[i], p.outer_factor[i]),
         inner_gap=float(p.gaps[i, 0]),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loewner._kernels import columns, records, tolerances
 from loewner._native import entries
 from loewner._validate import Floats, Ints
+from loewner.bodies.surface_trees import Trees
 from loewner.errors import GeometryError
 
 Maps = dict[int, tuple[Ints, Floats]]
@@ -100,8 +101,8 @@ class KernelArrays:
     handle: int
 
     @classmethod
-    def of(cls, p: PieceArrays, maps: Maps) -> KernelArrays:
-        """Make the arrays of pieces, with the direction maps of those that are large.
+    def of(cls, p: PieceArrays, maps: Maps, trees: Trees) -> KernelArrays:
+        """Make the arrays of pieces, with the direction maps of those that are large and the trees of surfaces.
 
         Raises
         ------
@@ -109,7 +110,7 @@ class KernelArrays:
             If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
         """
         table = _table(p)
-        layout, points = _kernel_points(p, maps)
+        layout, points = _kernel_points(p, maps, trees)
         hot = np.ascontiguousarray(table[:, : columns.HOT])
         start = p.piece_start.copy()
         single = _single(hot)
@@ -125,7 +126,7 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
     first, last = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     return {
         int(i): entries.direction_map(points[first[i] : last[i]].copy())
-        for i in np.flatnonzero(last - first > columns.LARGE)
+        for i in np.flatnonzero((last - first > columns.LARGE) & (layout[:, columns.KIND] == columns.POLYTOPE))
     }
 
 
@@ -134,10 +135,21 @@ def starts(lengths: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 
-def _kernel_points(p: PieceArrays, maps: Maps) -> tuple[Ints, Floats]:
-    """Form the kernels' layout and points: vertices in blocks, or the direction map of a large polytope."""
-    first = p.layout[:, columns.POINTS_FROM]
+def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floats]:
+    """Form the kernels' layout and points.
+
+    These are vertices in blocks, the direction map of a large polytope, or the corners of the box around a surface.
+    """
+    first = p.layout[:, columns.POINTS_FROM].copy()
     lengths = p.layout[:, columns.POINTS_TO] - first
+    vertices, table_at = p.points, np.zeros(len(first), dtype=np.int64)
+    if trees:
+        corners = [_box_corners(p.points[first[i] : first[i] + lengths[i]]) for i in trees]
+        surfaces = list(trees)
+        first[surfaces] = len(vertices) + 8 * np.arange(len(trees))
+        lengths[surfaces] = 8
+        table_at[surfaces] = [tree.table.ctypes.data for tree in trees.values()]
+        vertices = np.concatenate([vertices, *corners])
     width = -(-lengths // columns.BLOCK) * columns.BLOCK
     room = width.copy()
     for i, (chosen, nodes) in maps.items():
@@ -149,14 +161,20 @@ def _kernel_points(p: PieceArrays, maps: Maps) -> tuple[Ints, Floats]:
     for i, (chosen, _) in maps.items():
         vertex[begin[i] : begin[i] + len(chosen)] = chosen
     points = _aligned(3 * len(vertex))
-    by_block = p.points[np.repeat(first, room) + vertex].reshape(-1, columns.BLOCK, 3)
+    by_block = vertices[np.repeat(first, room) + vertex].reshape(-1, columns.BLOCK, 3)
     points.reshape(-1, 3, columns.BLOCK)[:] = by_block.transpose(0, 2, 1)
     for i, (chosen, nodes) in maps.items():
         at = 3 * (begin[i] + len(chosen))
         points[at : at + nodes.size] = nodes.ravel()
     kind = p.layout[:, columns.KIND].copy()
     kind[list(maps)] = columns.MAPPED
-    return np.column_stack([kind, begin[:-1], begin[:-1] + width]), points
+    return np.column_stack([kind, begin[:-1], begin[:-1] + width, table_at]), points
+
+
+def _box_corners(points: Floats) -> Floats:
+    """Corners of the box around points."""
+    ends = np.stack([points.min(axis=0), points.max(axis=0)])
+    return ends[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]
 
 
 def _aligned(count: int, kind: Any = np.float64) -> NDArray[Any]:

@@ -11,9 +11,19 @@ from loewner import _memory, _validate
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, starts
+from loewner.bodies.surface_trees import Trees, surface_trees
 from loewner.errors import GeometryError
 
-KIND_NAMES = ("polytope", "ellipsoid", "cylinder", "cone", "capsule", "sphere")
+KIND_NAMES = {
+    columns.SOLID: "solid",
+    columns.SURFACE: "surface",
+    columns.POLYTOPE: "polytope",
+    columns.ELLIPSOID: "ellipsoid",
+    columns.CYLINDER: "cylinder",
+    columns.CONE: "cone",
+    columns.SEGMENT: "capsule",
+    columns.POINT: "sphere",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +34,8 @@ class Packed(PieceArrays):
     ----------
     maps : dict
         What `loewner._kernels.pieces.directions.direction_map` makes of the large polytopes, by number of the piece.
+    trees : dict
+        The trees of the surfaces, likewise.
     kernel_arrays : KernelArrays
         It lives as long as `handle` is used.
     kernel : Pieces
@@ -33,13 +45,14 @@ class Packed(PieceArrays):
     """
 
     maps: Maps
+    trees: Trees
     kernel_arrays: KernelArrays
     kernel: Any
     handle: int
 
     @classmethod
-    def of(cls, pieces: PieceArrays, maps: Maps | None = None) -> Packed:
-        """Make what kernels need; the direction maps, too, unless they are given.
+    def of(cls, pieces: PieceArrays, maps: Maps | None = None, trees: Trees | None = None) -> Packed:
+        """Make what kernels need; direction maps and the trees of surfaces, too, unless they are given.
 
         Raises
         ------
@@ -49,18 +62,21 @@ class Packed(PieceArrays):
         _memory.expect_place(_memory.KERNELS)
         if maps is None:
             maps = direction_maps(pieces.layout, pieces.points)
-        made = KernelArrays.of(pieces, maps)
-        return cls(**arrays_of(pieces), maps=maps, kernel_arrays=made, kernel=made.arrays, handle=made.handle)
+        if trees is None:
+            trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
+        made = KernelArrays.of(pieces, maps, trees)
+        return cls(**arrays_of(pieces), maps=maps, trees=trees, kernel_arrays=made, kernel=made.arrays, handle=made.handle)
 
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""
-        return type(self).of, (PieceArrays(**arrays_of(self)), self.maps)
+        return type(self).of, (PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays, with those that are made for the kernels."""
         maps = [array for made in self.maps.values() for array in made]
-        return sum(int(array.nbytes) for array in (*arrays_of(self).values(), *maps, *self.kernel))
+        arrays = (*arrays_of(self).values(), *maps, *self.kernel)
+        return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
 
 
 def empty() -> Packed:
@@ -96,7 +112,8 @@ def join(parts: list[Packed]) -> Packed:
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
         joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
     maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.maps.items()}
-    return Packed.of(PieceArrays(**joined), maps)
+    trees = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.trees.items()}
+    return Packed.of(PieceArrays(**joined), maps, trees)
 
 
 def _ranges(starts: Ints, stops: Ints) -> Ints:
@@ -137,7 +154,8 @@ def take(p: Packed, bodies: Ints) -> Packed:
         gaps=p.gaps[pieces],
     )
     maps = {new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {}
-    return Packed.of(taken, maps)
+    trees = {new: p.trees[old] for new, old in enumerate(pieces.tolist()) if old in p.trees} if p.trees else {}
+    return Packed.of(taken, maps, trees)
 
 
 def moved(p: Packed, T: Floats) -> Packed:
@@ -152,14 +170,15 @@ def moved(p: Packed, T: Floats) -> Packed:
         if row[columns.KIND] == columns.POLYTOPE:
             offsets[faces] = (normals[faces] @ points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]].T).max(axis=1)
     frames = p.frames.copy()
-    curved = p.layout[:, columns.KIND] != columns.POLYTOPE
+    curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
     frames[:, 4:] = (R @ p.frames[:, 4:].reshape(-1, 3, 3)).reshape(-1, 9)
     # A point moves off its exact image by at most 8 roundings of the lengths involved, an ellipsoid's
     # center and factor likewise, and R stretches by its departure from orthonormality.
     table = p.kernel.table
     shift = 2.0**-53 * 32 * (table[:, columns.REACH] + np.abs(t).sum())
-    shrink = 1 - shift / table[:, columns.INNER_SIGMA]
+    inside = p.inner_factor.any(axis=(1, 2))  # a surface without one has a point of its own instead
+    shrink = np.where(inside, 1 - shift / table[:, columns.INNER_SIGMA], 1.0)
     grow = 1 + shift / table[:, columns.OUTER_SIGMA]
     # A radius stays what it is while ellipsoids stretch with R. Scaled by the stretch about its center, a core and a
     # ball that stretched as well are back inside (or around) the core and the ball that did not.

@@ -6,11 +6,14 @@ from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.linalg3 import dot
 from loewner._kernels.narrow.gjk_fast import ENTRIES, INSIDE, begin, decide, measure
 from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, rounding_error, swollen_radii
+from loewner._kernels.narrow.surface_boxes import is_surface
+from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
+from loewner._kernels.narrow.surfaces import surface_pair
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
 from loewner._kernels.simd.memory import floats_at
 
-SIZE = 8 * ENTRIES + 2 * CACHE_LINE  # bytes of memory that `exact_piece_pair` writes to
+SIZE = max(8 * ENTRIES + 2 * CACHE_LINE, SURFACE_SIZE)  # bytes of memory that `exact_piece_pair` writes to
 
 
 @inline
@@ -32,6 +35,9 @@ def exact_piece_pair(A, B, margin, n, memory):
     verdict, tier : int
         AMBIGUOUS with tier OPEN if the searches could not settle it.
     """
+    if is_surface(A) or is_surface(B):
+        verdict, _ = surface_pair(A, B, margin, memory, memory, 0)
+        return verdict, OPEN if verdict == AMBIGUOUS else BY_SEARCH
     if not dot(n, n) > 0.0:
         n = (1.0, 0.0, 0.0)
     shift = shift_between(A, B)

@@ -48,7 +48,7 @@ ENTRIES = _PATH + 6 * MEASURE_ROUNDS
 
 
 @inline
-def _place_vertices(P, shift, W, at):
+def place_piece(P, shift, W, at):
     """Place the vertices of a small polytope in W from column `at` on; returns the end, `at` for other pieces."""
     if P.layout[P.piece, KIND] != POLYTOPE:
         return at
@@ -65,8 +65,8 @@ def _place_vertices(P, shift, W, at):
 @inline
 def begin(A, B, shift, W):
     """Place what can be placed of two pieces; returns the columns of W where A's and B's vertices end."""
-    end_a = _place_vertices(A, (0.0, 0.0, 0.0), W, np.int64(0))
-    return end_a, _place_vertices(B, shift, W, end_a)
+    end_a = place_piece(A, (0.0, 0.0, 0.0), W, np.int64(0))
+    return end_a, place_piece(B, shift, W, end_a)
 
 
 @inline

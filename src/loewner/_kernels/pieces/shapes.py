@@ -4,8 +4,8 @@ A packed set of pieces is a tuple of ten arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
-``layout`` (P, 3) int64
-    Kind, first and last+1 column of its points.
+``layout`` (P, 4) int64
+    Kind, first and last+1 column of its points; of a surface, where its table is (`narrow.surface_boxes`).
 ``points`` (3 V,) float64
     Vertices in blocks, see `simd.support`; each piece's are filled up to whole blocks with repeats of the last, so a
     piece is one run of cache lines. A large polytope (MAPPED) has the blocks and nodes of its `directions` instead.
@@ -21,9 +21,10 @@ A packed set of pieces is a tuple of ten arrays:
 ``vertices`` (3 V,) float32
     ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
 
-Every piece is a core plus a ball: a polytope (its vertices), or the image c + F·C of a unit shape
+Every piece is a core plus a ball: a polytope (its vertices), a surface (triangles; what its points say is true of a box
+around it, and proves no contact), or the image c + F·C of a unit shape
 C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
-whose cores are a segment and a point).
+whose cores are a segment and a point, and for surfaces that are given one).
 """
 
 import numpy as np
@@ -44,6 +45,7 @@ from loewner._kernels.columns import (
     REACH,
     ROUNDING,
     SEGMENT,
+    SURFACE,
 )
 from loewner._kernels.linalg3 import apply, apply_transposed
 from loewner._kernels.pieces.directions import candidates
@@ -62,7 +64,8 @@ def farthest_vertex(layout, points, piece, x, y, z):
 @inline
 def radius(P):
     """Rounding radius of a piece; the kind tells whether the table need be looked at."""
-    return P.table[P.piece, ROUNDING] if P.layout[P.piece, KIND] >= SEGMENT else 0.0
+    kind = P.layout[P.piece, KIND]
+    return P.table[P.piece, ROUNDING] if kind >= SEGMENT or kind <= SURFACE else 0.0
 
 
 @inline

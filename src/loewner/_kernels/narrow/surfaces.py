@@ -1,0 +1,504 @@
+"""Exact answers for surfaces: the walk through two trees of triangles, or through one for a convex piece.
+
+Boxes settle most of it in single precision. Triangles are settled eight at a time by signs of determinants
+(`triangles`), and what these leave by GJK. Signs that rounding could turn are never guessed: such pairs are *open*, and
+`loewner._exact` settles them in whole numbers.
+
+A solid also holds what lies within it. Where nothing meets its surface, one point of each connected part of the other
+body tells: by the winding number, which counts how often the surface is met on a ray from there.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import apart, inline, njit
+from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
+from loewner._kernels.linalg3 import apply, cross, dot, image, minus, plus
+from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
+from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, place_piece
+from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, rounding_error, swollen_radii
+from loewner._kernels.narrow.surface_boxes import (
+    ROUNDINGS,
+    between,
+    box_at,
+    boxes_of,
+    is_solid,
+    is_surface,
+    meeting,
+    relation,
+    surface_of,
+)
+from loewner._kernels.narrow.triangles import doubt, length1, longest_edge, meet, same_side, sides, squared_distances
+from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.shapes import placed_support, radius, rotation_of
+from loewner._kernels.simd.memory import floats_at, integers_at
+from loewner._kernels.simd.vectors import absolute, load, load_single, lowest_bit, maximum, minimum, movemask, store
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, ROWS, WIDE, leaf_of, size_of
+
+# What a coordinate of a placed corner may be off by, in roundoffs of the lengths that it is made of.
+CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B35
+
+# Memory: the stack of the walk (two entries a level, of both trees), triangles placed, and what GJK writes to.
+_STACK = 2 * 2 * LEVELS * WIDE
+_PLACED = 8 * _STACK
+_GJK = _PLACED + 8 * 2 * BLOCK
+_RESULT = _GJK + 8 * GJK_ENTRIES
+SIZE = _RESULT + 8 * 16  # bytes
+
+# How a walk ended besides: open pairs, or a point that may lie on either side of a surface.
+MEETING, APART_ALL = -1, 0
+OUTSIDE, WITHIN, UNKNOWN = 0, 1, 2
+
+
+@apart
+def surface_pair(A, B, margin, memory, listed_at, room):
+    """Settle two pieces, one at least a surface.
+
+    Parameters
+    ----------
+    A, B : Placed
+    margin : float
+        Distance that the pieces must keep, >= 0.
+    memory : int
+        Address of SIZE bytes to write to.
+    listed_at, room : int
+        Address of integers, two for each open pair that there is room to list: of two surfaces, the triangles, by
+        block and lane; of a surface and a convex piece, the triangle and -1.
+
+    Returns
+    -------
+    verdict : int
+        AMBIGUOUS if pairs are open, or if it is open what lies within a solid.
+    open_pairs : int
+    """
+    if not is_surface(A):
+        return _with_piece(B, A, margin, memory, listed_at, room)
+    if not is_surface(B):
+        return _with_piece(A, B, margin, memory, listed_at, room)
+    return _two_surfaces(A, B, margin, memory, listed_at, room)
+
+
+@njit()
+def _two_surfaces(A, B, margin, memory, listed_at, room):
+    """Walk through two trees, the larger box first."""
+    a, b = surface_of(A), surface_of(B)
+    shift = shift_between(A, B)
+    size = lengths(A, B, shift)
+    near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
+    about = relation(A, B, shift, size, far)
+    stack = integers_at(memory, (_STACK,))
+    stack[0], stack[1] = 0, 0
+    height = 2
+    open_pairs = 0
+    while height > 0:
+        height -= 2
+        slot_a, slot_b = stack[height], stack[height + 1]
+        child_a, child_b = a.children[slot_a], b.children[slot_b]
+        if child_a < 0 and child_b < 0:
+            found = _leaves(A, B, child_a, child_b, shift, size, near, far, memory, listed_at, room, open_pairs)
+            if found == MEETING:
+                return COLLIDING, open_pairs
+            open_pairs = found
+            continue
+        middle_a, half_a = box_at(a.boxes, slot_a)
+        middle_b, half_b = box_at(b.boxes, slot_b)
+        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
+        if child_b < 0 or (child_a >= 0 and larger_a):
+            middles, halves = boxes_of(a.boxes, child_a)
+            bits = meeting(about, between(about, middles, middle_b), halves, half_b)
+            while bits != 0:
+                stack[height], stack[height + 1] = child_a * WIDE + lowest_bit(bits), slot_b
+                height += 2
+                bits &= bits - 1
+        else:
+            middles, halves = boxes_of(b.boxes, child_b)
+            bits = meeting(about, between(about, middle_a, middles), half_a, halves)
+            while bits != 0:
+                stack[height], stack[height + 1] = slot_a, child_b * WIDE + lowest_bit(bits)
+                height += 2
+                bits &= bits - 1
+    within = OUTSIDE
+    if is_solid(A):
+        within = _parts_within(A, B, shift, size, memory)
+    if is_solid(B) and within != WITHIN:
+        other = _parts_within(B, A, (-shift[0], -shift[1], -shift[2]), size, memory)
+        within = max(within, other) if other != WITHIN else WITHIN
+    if within == WITHIN:
+        return COLLIDING, open_pairs
+    return FREE if within == OUTSIDE and open_pairs == 0 else AMBIGUOUS, open_pairs
+
+
+@inline
+def _placed_corners(P, blocks, leaf, shift):
+    """Corners of the eight triangles of a leaf in the world's axes."""
+    R = rotation_of(P)
+    at = leaf * BLOCK
+    return (
+        image(R, shift, (load(blocks, at), load(blocks, at + LEAF), load(blocks, at + 2 * LEAF))),
+        image(R, shift, (load(blocks, at + 3 * LEAF), load(blocks, at + 4 * LEAF), load(blocks, at + 5 * LEAF))),
+        image(R, shift, (load(blocks, at + 6 * LEAF), load(blocks, at + 7 * LEAF), load(blocks, at + 8 * LEAF))),
+    )
+
+
+@inline
+def _store_corners(placed, at, corners):
+    for k in range(3):
+        store(placed, at + 3 * k * LEAF, corners[k][0])
+        store(placed, at + (3 * k + 1) * LEAF, corners[k][1])
+        store(placed, at + (3 * k + 2) * LEAF, corners[k][2])
+
+
+@inline
+def _corners_at(placed, at, lane):
+    """Corners of one triangle of those stored."""
+    i = at + lane
+    return (
+        (placed[i], placed[i + LEAF], placed[i + 2 * LEAF]),
+        (placed[i + 3 * LEAF], placed[i + 4 * LEAF], placed[i + 5 * LEAF]),
+        (placed[i + 6 * LEAF], placed[i + 7 * LEAF], placed[i + 8 * LEAF]),
+    )
+
+
+@inline
+def _least(x, y, z):
+    return minimum(minimum(x, y), z)
+
+
+@inline
+def _most(x, y, z):
+    return maximum(maximum(x, y), z)
+
+
+@inline
+def _boxes_touch(a, b, reach):
+    """Where the boxes of a triangle and of eight come within `reach` of each other along all axes."""
+    return (
+        (_least(b[0][0], b[1][0], b[2][0]) <= _most(a[0][0], a[1][0], a[2][0]) + reach)
+        & (_most(b[0][0], b[1][0], b[2][0]) >= _least(a[0][0], a[1][0], a[2][0]) - reach)
+        & (_least(b[0][1], b[1][1], b[2][1]) <= _most(a[0][1], a[1][1], a[2][1]) + reach)
+        & (_most(b[0][1], b[1][1], b[2][1]) >= _least(a[0][1], a[1][1], a[2][1]) - reach)
+        & (_least(b[0][2], b[1][2], b[2][2]) <= _most(a[0][2], a[1][2], a[2][2]) + reach)
+        & (_most(b[0][2], b[1][2], b[2][2]) >= _least(a[0][2], a[1][2], a[2][2]) - reach)
+    )
+
+
+@njit()
+def _leaves(A, B, child_a, child_b, shift, size, near, far, memory, listed_at, room, open_pairs):
+    """Settle the triangles of two leaves; MEETING, or how many pairs are open by now."""
+    leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
+    error = CORNER_ERROR * size
+    placed = floats_at(memory + _PLACED, (2 * BLOCK,))
+    _store_corners(placed, 0, _placed_corners(A, surface_of(A).blocks, leaf_a, (0.0, 0.0, 0.0)))
+    b = _placed_corners(B, surface_of(B).blocks, leaf_b, shift)
+    _store_corners(placed, BLOCK, b)
+    long_b = longest_edge(b[0], b[1], b[2])
+    all_b = (1 << size_of(child_b)) - 1
+    for lane_a in range(size_of(child_a)):
+        a = _corners_at(placed, 0, lane_a)
+        bits = movemask(_boxes_touch(a, b, far + 4.0 * error)) & all_b
+        if bits == 0:
+            continue
+        long_a = longest_edge(a[0], a[1], a[2])
+        between_corners = length1(minus(b[0], a[0])) + long_a + long_b
+        side_a = doubt(long_a, long_a, between_corners, error)
+        on_a = sides(cross(minus(a[1], a[0]), minus(a[2], a[1])), a[0], b)
+        beside = movemask(same_side(on_a[0], on_a[1], on_a[2], side_a))
+        if far == 0.0:
+            bits &= ~beside
+            if bits == 0:
+                continue
+        else:
+            # What rounds more than the corners themselves are off by is left to the search.
+            squared = squared_distances(a, b, error)
+            within = max(near - 8.0 * error, 0.0)
+            beyond = far + 8.0 * error
+            if movemask(squared < within * within) & bits != 0:
+                return MEETING
+            apart_bits = movemask(squared > beyond * beyond)
+            bits &= ~(apart_bits & beside)
+            if bits == 0:
+                continue
+            left = bits & ~apart_bits
+            bits &= apart_bits  # apart, unless they pierce each other
+            open_pairs = _search(
+                A, B, leaf_a, lane_a, leaf_b, left, shift, near, far, memory, listed_at, room, open_pairs
+            )
+            if open_pairs == MEETING:
+                return MEETING
+            if bits == 0:
+                continue
+        meets, misses = meet(a, b, on_a, side_a, error, long_a, long_b, between_corners)
+        if movemask(meets) & bits != 0:
+            return MEETING
+        bits &= ~movemask(misses)
+        open_pairs = _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed_at, room, open_pairs)
+        if open_pairs == MEETING:
+            return MEETING
+    return open_pairs
+
+
+@njit()
+def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed_at, room, open_pairs):
+    """Settle a triangle and some of eight one by one; MEETING, or how many pairs are open by now."""
+    placed, W = floats_at(memory + _PLACED, (2 * BLOCK,)), floats_at(memory + _GJK, (GJK_ENTRIES,))
+    result, listed = floats_at(memory + _RESULT, (9,)), integers_at(listed_at, (2 * room,))
+    error = rounding_error(A, B, shift)
+    while bits != 0:
+        lane_b = lowest_bit(bits)
+        bits &= bits - 1
+        a, b = _corners_at(placed, 0, lane_a), _corners_at(placed, BLOCK, lane_b)
+        _write_triangle(W, 0, a)
+        _write_triangle(W, 3 * LEAF, b)
+        n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
+        if not dot(n, n) > 0.0:
+            n = (1.0, 0.0, 0.0)
+        if far == 0.0:
+            status, _, _ = decide(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
+        else:
+            status, _, _ = measure(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
+        if status in (TOUCHING, INSIDE):
+            return MEETING
+        if status != APART:
+            if open_pairs < room:
+                listed[2 * open_pairs] = leaf_a * LEAF + lane_a
+                listed[2 * open_pairs + 1] = leaf_b * LEAF + lane_b
+            open_pairs += 1
+    return open_pairs
+
+
+@inline
+def _write_triangle(W, at, corners):
+    """Write a triangle as a block of eight points, see `simd.support`."""
+    for axis in range(3):
+        W[at + axis * LEAF], W[at + axis * LEAF + 1] = corners[0][axis], corners[1][axis]
+        for lane in range(2, LEAF):
+            W[at + axis * LEAF + lane] = corners[2][axis]
+
+
+# -- what lies within a solid -----------------------------------------------------------------------
+
+
+@njit()
+def _parts_within(A, B, shift, size, memory):
+    """Whether a connected part of surface B lies within the solid A, as far as one point of each tells."""
+    parts = surface_of(B).parts
+    found = OUTSIDE
+    R = rotation_of(B)
+    for at in range(0, len(parts), 3):
+        within = point_within(A, image(R, shift, (parts[at], parts[at + 1], parts[at + 2])), size, memory)
+        if within == WITHIN:
+            return WITHIN
+        found = max(found, within)
+    return found
+
+
+@njit()
+def point_within(A, x, size, memory):
+    """Whether a point, in the world's axes from the translation of A, lies within the solid A.
+
+    A ray along an axis of A's frame is followed; where it comes too close to an edge or starts too close to a triangle,
+    another one.
+    """
+    a = surface_of(A)
+    R = rotation_of(A)
+    # By the inverse, not the transpose: a pose need be rigid to 1e-6 only.
+    u, v, w = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
+    volume = dot(cross(u, v), w)
+    q = dot(cross(v, w), x) / volume, dot(cross(w, u), x) / volume, dot(cross(u, v), x) / volume
+    slack = ROUNDINGS * size
+    middle, half = box_at(a.boxes, 0)
+    nearest, first = np.inf, 0
+    for axis in range(3):
+        gap = float(half[axis]) - abs(q[axis] - float(middle[axis]))
+        if gap < -slack:
+            return OUTSIDE
+        if gap < nearest:
+            nearest, first = gap, 2 * axis + (q[axis] < float(middle[axis]))
+    for turn in range(6):
+        way = (first + turn) % 6
+        axis = way >> 1
+        if axis == 0:
+            found = _windings(a, (q[1], q[2], q[0]), 1, 2, 0, way & 1, size, memory)
+        elif axis == 1:
+            found = _windings(a, (q[2], q[0], q[1]), 2, 0, 1, way & 1, size, memory)
+        else:
+            found = _windings(a, (q[0], q[1], q[2]), 0, 1, 2, way & 1, size, memory)
+        if found != UNKNOWN:
+            return found
+    return UNKNOWN
+
+
+@njit()
+def _windings(a, q, i, j, k, backward, size, memory):
+    """Follow a ray from a point, given by its coordinates i, j and k, along axis k or against it."""
+    stack = integers_at(memory, (_STACK,))
+    slack = np.float32(ROUNDINGS * size)
+    sign = -1.0 if backward == 1 else 1.0
+    x, y, z, along = np.float32(q[0]), np.float32(q[1]), np.float32(q[2]), np.float32(sign)
+    error = CORNER_ERROR * size
+    stack[0] = 0
+    height, windings = 1, 0
+    while height > 0:
+        height -= 1
+        child = a.children[stack[height]]
+        if child >= 0:
+            at = child * ROWS
+            bits = movemask(
+                (absolute(load_single(a.boxes, at + i * WIDE) - x) <= load_single(a.boxes, at + (3 + i) * WIDE) + slack)
+                & (
+                    absolute(load_single(a.boxes, at + j * WIDE) - y)
+                    <= load_single(a.boxes, at + (3 + j) * WIDE) + slack
+                )
+                & (
+                    (load_single(a.boxes, at + k * WIDE) - z) * along + load_single(a.boxes, at + (3 + k) * WIDE)
+                    >= -slack
+                )
+            )
+            while bits != 0:
+                stack[height] = child * WIDE + lowest_bit(bits)
+                height += 1
+                bits &= bits - 1
+            continue
+        at = leaf_of(child) * BLOCK
+        u0, u1, u2 = _coordinates(a.blocks, at, i, q[0])
+        v0, v1, v2 = _coordinates(a.blocks, at, j, q[1])
+        w0, w1, w2 = _coordinates(a.blocks, at, k, q[2])
+        w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
+        d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
+        across = maximum(
+            _most(absolute(u0), absolute(u1), absolute(u2)), _most(absolute(v0), absolute(v1), absolute(v2))
+        )
+        ahead = _most(absolute(w0), absolute(w1), absolute(w2))
+        limit = across * (8.0 * error) + across * across * (8.0 * UNIT_ROUNDOFF)
+        left = (d0 > limit) & (d1 > limit) & (d2 > limit)
+        right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
+        beside = ((d0 > limit) | (d1 > limit) | (d2 > limit)) & ((d0 < -limit) | (d1 < -limit) | (d2 < -limit))
+        behind = (w0 < -error) & (w1 < -error) & (w2 < -error)
+        # Where the ray's line meets the plane, times the area: the distances weighted by the parts of it.
+        where = d0 * w2 + d1 * w0 + d2 * w1
+        doubtful = (limit * ahead + across * across * error) * 8.0
+        beyond = (left & (where < -doubtful)) | (right & (where > doubtful))
+        lanes = (1 << size_of(child)) - 1
+        forth, back = movemask(left & (where > doubtful)) & lanes, movemask(right & (where < -doubtful)) & lanes
+        if (movemask(beside | behind | beyond) | forth | back) & lanes != lanes:
+            return UNKNOWN
+        windings += _count(forth) - _count(back)
+    return WITHIN if windings != 0 else OUTSIDE
+
+
+@inline
+def _coordinates(blocks, at, axis, origin):
+    """One coordinate of the corners of eight triangles, from a point."""
+    i = at + axis * LEAF
+    return load(blocks, i) - origin, load(blocks, i + 3 * LEAF) - origin, load(blocks, i + 6 * LEAF) - origin
+
+
+@inline
+def _count(bits):
+    count = 0
+    while bits != 0:
+        bits &= bits - 1
+        count += 1
+    return count
+
+
+# -- a surface and a convex piece -------------------------------------------------------------------
+
+
+@njit()
+def _with_piece(A, B, margin, memory, listed_at, room):
+    """Walk through the tree of a surface A for a convex piece B."""
+    a = surface_of(A)
+    shift = shift_between(A, B)
+    size = lengths(A, B, shift)
+    near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
+    error = rounding_error(A, B, shift)
+    W, result = floats_at(memory + _GJK, (GJK_ENTRIES,)), floats_at(memory + _RESULT, (9,))
+    listed = integers_at(listed_at, (2 * room,))
+    ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
+    box = floats_at(memory + _PLACED, (6,))
+    _box_in_frame(A, B, shift, far, size, box)
+    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
+    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
+    f = np.float32
+    single = f(middle[0]), f(middle[1]), f(middle[2])
+    wide = f(half[0]), f(half[1]), f(half[2])
+    R = rotation_of(A)
+    center = apply(R, middle)
+    stack = integers_at(memory, (_STACK,))
+    stack[0] = 0
+    height, open_pairs = 1, 0
+    while height > 0:
+        height -= 1
+        child = a.children[stack[height]]
+        if child >= 0:
+            middles, halves = boxes_of(a.boxes, child)
+            bits = movemask(
+                (absolute(middles[0] - single[0]) <= halves[0] + wide[0])
+                & (absolute(middles[1] - single[1]) <= halves[1] + wide[1])
+                & (absolute(middles[2] - single[2]) <= halves[2] + wide[2])
+            )
+            while bits != 0:
+                stack[height] = child * WIDE + lowest_bit(bits)
+                height += 1
+                bits &= bits - 1
+            continue
+        leaf = leaf_of(child)
+        placed = floats_at(memory + _PLACED, (2 * BLOCK,))
+        at = leaf * BLOCK
+        mask = _within(a.blocks, at, middle[0], half[0])
+        mask = mask & _within(a.blocks, at + LEAF, middle[1], half[1])
+        mask = mask & _within(a.blocks, at + 2 * LEAF, middle[2], half[2])
+        bits = movemask(mask) & ((1 << size_of(child)) - 1)
+        if bits == 0:
+            continue
+        _store_corners(placed, BLOCK, _placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
+        while bits != 0:
+            lane = lowest_bit(bits)
+            bits &= bits - 1
+            corners = _corners_at(placed, BLOCK, lane)
+            _write_triangle(W, 0, corners)
+            n = minus(center, corners[0])
+            if not dot(n, n) > 0.0:
+                n = (1.0, 0.0, 0.0)
+            status = UNSETTLED
+            if far == 0.0:
+                status, n, _ = decide(A, B, shift, W, ends, n, error)
+            if status == UNSETTLED:
+                status, _, _ = measure(A, B, shift, W, ends, n, error, near, far, result)
+            if status in (TOUCHING, INSIDE):
+                return COLLIDING, open_pairs
+            if status != APART:
+                if open_pairs < room:
+                    listed[2 * open_pairs], listed[2 * open_pairs + 1] = leaf * LEAF + lane, -1
+                open_pairs += 1
+    within = OUTSIDE
+    if is_solid(A):
+        within = point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
+    if within == WITHIN:
+        return COLLIDING, open_pairs
+    return FREE if within == OUTSIDE and open_pairs == 0 else AMBIGUOUS, open_pairs
+
+
+@inline
+def _within(blocks, at, middle, half):
+    """Where eight triangles come within `half` of a place along an axis."""
+    x, y, z = load(blocks, at), load(blocks, at + 3 * LEAF), load(blocks, at + 6 * LEAF)
+    return (_least(x, y, z) <= middle + half) & (_most(x, y, z) >= middle - half)
+
+
+@njit()
+def _box_in_frame(A, B, shift, far, size, box):
+    """Write the box around a piece, in the axes of A's frame: lower corner, then upper, with all that rounds."""
+    R = rotation_of(A)
+    bend = 0.0
+    for i in range(3):
+        for j in range(3):
+            entry = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j] - (1.0 if i == j else 0.0)
+            bend += entry * entry
+    bend = np.sqrt(bend) + 1e-15
+    slack = far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
+    for axis in range(3):
+        n = R[axis], R[3 + axis], R[6 + axis]
+        box[axis] = dot(n, plus(placed_support(B, (-n[0], -n[1], -n[2])), shift)) - slack
+        box[3 + axis] = dot(n, plus(placed_support(B, n), shift)) + slack

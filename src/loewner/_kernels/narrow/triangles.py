@@ -1,0 +1,222 @@
+"""One triangle against eight: do they meet, and how far apart are they?
+
+Corners are tuples of three numbers; those of the one triangle are floats, those of the eight vectors, a lane for each.
+What is said is proven against what the corners may be off by; all else is left to others.
+
+References
+----------
+Segura and Feito (2001), "Algorithms to test ray-triangle intersection", J. WSCG 9(3); Guigue and Devillers (2003),
+doi:10.1080/10867651.2003.10487580: signs of determinants alone decide. Eberly, Geometric Tools: "Robust computation of
+distance between line segments" (2018).
+"""
+
+from loewner._kernels._jit import inline
+from loewner._kernels.linalg3 import along, cross, dot, minus, scaled
+from loewner._kernels.simd.vectors import absolute, maximum, minimum, select
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+
+# Error of a determinant of three differences of corners: so many times what a corner may be off by, times the products
+# of two lengths; and so many roundoffs of the product of all three. Lengths are sums of coordinates.
+CORNER_ERRORS = 8.0  # derived 6, certified.md B36
+PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B37
+_LEAST = 1e-290  # no product that underflows is above it
+
+# A triangle is narrow if its normal is no longer than so many errors of a corner times its longest edge.
+NARROW = 64.0
+
+
+@inline
+def length1(v):
+    """Sum of the coordinates of a vector."""
+    return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
+
+
+@inline
+def longest_edge(a, b, c):
+    """The longest edge of a triangle, by the sum of its coordinates."""
+    return maximum(length1(minus(b, a)), maximum(length1(minus(c, b)), length1(minus(a, c))))
+
+
+@inline
+def doubt(x, y, z, error):
+    """Bound on the error of a determinant of three differences of at most these lengths."""
+    return CORNER_ERRORS * error * (x * y + y * z + z * x) + PRODUCT_ROUNDINGS * (x * y * z) + _LEAST
+
+
+@inline
+def same_side(x, y, z, limit):
+    """Where three determinants are all above, or all below, what rounding does to them."""
+    return ((x > limit) & (y > limit) & (z > limit)) | ((x < -limit) & (y < -limit) & (z < -limit))
+
+
+@inline
+def _edge_misses(x, y, u, v, w, side, limit):
+    """Where an edge misses a triangle: its ends lie on one side of the plane, or its line passes outside."""
+    beside = ((x > side) & (y > side)) | ((x < -side) & (y < -side))
+    above = (u > limit) | (v > limit) | (w > limit)
+    below = (u < -limit) | (v < -limit) | (w < -limit)
+    return beside | (above & below)
+
+
+@inline
+def _edge_pierces(x, y, u, v, w, side, limit):
+    """Where an edge pierces a triangle: its ends lie on both sides, and its line passes inside."""
+    through = ((x > side) & (y < -side)) | ((x < -side) & (y > side))
+    return through & same_side(u, v, w, limit)
+
+
+@inline
+def sides(normal, corner, others):
+    """Determinants that tell on which side of the plane of a triangle three corners lie."""
+    return (
+        dot(normal, minus(others[0], corner)),
+        dot(normal, minus(others[1], corner)),
+        dot(normal, minus(others[2], corner)),
+    )
+
+
+@inline
+def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
+    """Where triangle `a` and the eight `b` meet for sure, and where they do not.
+
+    Two triangles meet if an edge of one meets the other. An edge whose ends are strictly on both sides of a plane, and
+    whose line has all three edges of the triangle on the same hand, pierces it; one that lies strictly on one side, or
+    has edges on either hand, misses it. The signs of fifteen determinants tell, where rounding leaves them.
+
+    Parameters
+    ----------
+    a : tuple of 3 corners, floats
+    b : tuple of 3 corners, vectors
+    on_a : tuple of 3 vectors
+        Of `sides`: on which side of a's plane the corners of b lie.
+    side_a : vector
+        What these may be off by.
+    error : float
+        What a coordinate of a corner may be off by.
+    long_a : float
+    long_b, apart : vector
+        The longest edges, and the largest difference of corners, by the sum of coordinates.
+
+    Returns
+    -------
+    meeting, missing : mask
+    """
+    edge_a = minus(a[1], a[0]), minus(a[2], a[1]), minus(a[0], a[2])
+    edge_b = minus(b[1], b[0]), minus(b[2], b[1]), minus(b[0], b[2])
+    normal_b = cross(edge_b[0], edge_b[1])
+    side_b = doubt(long_b, long_b, apart, error)
+    limit = doubt(long_a, long_b, apart, error)
+    on_b = sides(normal_b, b[0], a)
+    d00, d01, d02 = _lines(edge_a[0], a[0], edge_b, b)
+    d10, d11, d12 = _lines(edge_a[1], a[1], edge_b, b)
+    d20, d21, d22 = _lines(edge_a[2], a[2], edge_b, b)
+    meeting = (
+        _edge_pierces(on_b[0], on_b[1], d00, d01, d02, side_b, limit)
+        | _edge_pierces(on_b[1], on_b[2], d10, d11, d12, side_b, limit)
+        | _edge_pierces(on_b[2], on_b[0], d20, d21, d22, side_b, limit)
+        | _edge_pierces(on_a[0], on_a[1], d00, d10, d20, side_a, limit)
+        | _edge_pierces(on_a[1], on_a[2], d01, d11, d21, side_a, limit)
+        | _edge_pierces(on_a[2], on_a[0], d02, d12, d22, side_a, limit)
+    )
+    missing = same_side(on_b[0], on_b[1], on_b[2], side_b) | (
+        _edge_misses(on_b[0], on_b[1], d00, d01, d02, side_b, limit)
+        & _edge_misses(on_b[1], on_b[2], d10, d11, d12, side_b, limit)
+        & _edge_misses(on_b[2], on_b[0], d20, d21, d22, side_b, limit)
+        & _edge_misses(on_a[0], on_a[1], d00, d10, d20, side_a, limit)
+        & _edge_misses(on_a[1], on_a[2], d01, d11, d21, side_a, limit)
+        & _edge_misses(on_a[2], on_a[0], d02, d12, d22, side_a, limit)
+    )
+    return meeting, missing
+
+
+@inline
+def _lines(edge, start, edge_b, b):
+    """On which hand an edge passes the three edges of a triangle."""
+    return (
+        dot(cross(edge, edge_b[0]), minus(b[0], start)),
+        dot(cross(edge, edge_b[1]), minus(b[1], start)),
+        dot(cross(edge, edge_b[2]), minus(b[2], start)),
+    )
+
+
+@inline
+def _clamped(x):
+    """x within 0 .. 1; 0 for NaN."""
+    return minimum(maximum(x, 0.0), 1.0)
+
+
+@inline
+def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
+    """Squared distance of an edge from eight: that of two points of theirs, which are the nearest but for rounding.
+
+    `over_a` and `over_b` are the reciprocals of the squared lengths. The first guess is the foot of the common normal,
+    by products of the normal itself: for edges nearly parallel the usual difference of squares would be noise.
+    """
+    r = minus(start_a, start_b)
+    normal = cross(edge_a, edge_b)
+    b = dot(edge_b, edge_a)
+    f = dot(edge_b, r)
+    s = _clamped(dot(cross(edge_b, r), normal) / dot(normal, normal))
+    t = _clamped((b * s + f) * over_b)
+    s = _clamped((b * t - dot(edge_a, r)) * over_a)
+    t = _clamped((b * s + f) * over_b)
+    d = minus(along(r, s, edge_a), scaled(t, edge_b))
+    return dot(d, d)
+
+
+@inline
+def _foot_inside(x, corners, edges, normal):
+    """Where the foot of a point on the plane of a triangle lies in the triangle."""
+    return (
+        (dot(cross(edges[0], minus(x, corners[0])), normal) >= 0.0)
+        & (dot(cross(edges[1], minus(x, corners[1])), normal) >= 0.0)
+        & (dot(cross(edges[2], minus(x, corners[2])), normal) >= 0.0)
+    )
+
+
+@inline
+def squared_distances(a, b, error):
+    """Squared distances of triangle `a` from the eight `b`, as if they did not pierce each other.
+
+    Each is that of two points of the triangles. What it is more than the true one is as little as what the corners are
+    off by: a triangle narrower than that, whose normal is noise, counts as its edges.
+
+    Parameters
+    ----------
+    a : tuple of 3 corners, floats
+    b : tuple of 3 corners, vectors
+    error : float
+        What a coordinate of a corner may be off by.
+    """
+    edge_a = minus(a[1], a[0]), minus(a[2], a[1]), minus(a[0], a[2])
+    edge_b = minus(b[1], b[0]), minus(b[2], b[1]), minus(b[0], b[2])
+    over_a = 1.0 / dot(edge_a[0], edge_a[0]), 1.0 / dot(edge_a[1], edge_a[1]), 1.0 / dot(edge_a[2], edge_a[2])
+    over_b = 1.0 / dot(edge_b[0], edge_b[0]), 1.0 / dot(edge_b[1], edge_b[1]), 1.0 / dot(edge_b[2], edge_b[2])
+    least = _between_edges(a[0], edge_a[0], over_a[0], b[0], edge_b[0], over_b[0])
+    least = minimum(_between_edges(a[0], edge_a[0], over_a[0], b[1], edge_b[1], over_b[1]), least)
+    least = minimum(_between_edges(a[0], edge_a[0], over_a[0], b[2], edge_b[2], over_b[2]), least)
+    least = minimum(_between_edges(a[1], edge_a[1], over_a[1], b[0], edge_b[0], over_b[0]), least)
+    least = minimum(_between_edges(a[1], edge_a[1], over_a[1], b[1], edge_b[1], over_b[1]), least)
+    least = minimum(_between_edges(a[1], edge_a[1], over_a[1], b[2], edge_b[2], over_b[2]), least)
+    least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[0], edge_b[0], over_b[0]), least)
+    least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[1], edge_b[1], over_b[1]), least)
+    least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[2], edge_b[2], over_b[2]), least)
+
+    normal = cross(edge_a[0], edge_a[1])
+    squared = dot(normal, normal)
+    noise = NARROW * error * longest_edge(a[0], a[1], a[2])
+    if squared > noise * noise:
+        over = 1.0 / squared
+        for k in range(3):
+            height = dot(normal, minus(b[k], a[0]))
+            least = select(_foot_inside(b[k], a, edge_a, normal), minimum(height * height * over, least), least)
+    normals = cross(edge_b[0], edge_b[1])
+    squares = dot(normals, normals)
+    noises = NARROW * error * longest_edge(b[0], b[1], b[2])
+    broad = squares > noises * noises
+    overs = 1.0 / squares
+    for k in range(3):
+        height = dot(normals, minus(a[k], b[0]))
+        inside = broad & _foot_inside(a[k], b, edge_b, normals)
+        least = select(inside, minimum(height * height * overs, least), least)
+    return least

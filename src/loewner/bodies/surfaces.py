@@ -1,0 +1,150 @@
+"""Surfaces as pieces: triangles as they are, their ellipsoids, and whether they enclose a solid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner import _validate
+from loewner._kernels import columns
+from loewner._native import entries
+from loewner._validate import Floats, Ints
+from loewner.bodies.layout import PieceArrays
+from loewner.errors import GeometryError
+from loewner.polytopes import FLATNESS
+
+# Sizes of surfaces, for boxes in single precision square lengths.
+SMALLEST, LARGEST = 1e-12, 1e12
+
+# A flat surface's outer ellipsoid is as thick as this, relative to its size: more than rounding, less than matters.
+THICKNESS = 1e-6
+
+# What rounding takes of containment, relative to the size of an ellipsoid; as `primitives.CLOSED_FORM_ROUNDING`.
+_ROUNDING = 2.0**-44
+
+
+def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float) -> PieceArrays:
+    """One body of one piece: all triangles of a mesh, with a radius around them.
+
+    Parameters
+    ----------
+    vertices, triangles : ndarray
+        A mesh as `meshes.load` reads it.
+    radius : float
+        Metres, >= 0.
+    solid : bool or None
+        Whether what the mesh winds around belongs to it; None: if the mesh is closed.
+    tol : float
+        Certified log-volume gap of the outer ellipsoid.
+
+    Raises
+    ------
+    GeometryError
+        If the mesh is too small or too large, or is to be solid and is open.
+    """
+    used, numbers = np.unique(triangles, return_inverse=True)
+    vertices = vertices[used] + 0.0  # without negative zeros
+    triangles = np.ascontiguousarray(numbers.reshape(-1, 3), dtype=np.int64)
+    _expect_sizes(vertices)
+    if solid is None or solid:
+        open_edges = _open_edges(vertices, triangles)
+        if solid and len(open_edges):
+            raise _not_closed(vertices, open_edges)
+        solid = len(open_edges) == 0
+    center, factor, gap = _outer(vertices, tol)
+    if radius > 0:
+        center, factor, gap = _with_radius(center, factor, gap, radius)
+    layout = np.array([[columns.SOLID if solid else columns.SURFACE, 0, len(vertices), 0, 0]], dtype=np.int64)
+    frames = np.zeros((1, 13))
+    frames[0, 0] = radius
+    inner = np.eye(3) * radius * (1 - _ROUNDING)
+    return PieceArrays(
+        layout=layout,
+        points=vertices,
+        planes=np.zeros((0, 4)),
+        piece_start=np.array([0, 1], dtype=np.int64),
+        frames=frames,
+        triangles=triangles,
+        triangle_start=np.array([0, len(triangles)], dtype=np.int64),
+        inner_center=vertices[triangles[:1, 0]],
+        inner_factor=inner[None],
+        outer_center=center[None],
+        outer_factor=factor[None],
+        gaps=np.array([[0.0, gap]]),
+    )
+
+
+def _expect_sizes(vertices: Floats) -> None:
+    size = float(np.abs(vertices).max())
+    across = float(np.ptp(vertices, axis=0).max())
+    if not size <= LARGEST or 0 < across < SMALLEST:
+        raise GeometryError(
+            f"mesh: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {across:g} m across, "
+            f"coordinates up to {size:g} m"
+        )
+
+
+def _open_edges(vertices: Floats, triangles: Ints) -> Ints:
+    """Edges that are not passed as often one way as the other; rows of two vertices.
+
+    Where there is none the winding number of the surface is a whole number everywhere off it.
+    """
+    _, number = entries.equal_vertices(vertices)
+    start = number[triangles].ravel()
+    end = number[np.roll(triangles, -1, axis=1)].ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    keys = np.sort((low * (number.max() + 1) + high) * 2 + (start < end))
+    edge = keys >> 1
+    first = np.flatnonzero(np.concatenate([[True], edge[1:] != edge[:-1]]))
+    forth = np.add.reduceat(keys & 1, first)
+    count = np.diff(np.append(first, len(keys)))
+    odd = edge[first[2 * forth != count]]
+    odd = np.column_stack([odd // (number.max() + 1), odd % (number.max() + 1)])
+    odd = odd[odd[:, 0] != odd[:, 1]]  # an edge of no length goes nowhere
+    vertex = np.empty(number.max() + 1, dtype=np.int64)
+    vertex[number] = np.arange(len(number))
+    return np.asarray(vertex[odd], dtype=np.int64)
+
+
+def _not_closed(vertices: Floats, edges: Ints) -> GeometryError:
+    """Make the error that says where a mesh is open."""
+    a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
+    return GeometryError(
+        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more often "
+        f"one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
+    )
+
+
+def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:
+    """Smallest ellipsoid around points, or nearly, if they are flat."""
+    center, factor = np.empty(3), np.empty((3, 3))
+    points = vertices
+    for _ in range(2):
+        if len(points) > 3:
+            code, gap, _, _, _, _ = entries.fit_outer(points, tol, FLATNESS, center, factor)
+            if code == 0:
+                return center, factor, float(gap)
+        points = np.concatenate([vertices, _thickened(vertices)])
+    raise GeometryError(f"mesh: expected vertices that an ellipsoid can be fitted around, found {len(vertices)}")
+
+
+def _thickened(vertices: Floats) -> Floats:
+    """Points beside the middle of a flat set, on both sides along the directions in which it is flat."""
+    middle = vertices.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov((vertices - middle).T, bias=True))
+    lengths = np.sqrt(np.maximum(spread, 0.0))
+    thick = max(THICKNESS * lengths[-1], 1e-14 * float(np.abs(vertices).max()), SMALLEST)
+    flat = axes.T[lengths < thick] * thick
+    return np.concatenate([middle + flat, middle - flat])
+
+
+def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
+    """Ellipsoid around the sum of an ellipsoid and a ball: shape (1 + 1/p) Q + (1 + p) r², least trace.
+
+    Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
+    """
+    Q = factor @ factor.T
+    p = np.sqrt(np.trace(Q) / 3) / radius
+    joint = (1 + 1 / p) * Q + (1 + p) * radius**2 * np.eye(3)
+    grown = np.linalg.cholesky(joint) * (1 + _ROUNDING)
+    volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
+    return center, grown, gap + float(volumes)
