@@ -1,4 +1,4 @@
-"""Verdicts for listed pairs: the fast pass, then the fallback for what that leaves open.
+"""Verdicts for listed pairs: the fast pass, then the fallback for what that leaves open, then whole numbers.
 
 Queries of pairs and of crowds ask here; robots do for the configurations that their own block
 (`_kernels/robots/configurations.py`) leaves open.
@@ -6,18 +6,15 @@ Queries of pairs and of crowds ask here; robots do for the configurations that t
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner import _exact
+from loewner._exact import Operands as Operands
 from loewner._kernels import codes
 from loewner._native import entries
-from loewner._validate import Floats, Ints
+from loewner._validate import Ints
 from loewner._workspaces import workspace
-
-# Plan, rows, handle and poses of a, handle and poses of b, arrays in C order: see `_kernels/pipeline/verdicts.py`.
-Operands: TypeAlias = tuple[Ints, Ints, int, Floats, int, Floats]
 
 # The plan of one pair, and the rows of pairs that are not listed by number.
 ONE_PAIR = np.array([[1], [0], [0], [0], [0]], dtype=np.int64)
@@ -48,4 +45,6 @@ def settle(mode: int, margin: float, first: int, last: int, operands: Operands, 
         return None
     if mode == codes.EXACT and tally[codes.OPEN]:
         entries.settle_open(margin, first, last, *operands, out)
+        for k in first + np.flatnonzero(out[first:last] == codes.INEXACT):
+            out[k] = _exact.verdict(margin, int(k), operands)
     return tally

@@ -1,6 +1,7 @@
 """Codes that kernels and Python share: what is asked, and how it came out."""
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
+INEXACT = 3  # no verdict: what `fallback` says where whole numbers have to tell
 CERTIFY, EXACT = 0, 1
 
 # Who settled a piece pair; BY_PLANE: the support planes of the pieces square to the contact normal of their ellipsoids.

@@ -21,6 +21,8 @@ ENTRIES = {
         # -- verdicts of pairs, configurations and motions
         Entry("pipeline.verdicts", "settle_range", "i f i i I2 I2 i F3 i F3 B1 I1 i", "b"),
         Entry("pipeline.fallback", "settle_open", "f i i I2 I2 i F3 i F3 B1", ""),
+        Entry("pipeline.fallback", "open_triangles", "f i I2 I2 i F3 i F3 I2", "i"),
+        Entry("pipeline.fallback", "exact_parts", "i i", "i f F2 F2"),
         Entry("pipeline.workspace", "workspace_size", "", "i"),
         Entry("pipeline.bounds", "estimate_range", "f i i I2 i F3 i F3 B1", ""),
         Entry("robots.configurations", "check_configurations", "i i i F2 i i B1 B1 I1 i", ""),

@@ -14,9 +14,9 @@ from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
+from loewner.bodies import surfaces
 from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
-from loewner.bodies import surfaces
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids

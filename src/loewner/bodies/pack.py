@@ -65,7 +65,9 @@ class Packed(PieceArrays):
         if trees is None:
             trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
         made = KernelArrays.of(pieces, maps, trees)
-        return cls(**arrays_of(pieces), maps=maps, trees=trees, kernel_arrays=made, kernel=made.arrays, handle=made.handle)
+        return cls(
+            **arrays_of(pieces), maps=maps, trees=trees, kernel_arrays=made, kernel=made.arrays, handle=made.handle
+        )
 
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""

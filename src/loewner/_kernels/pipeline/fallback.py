@@ -1,24 +1,37 @@
 """The exact answer for the few pairs that the fast searches leave open: a robust GJK, then the expanding polytope.
 
-Apart from `verdicts`, so that it is compiled only when a pair needs it.
+Apart from `verdicts`, so that it is compiled only when a pair needs it. Triangles of two surfaces that rounding keeps
+from settling go on to whole numbers, see `loewner._exact`.
 """
 
 import numpy as np
 
 from loewner._kernels._jit import njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
+from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, INEXACT
+from loewner._kernels.columns import COLUMNS, KIND, LAYOUT, POINTS_TO, POLYTOPE, REACH, ROUNDING
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.narrow.gjk_robust import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
+from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
+from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
+from loewner._kernels.narrow.surfaces import surface_pair
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
+from loewner._kernels.pieces.shapes import core_support, radius, reach
 from loewner._kernels.pipeline.verdicts import rows_of
+from loewner._kernels.records import Placed
 from loewner._kernels.trees import piece_tree
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
 CHUNK = 64  # piece pairs taken from the trees at a time
+
+ROOM = 4096  # triangles of a surface that one convex piece may touch, or nearly, before that is too many
 
 
 @njit()
 def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
-    """Settle the pairs start .. stop left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid."""
+    """Settle the pairs start .. stop left AMBIGUOUS in `out` from scratch; operands as in `verdicts`, poses rigid.
+
+    INEXACT is said of those that hang on triangles of surfaces, or points, which rounding keeps from being told apart.
+    """
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     steps = np.empty(piece_tree.STEPS, np.int64)
@@ -37,11 +50,121 @@ def settle_open(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
             if found == 0:
                 break
             for c in range(found):
-                verdict = _piece_pair(placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb), margin, work)
-                if verdict != FREE:
+                A, B = placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb)
+                surfaces = is_surface(A) or is_surface(B)
+                verdict = _with_surface(A, B, margin, work) if surfaces else _piece_pair(A, B, margin, work)
+                if verdict == COLLIDING or (verdict != FREE and out[k] != AMBIGUOUS):
                     out[k] = verdict
                 if verdict == COLLIDING:
                     break
+
+
+@njit()
+def _with_surface(A, B, margin, work):
+    """Settle a piece pair with a surface; INEXACT if that is for whole numbers."""
+    memory = np.empty(SURFACE_SIZE // 8)
+    listed = np.empty((ROOM, 2), np.int64)
+    verdict, count = surface_pair(A, B, margin, memory.ctypes.data, listed.ctypes.data, ROOM)
+    if verdict != AMBIGUOUS:
+        return verdict
+    if is_surface(A) and is_surface(B):
+        return INEXACT
+    if not is_surface(A):
+        A, B = B, A
+    for n in range(min(count, ROOM)):
+        verdict = _piece_pair(_as_piece(A, listed[n, 0]), B, margin, work)
+        if verdict != FREE:
+            return verdict
+    return INEXACT if count <= ROOM else AMBIGUOUS
+
+
+@njit()
+def _as_piece(P, triangle):
+    """A triangle of a surface, by its block and lane, as a piece of its own."""
+    layout = np.zeros((1, LAYOUT), np.int64)
+    layout[0, KIND], layout[0, POINTS_TO] = POLYTOPE, LEAF
+    table = np.zeros((1, COLUMNS))
+    table[0, REACH], table[0, ROUNDING] = reach(P), radius(P)
+    points, blocks, at = np.empty(3 * LEAF), surface_of(P).blocks, triangle // LEAF * BLOCK + triangle % LEAF
+    for axis in range(3):
+        for lane in range(LEAF):
+            points[axis * LEAF + lane] = blocks[at + (3 * min(lane, 2) + axis) * LEAF]
+    return Placed(table, layout, points, 0, P.poses, P.row)
+
+
+@njit()
+def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
+    """List what keeps a pair INEXACT; operands as in `verdicts`.
+
+    Parameters
+    ----------
+    listed : ndarray of int64, shape (room, 6)
+        Receives rows of two pieces, the rows of their poses, and two triangles, by block and lane. A row with -1 for
+        both triangles is about two pieces of which one may lie within the other.
+
+    Returns
+    -------
+    count : int
+        Rows that there are; those beyond the room are not listed.
+    """
+    a, b = pieces_of(pack_a), pieces_of(pack_b)
+    shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
+    steps = np.empty(piece_tree.STEPS, np.int64)
+    numbers = np.empty(piece_tree.NUMBERS)
+    found_a = np.empty(CHUNK, np.int64)
+    found_b = np.empty(CHUNK, np.int64)
+    memory = np.empty(SURFACE_SIZE // 8)
+    pairs = np.empty((len(listed), 2), np.int64)
+    ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
+    piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
+    count = 0
+    while True:
+        found = piece_tree.more(a, b, ib, margin, steps, numbers, found_a, found_b)
+        if found == 0:
+            return count
+        for c in range(found):
+            A, B = placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb)
+            if not (is_surface(A) or is_surface(B)):
+                continue
+            verdict, more = surface_pair(A, B, margin, memory.ctypes.data, pairs.ctypes.data, len(pairs))
+            if verdict != AMBIGUOUS:
+                continue
+            for n in range(-1, more if is_surface(A) and is_surface(B) else 0):
+                if count < len(listed):
+                    listed[count, 0], listed[count, 1] = found_a[c], found_b[c]
+                    listed[count, 2], listed[count, 3] = ka, kb
+                    listed[count, 4] = pairs[n, 0] if n >= 0 and n < len(pairs) else -1
+                    listed[count, 5] = pairs[n, 1] if n >= 0 and n < len(pairs) else -1
+                count += 1
+
+
+@njit()
+def exact_parts(pack, piece):
+    """What whole numbers are made of.
+
+    Returns
+    -------
+    kind : int
+    radius : float
+    triangles : ndarray, shape (n, 9)
+        Of a surface, by block and lane; what fills up a block is NaN.
+    points : ndarray, shape (m, 3)
+        One of each connected part of a surface, or of a convex piece's core.
+    """
+    pieces = pieces_of(pack)
+    poses = np.eye(4).reshape(1, 4, 4)
+    P = placed(pieces, piece, poses, 0)
+    if not is_surface(P):
+        x, y, z = core_support(P, (1.0, 0.0, 0.0))
+        return P.layout[piece, KIND], radius(P), np.empty((0, 9)), np.array([[x, y, z]])
+    tree = surface_of(P)
+    triangles = np.full((len(tree.blocks) // BLOCK * LEAF, 9), np.nan)
+    for child in tree.children:
+        if child < 0:
+            for lane in range(size_of(child)):
+                for c in range(9):
+                    triangles[leaf_of(child) * LEAF + lane, c] = tree.blocks[leaf_of(child) * BLOCK + c * LEAF + lane]
+    return P.layout[piece, KIND], radius(P), triangles, tree.parts.copy().reshape(-1, 3)
 
 
 @njit()
