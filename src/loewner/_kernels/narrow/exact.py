@@ -36,7 +36,8 @@ def exact_piece_pair(A, B, margin, n, memory):
         AMBIGUOUS with tier OPEN if the searches could not settle it.
     """
     if is_surface(A) or is_surface(B):
-        verdict, _ = surface_pair(A, B, margin, memory, memory, 0)
+        near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
+        verdict, _ = surface_pair(A, B, near, far, memory, memory, 0)
         return verdict, OPEN if verdict == AMBIGUOUS else BY_SEARCH
     if not dot(n, n) > 0.0:
         n = (1.0, 0.0, 0.0)

@@ -17,7 +17,7 @@ from loewner._kernels.columns import KIND, SOLID, SURFACE, SURFACE_AT
 from loewner._kernels.linalg3 import apply_transposed
 from loewner._kernels.records import ENTRIES
 from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
-from loewner._kernels.simd.vectors import absolute, load_single, movemask
+from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import ROWS, WIDE
 
@@ -183,3 +183,22 @@ def meeting(relation, t, g, h):
         & (absolute(t[1] * m[2] - t[0] * m[5]) <= (g[0] * z[5] + g[1] * z[2] + e) + (h[0] * z[7] + h[1] * z[6]))
     )
     return bits & movemask(mask)
+
+
+@inline
+def squared_gaps(relation, t, g, h):
+    """Lower bounds on the squared distance of boxes, along the axes of a's and along those of b's, whichever says more.
+
+    Parameters as for `meeting`; lengths in a's axes, which a pose may stretch by 1e-6.
+    """
+    m, z, e = relation.turn, relation.size, relation.slack
+    x = absolute(t[0]) - ((g[0] + e) + (z[0] * h[0] + z[1] * h[1] + z[2] * h[2]))
+    y = absolute(t[1]) - ((g[1] + e) + (z[3] * h[0] + z[4] * h[1] + z[5] * h[2]))
+    w = absolute(t[2]) - ((g[2] + e) + (z[6] * h[0] + z[7] * h[1] + z[8] * h[2]))
+    x, y, w = maximum(x, np.float32(0.0)), maximum(y, np.float32(0.0)), maximum(w, np.float32(0.0))
+    in_a = x * x + y * y + w * w
+    x = absolute(t[0] * m[0] + t[1] * m[3] + t[2] * m[6]) - ((h[0] + e) + (z[0] * g[0] + z[3] * g[1] + z[6] * g[2]))
+    y = absolute(t[0] * m[1] + t[1] * m[4] + t[2] * m[7]) - ((h[1] + e) + (z[1] * g[0] + z[4] * g[1] + z[7] * g[2]))
+    w = absolute(t[0] * m[2] + t[1] * m[5] + t[2] * m[8]) - ((h[2] + e) + (z[2] * g[0] + z[5] * g[1] + z[8] * g[2]))
+    x, y, w = maximum(x, np.float32(0.0)), maximum(y, np.float32(0.0)), maximum(w, np.float32(0.0))
+    return maximum(in_a, x * x + y * y + w * w)

@@ -15,7 +15,7 @@ from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
 from loewner._kernels.linalg3 import apply, cross, dot, image, minus, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, place_piece
-from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, rounding_error, swollen_radii
+from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, rounding_error
 from loewner._kernels.narrow.surface_boxes import (
     ROUNDINGS,
     between,
@@ -29,7 +29,7 @@ from loewner._kernels.narrow.surface_boxes import (
 )
 from loewner._kernels.narrow.triangles import doubt, length1, longest_edge, meet, same_side, sides, squared_distances
 from loewner._kernels.pieces.pack import shift_between
-from loewner._kernels.pieces.shapes import placed_support, radius, rotation_of
+from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import absolute, load, load_single, lowest_bit, maximum, minimum, movemask, store
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
@@ -39,11 +39,11 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, ROWS, WIDE
 CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B35
 
 # Memory: the stack of the walk (two entries a level, of both trees), triangles placed, and what GJK writes to.
-_STACK = 2 * 2 * LEVELS * WIDE
-_PLACED = 8 * _STACK
-_GJK = _PLACED + 8 * 2 * BLOCK
-_RESULT = _GJK + 8 * GJK_ENTRIES
-SIZE = _RESULT + 8 * 16  # bytes
+STACK = 2 * 2 * LEVELS * WIDE
+PLACED = 8 * STACK
+GJK = PLACED + 8 * 2 * BLOCK
+RESULT = GJK + 8 * GJK_ENTRIES
+SIZE = RESULT + 8 * 16  # bytes
 
 # How a walk ended besides: open pairs, or a point that may lie on either side of a surface.
 MEETING, APART_ALL = -1, 0
@@ -51,14 +51,15 @@ OUTSIDE, WITHIN, UNKNOWN = 0, 1, 2
 
 
 @apart
-def surface_pair(A, B, margin, memory, listed_at, room):
+def surface_pair(A, B, near, far, memory, listed_at, room):
     """Settle two pieces, one at least a surface.
 
     Parameters
     ----------
     A, B : Placed
-    margin : float
-        Distance that the pieces must keep, >= 0.
+    near, far : float
+        Cores that come this near collide, cores farther apart are free: the margin and the rounding radii, as they are
+        and as the poses stretch them.
     memory : int
         Address of SIZE bytes to write to.
     listed_at, room : int
@@ -72,21 +73,20 @@ def surface_pair(A, B, margin, memory, listed_at, room):
     open_pairs : int
     """
     if not is_surface(A):
-        return _with_piece(B, A, margin, memory, listed_at, room)
+        return _with_piece(B, A, near, far, memory, listed_at, room)
     if not is_surface(B):
-        return _with_piece(A, B, margin, memory, listed_at, room)
-    return _two_surfaces(A, B, margin, memory, listed_at, room)
+        return _with_piece(A, B, near, far, memory, listed_at, room)
+    return _two_surfaces(A, B, near, far, memory, listed_at, room)
 
 
 @njit()
-def _two_surfaces(A, B, margin, memory, listed_at, room):
+def _two_surfaces(A, B, near, far, memory, listed_at, room):
     """Walk through two trees, the larger box first."""
     a, b = surface_of(A), surface_of(B)
     shift = shift_between(A, B)
     size = lengths(A, B, shift)
-    near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
     about = relation(A, B, shift, size, far)
-    stack = integers_at(memory, (_STACK,))
+    stack = integers_at(memory, (STACK,))
     stack[0], stack[1] = 0, 0
     height = 2
     open_pairs = 0
@@ -129,7 +129,7 @@ def _two_surfaces(A, B, margin, memory, listed_at, room):
 
 
 @inline
-def _placed_corners(P, blocks, leaf, shift):
+def placed_corners(P, blocks, leaf, shift):
     """Corners of the eight triangles of a leaf in the world's axes."""
     R = rotation_of(P)
     at = leaf * BLOCK
@@ -141,7 +141,7 @@ def _placed_corners(P, blocks, leaf, shift):
 
 
 @inline
-def _store_corners(placed, at, corners):
+def store_corners(placed, at, corners):
     for k in range(3):
         store(placed, at + 3 * k * LEAF, corners[k][0])
         store(placed, at + (3 * k + 1) * LEAF, corners[k][1])
@@ -149,7 +149,7 @@ def _store_corners(placed, at, corners):
 
 
 @inline
-def _corners_at(placed, at, lane):
+def corners_at(placed, at, lane):
     """Corners of one triangle of those stored."""
     i = at + lane
     return (
@@ -160,12 +160,12 @@ def _corners_at(placed, at, lane):
 
 
 @inline
-def _least(x, y, z):
+def least(x, y, z):
     return minimum(minimum(x, y), z)
 
 
 @inline
-def _most(x, y, z):
+def most(x, y, z):
     return maximum(maximum(x, y), z)
 
 
@@ -173,12 +173,12 @@ def _most(x, y, z):
 def _boxes_touch(a, b, reach):
     """Where the boxes of a triangle and of eight come within `reach` of each other along all axes."""
     return (
-        (_least(b[0][0], b[1][0], b[2][0]) <= _most(a[0][0], a[1][0], a[2][0]) + reach)
-        & (_most(b[0][0], b[1][0], b[2][0]) >= _least(a[0][0], a[1][0], a[2][0]) - reach)
-        & (_least(b[0][1], b[1][1], b[2][1]) <= _most(a[0][1], a[1][1], a[2][1]) + reach)
-        & (_most(b[0][1], b[1][1], b[2][1]) >= _least(a[0][1], a[1][1], a[2][1]) - reach)
-        & (_least(b[0][2], b[1][2], b[2][2]) <= _most(a[0][2], a[1][2], a[2][2]) + reach)
-        & (_most(b[0][2], b[1][2], b[2][2]) >= _least(a[0][2], a[1][2], a[2][2]) - reach)
+        (least(b[0][0], b[1][0], b[2][0]) <= most(a[0][0], a[1][0], a[2][0]) + reach)
+        & (most(b[0][0], b[1][0], b[2][0]) >= least(a[0][0], a[1][0], a[2][0]) - reach)
+        & (least(b[0][1], b[1][1], b[2][1]) <= most(a[0][1], a[1][1], a[2][1]) + reach)
+        & (most(b[0][1], b[1][1], b[2][1]) >= least(a[0][1], a[1][1], a[2][1]) - reach)
+        & (least(b[0][2], b[1][2], b[2][2]) <= most(a[0][2], a[1][2], a[2][2]) + reach)
+        & (most(b[0][2], b[1][2], b[2][2]) >= least(a[0][2], a[1][2], a[2][2]) - reach)
     )
 
 
@@ -187,14 +187,14 @@ def _leaves(A, B, child_a, child_b, shift, size, near, far, memory, listed_at, r
     """Settle the triangles of two leaves; MEETING, or how many pairs are open by now."""
     leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
     error = CORNER_ERROR * size
-    placed = floats_at(memory + _PLACED, (2 * BLOCK,))
-    _store_corners(placed, 0, _placed_corners(A, surface_of(A).blocks, leaf_a, (0.0, 0.0, 0.0)))
-    b = _placed_corners(B, surface_of(B).blocks, leaf_b, shift)
-    _store_corners(placed, BLOCK, b)
+    placed = floats_at(memory + PLACED, (2 * BLOCK,))
+    store_corners(placed, 0, placed_corners(A, surface_of(A).blocks, leaf_a, (0.0, 0.0, 0.0)))
+    b = placed_corners(B, surface_of(B).blocks, leaf_b, shift)
+    store_corners(placed, BLOCK, b)
     long_b = longest_edge(b[0], b[1], b[2])
     all_b = (1 << size_of(child_b)) - 1
     for lane_a in range(size_of(child_a)):
-        a = _corners_at(placed, 0, lane_a)
+        a = corners_at(placed, 0, lane_a)
         bits = movemask(_boxes_touch(a, b, far + 4.0 * error)) & all_b
         if bits == 0:
             continue
@@ -240,15 +240,15 @@ def _leaves(A, B, child_a, child_b, shift, size, near, far, memory, listed_at, r
 @njit()
 def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed_at, room, open_pairs):
     """Settle a triangle and some of eight one by one; MEETING, or how many pairs are open by now."""
-    placed, W = floats_at(memory + _PLACED, (2 * BLOCK,)), floats_at(memory + _GJK, (GJK_ENTRIES,))
-    result, listed = floats_at(memory + _RESULT, (9,)), integers_at(listed_at, (2 * room,))
+    placed, W = floats_at(memory + PLACED, (2 * BLOCK,)), floats_at(memory + GJK, (GJK_ENTRIES,))
+    result, listed = floats_at(memory + RESULT, (9,)), integers_at(listed_at, (2 * room,))
     error = rounding_error(A, B, shift)
     while bits != 0:
         lane_b = lowest_bit(bits)
         bits &= bits - 1
-        a, b = _corners_at(placed, 0, lane_a), _corners_at(placed, BLOCK, lane_b)
-        _write_triangle(W, 0, a)
-        _write_triangle(W, 3 * LEAF, b)
+        a, b = corners_at(placed, 0, lane_a), corners_at(placed, BLOCK, lane_b)
+        write_triangle(W, 0, a)
+        write_triangle(W, 3 * LEAF, b)
         n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
         if not dot(n, n) > 0.0:
             n = (1.0, 0.0, 0.0)
@@ -267,7 +267,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed
 
 
 @inline
-def _write_triangle(W, at, corners):
+def write_triangle(W, at, corners):
     """Write a triangle as a block of eight points, see `simd.support`."""
     for axis in range(3):
         W[at + axis * LEAF], W[at + axis * LEAF + 1] = corners[0][axis], corners[1][axis]
@@ -331,7 +331,7 @@ def point_within(A, x, size, memory):
 @njit()
 def _windings(a, q, i, j, k, backward, size, memory):
     """Follow a ray from a point, given by its coordinates i, j and k, along axis k or against it."""
-    stack = integers_at(memory, (_STACK,))
+    stack = integers_at(memory, (STACK,))
     slack = np.float32(ROUNDINGS * size)
     sign = -1.0 if backward == 1 else 1.0
     x, y, z, along = np.float32(q[0]), np.float32(q[1]), np.float32(q[2]), np.float32(sign)
@@ -365,10 +365,8 @@ def _windings(a, q, i, j, k, backward, size, memory):
         w0, w1, w2 = _coordinates(a.blocks, at, k, q[2])
         w0, w1, w2 = w0 * sign, w1 * sign, w2 * sign
         d0, d1, d2 = u0 * v1 - u1 * v0, u1 * v2 - u2 * v1, u2 * v0 - u0 * v2
-        across = maximum(
-            _most(absolute(u0), absolute(u1), absolute(u2)), _most(absolute(v0), absolute(v1), absolute(v2))
-        )
-        ahead = _most(absolute(w0), absolute(w1), absolute(w2))
+        across = maximum(most(absolute(u0), absolute(u1), absolute(u2)), most(absolute(v0), absolute(v1), absolute(v2)))
+        ahead = most(absolute(w0), absolute(w1), absolute(w2))
         limit = across * (8.0 * error) + across * across * (8.0 * UNIT_ROUNDOFF)
         left = (d0 > limit) & (d1 > limit) & (d2 > limit)
         right = (d0 < -limit) & (d1 < -limit) & (d2 < -limit)
@@ -406,18 +404,17 @@ def _count(bits):
 
 
 @njit()
-def _with_piece(A, B, margin, memory, listed_at, room):
+def _with_piece(A, B, near, far, memory, listed_at, room):
     """Walk through the tree of a surface A for a convex piece B."""
     a = surface_of(A)
     shift = shift_between(A, B)
     size = lengths(A, B, shift)
-    near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
     error = rounding_error(A, B, shift)
-    W, result = floats_at(memory + _GJK, (GJK_ENTRIES,)), floats_at(memory + _RESULT, (9,))
+    W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
     listed = integers_at(listed_at, (2 * room,))
     ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
-    box = floats_at(memory + _PLACED, (6,))
-    _box_in_frame(A, B, shift, far, size, box)
+    box = floats_at(memory + PLACED, (6,))
+    box_in_frame(A, B, shift, far, size, box)
     middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
     half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
     f = np.float32
@@ -425,7 +422,7 @@ def _with_piece(A, B, margin, memory, listed_at, room):
     wide = f(half[0]), f(half[1]), f(half[2])
     R = rotation_of(A)
     center = apply(R, middle)
-    stack = integers_at(memory, (_STACK,))
+    stack = integers_at(memory, (STACK,))
     stack[0] = 0
     height, open_pairs = 1, 0
     while height > 0:
@@ -444,7 +441,7 @@ def _with_piece(A, B, margin, memory, listed_at, room):
                 bits &= bits - 1
             continue
         leaf = leaf_of(child)
-        placed = floats_at(memory + _PLACED, (2 * BLOCK,))
+        placed = floats_at(memory + PLACED, (2 * BLOCK,))
         at = leaf * BLOCK
         mask = _within(a.blocks, at, middle[0], half[0])
         mask = mask & _within(a.blocks, at + LEAF, middle[1], half[1])
@@ -452,12 +449,12 @@ def _with_piece(A, B, margin, memory, listed_at, room):
         bits = movemask(mask) & ((1 << size_of(child)) - 1)
         if bits == 0:
             continue
-        _store_corners(placed, BLOCK, _placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
+        store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
         while bits != 0:
             lane = lowest_bit(bits)
             bits &= bits - 1
-            corners = _corners_at(placed, BLOCK, lane)
-            _write_triangle(W, 0, corners)
+            corners = corners_at(placed, BLOCK, lane)
+            write_triangle(W, 0, corners)
             n = minus(center, corners[0])
             if not dot(n, n) > 0.0:
                 n = (1.0, 0.0, 0.0)
@@ -484,11 +481,11 @@ def _with_piece(A, B, margin, memory, listed_at, room):
 def _within(blocks, at, middle, half):
     """Where eight triangles come within `half` of a place along an axis."""
     x, y, z = load(blocks, at), load(blocks, at + 3 * LEAF), load(blocks, at + 6 * LEAF)
-    return (_least(x, y, z) <= middle + half) & (_most(x, y, z) >= middle - half)
+    return (least(x, y, z) <= middle + half) & (most(x, y, z) >= middle - half)
 
 
 @njit()
-def _box_in_frame(A, B, shift, far, size, box):
+def box_in_frame(A, B, shift, far, size, box):
     """Write the box around a piece, in the axes of A's frame: lower corner, then upper, with all that rounds."""
     R = rotation_of(A)
     bend = 0.0

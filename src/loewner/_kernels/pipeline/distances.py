@@ -21,6 +21,9 @@ from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY,
 from loewner._kernels.narrow.gjk_fast import ENTRIES, NEAREST, begin, measure
 from loewner._kernels.narrow.gjk_fast import INSIDE as CORES_OVERLAP
 from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run
+from loewner._kernels.narrow.surface_boxes import is_surface
+from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
+from loewner._kernels.narrow.surface_distance import surface_distance
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import prefetch_points, radius
 from loewner._kernels.pipeline.bounds import (
@@ -77,7 +80,8 @@ _QUEUE = whole_lines(8 * ROWS * LANES)
 _VERTICES = _QUEUE + whole_lines(8 * QUEUE * LANES)
 _DEPTH = _VERTICES + whole_lines(8 * ENTRIES)
 _RESULT = _DEPTH + whole_lines(DEPTH_SIZE)
-MEMORY = _RESULT + whole_lines(8 * 9)  # bytes
+_SURFACES = _RESULT + whole_lines(8 * 9)
+MEMORY = _SURFACES + whole_lines(SURFACE_SIZE)  # bytes
 
 
 class Bounds(NamedTuple):
@@ -112,13 +116,14 @@ class Exact(NamedTuple):
 class Searches(NamedTuple):
     """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast.workspace`, and a result.
 
-    The result is a normal and two witnesses, nine numbers.
+    The result is a normal and two witnesses, nine numbers. `surfaces` is the address of memory for `surface_distance`.
     """
 
     vertices: Any
     faces: Any
     edges: Any
     result: Any
+    surfaces: Any
 
 
 class Left(NamedTuple):
@@ -226,6 +231,18 @@ def _measure_near(count, queue, operands, S, searches, exact):
         B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
         shift, n = three(S, SHIFT, lane), three(S, NORMAL, lane)
         size = S[SIZE * LANES + lane]
+        if is_surface(A) or is_surface(B):
+            ra, rb = radius(A), radius(B)
+            k, above = queue[PAIR, lane], S[ABOVE * LANES + lane]
+            limit = above if above < distance[k] else distance[k]
+            # A little more than the ellipsoids promise, for what their bounds round.
+            limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + ra + rb
+            value, gap = surface_distance(A, B, n, limit, faces, edges, searches.surfaces, result)
+            if value == np.inf and not distance[k] <= above:
+                exact.status[k] = NOT_SETTLED  # the ellipsoids said that something is nearer
+                continue
+            _record(lane, queue, Ta, S, value - ra - rb, gap, SETTLED, ra, rb, result, exact)
+            continue
         if is_round(A) and is_round(B):
             value, gap = round_distance(A, B, n, size, result)
             _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, exact)
@@ -391,7 +408,9 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
     S = floats_at(memory, (ROWS * LANES,))
     queue = integers_at(memory + _QUEUE, (QUEUE, LANES))
     faces, edges = depth_workspace_at(memory + _DEPTH)
-    searches = Searches(floats_at(memory + _VERTICES, (ENTRIES,)), faces, edges, floats_at(memory + _RESULT, (9,)))
+    searches = Searches(
+        floats_at(memory + _VERTICES, (ENTRIES,)), faces, edges, floats_at(memory + _RESULT, (9,)), memory + _SURFACES
+    )
     # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = np.int64(0), np.int64(0)

@@ -8,16 +8,16 @@ import numpy as np
 
 from loewner._kernels._jit import njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, INEXACT
-from loewner._kernels.columns import COLUMNS, KIND, LAYOUT, POINTS_TO, POLYTOPE, REACH, ROUNDING
+from loewner._kernels.columns import KIND
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.narrow.gjk_robust import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
+from loewner._kernels.narrow.surface_distance import PIECE, triangle_piece
 from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surfaces import surface_pair
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
-from loewner._kernels.pieces.shapes import core_support, radius, reach
+from loewner._kernels.pieces.shapes import core_support, radius
 from loewner._kernels.pipeline.verdicts import rows_of
-from loewner._kernels.records import Placed
 from loewner._kernels.trees import piece_tree
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
@@ -64,7 +64,8 @@ def _with_surface(A, B, margin, work):
     """Settle a piece pair with a surface; INEXACT if that is for whole numbers."""
     memory = np.empty(SURFACE_SIZE // 8)
     listed = np.empty((ROOM, 2), np.int64)
-    verdict, count = surface_pair(A, B, margin, memory.ctypes.data, listed.ctypes.data, ROOM)
+    near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
+    verdict, count = surface_pair(A, B, near, far, memory.ctypes.data, listed.ctypes.data, ROOM)
     if verdict != AMBIGUOUS:
         return verdict
     if is_surface(A) and is_surface(B):
@@ -72,24 +73,10 @@ def _with_surface(A, B, margin, work):
     if not is_surface(A):
         A, B = B, A
     for n in range(min(count, ROOM)):
-        verdict = _piece_pair(_as_piece(A, listed[n, 0]), B, margin, work)
+        verdict = _piece_pair(triangle_piece(A, listed[n, 0], np.empty(PIECE // 8).ctypes.data), B, margin, work)
         if verdict != FREE:
             return verdict
     return INEXACT if count <= ROOM else AMBIGUOUS
-
-
-@njit()
-def _as_piece(P, triangle):
-    """A triangle of a surface, by its block and lane, as a piece of its own."""
-    layout = np.zeros((1, LAYOUT), np.int64)
-    layout[0, KIND], layout[0, POINTS_TO] = POLYTOPE, LEAF
-    table = np.zeros((1, COLUMNS))
-    table[0, REACH], table[0, ROUNDING] = reach(P), radius(P)
-    points, blocks, at = np.empty(3 * LEAF), surface_of(P).blocks, triangle // LEAF * BLOCK + triangle % LEAF
-    for axis in range(3):
-        for lane in range(LEAF):
-            points[axis * LEAF + lane] = blocks[at + (3 * min(lane, 2) + axis) * LEAF]
-    return Placed(table, layout, points, 0, P.poses, P.row)
 
 
 @njit()
@@ -126,7 +113,8 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
             A, B = placed(a, found_a[c], Ta, ka), placed(b, found_b[c], Tb, kb)
             if not (is_surface(A) or is_surface(B)):
                 continue
-            verdict, more = surface_pair(A, B, margin, memory.ctypes.data, pairs.ctypes.data, len(pairs))
+            near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
+            verdict, more = surface_pair(A, B, near, far, memory.ctypes.data, pairs.ctypes.data, len(pairs))
             if verdict != AMBIGUOUS:
                 continue
             for n in range(-1, more if is_surface(A) and is_surface(B) else 0):

@@ -1,0 +1,658 @@
+"""How far apart a surface and another piece are, and at least how deep they are in each other.
+
+The nearest boxes first, by lower bounds in single precision; triangles eight at a time; and the nearest pair at last by
+GJK, as two pieces of their own, for the normal and the witnesses. Depth is that of the deepest pair of convex parts:
+what has to be moved by so much to come apart is at least as deep. For solids a ball of one body, or a point, that lies
+within the other says more: it has to come out.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import apart, inline, njit
+from loewner._kernels.codes import COLLIDING
+from loewner._kernels.columns import (
+    CACHE_LINE,
+    COLUMNS,
+    INNER_CENTER,
+    INNER_SIGMA,
+    KIND,
+    LAYOUT,
+    POINTS_TO,
+    POLYTOPE,
+    REACH,
+    ROUNDING,
+)
+from loewner._kernels.linalg3 import cross, dot, image, minus, plus, scaled
+from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
+from loewner._kernels.narrow.epa_fast import overlap_depth
+from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
+from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
+from loewner._kernels.narrow.gjk_fast import APART, NEAREST, begin, measure, place_piece
+from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
+from loewner._kernels.narrow.gjk_robust import lengths, rounding_error, run
+from loewner._kernels.narrow.surface_boxes import (
+    between,
+    box_at,
+    boxes_of,
+    is_solid,
+    is_surface,
+    meeting,
+    relation,
+    squared_gaps,
+    surface_of,
+)
+from loewner._kernels.narrow.surfaces import (
+    CORNER_ERROR,
+    GJK,
+    PLACED,
+    RESULT,
+    STACK,
+    WITHIN,
+    box_in_frame,
+    corners_at,
+    least,
+    most,
+    placed_corners,
+    point_within,
+    store_corners,
+    surface_pair,
+    write_triangle,
+)
+from loewner._kernels.narrow.surfaces import SIZE as WALK
+from loewner._kernels.narrow.triangles import doubt, length1, longest_edge, same_side, sides, squared_distances
+from loewner._kernels.pieces.pack import shift_between
+from loewner._kernels.pieces.shapes import radius, reach, rotation_of
+from loewner._kernels.records import Placed
+from loewner._kernels.simd.memory import floats_at, integers_at
+from loewner._kernels.simd.vectors import (
+    absolute,
+    load,
+    lowest_bit,
+    maximum,
+    minimum,
+    movemask,
+    select,
+    store,
+)
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
+
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded: so much of a squared lower bound is believed.
+BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B39
+
+# Bytes that a triangle takes as a piece of its own: layout, table, points.
+PIECE = 8 * (LAYOUT + COLUMNS + 3 * LEAF) + CACHE_LINE // 8 * 7
+
+# Memory: that of a walk, a lower bound for each entry of its stack, bounds of a node, and two triangles as pieces.
+_BOUNDS = WALK
+_LANES = _BOUNDS + 8 * STACK
+_PIECES = _LANES + 8 * WIDE
+SIZE = _PIECES + 2 * PIECE  # bytes
+
+# Points of connected parts that are looked at for depth.
+MOST_PARTS = 8
+
+
+@apart
+def surface_distance(A, B, n, limit, faces, edges, memory, result):
+    """Signed distance of the cores of two pieces, one at least a surface.
+
+    Parameters
+    ----------
+    A, B : Placed
+    n : tuple of 3 float
+        A direction from A to B.
+    limit : float
+        Distances of cores above this are of no interest.
+    faces, edges : ndarray
+        Workspace of `epa_fast`.
+    memory : int
+        Address of SIZE bytes to write to.
+    result : ndarray, shape (9,)
+        Receives the unit normal from A to B, and the witnesses relative to a's translation.
+
+    Returns
+    -------
+    distance : float
+        inf if it is above the limit. If negative, the depth is at least that; it is that of a pair of convex parts.
+    gap : float
+        How far bounds on it are apart.
+    """
+    shift = shift_between(A, B)
+    verdict, _ = surface_pair(A, B, 0.0, 0.0, memory, memory, 0)
+    if verdict == COLLIDING:
+        return -_depth(A, B, shift, n, faces, edges, memory, result), 0.0
+    if is_surface(A) and is_surface(B):
+        triangle_a, triangle_b = _nearest_triangles(A, B, shift, limit, memory)
+        if triangle_a < 0:
+            return np.inf, 0.0
+        A = triangle_piece(A, triangle_a, memory + _PIECES)
+        B = triangle_piece(B, triangle_b, memory + _PIECES + PIECE)
+    elif is_surface(A):
+        triangle = _nearest_to_piece(A, B, shift, limit, memory)
+        if triangle < 0:
+            return np.inf, 0.0
+        A = triangle_piece(A, triangle, memory + _PIECES)
+    else:
+        triangle = _nearest_to_piece(B, A, (-shift[0], -shift[1], -shift[2]), limit, memory)
+        if triangle < 0:
+            return np.inf, 0.0
+        B = triangle_piece(B, triangle, memory + _PIECES)
+    return _between_pieces(A, B, shift, n, memory, result)
+
+
+@inline
+def triangle_piece(P, triangle, memory):
+    """A triangle of a surface, by its block and lane, as a piece of its own, in PIECE bytes of memory."""
+    layout = integers_at(memory, (1, LAYOUT))
+    table = floats_at(memory + 8 * LAYOUT, (1, COLUMNS))
+    points = floats_at(memory + 8 * (LAYOUT + COLUMNS), (3 * LEAF,))
+    for c in range(LAYOUT):
+        layout[0, c] = 0
+    for c in range(COLUMNS):
+        table[0, c] = 0.0
+    layout[0, KIND], layout[0, POINTS_TO] = POLYTOPE, LEAF
+    table[0, REACH], table[0, ROUNDING] = reach(P), radius(P)
+    blocks, at = surface_of(P).blocks, triangle // LEAF * BLOCK + triangle % LEAF
+    for axis in range(3):
+        for lane in range(LEAF):
+            points[axis * LEAF + lane] = blocks[at + (3 * min(lane, 2) + axis) * LEAF]
+    return Placed(table, layout, points, 0, P.poses, P.row)
+
+
+@njit()
+def _between_pieces(A, B, shift, n, memory, result):
+    """Distance of two convex cores that are apart or nearly touch, and the gap of its bounds."""
+    error = rounding_error(A, B, shift)
+    W = floats_at(memory + GJK, (GJK_ENTRIES,))
+    ends = begin(A, B, shift, W)
+    status, below, above = measure(A, B, shift, W, ends, n, error, -np.inf, np.inf, result)
+    if status == NEAREST:
+        return above, above - below
+    G, weights, d = np.empty((4, 9)), np.empty(4), np.empty(3)
+    _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
+    radii = radius(A) + radius(B)  # which `run` takes off
+    if k == 4:
+        above = below = -radii
+    for c in range(3):
+        result[c] = -d[c]
+    for c in range(6):
+        result[3 + c] = 0.0
+        for row in range(k):
+            result[3 + c] += weights[row] * G[row, 3 + c]
+    return above + radii, above - below
+
+
+# -- the nearest triangles --------------------------------------------------------------------------
+
+
+@inline
+def _push(stack, bounds, height, base, first, second, bound):
+    """Put an entry on a stack, below those of the same node that are nearer."""
+    at = height
+    while at > base and bounds[at - 1] < bound:
+        stack[2 * at], stack[2 * at + 1] = stack[2 * at - 2], stack[2 * at - 1]
+        bounds[at] = bounds[at - 1]
+        at -= 1
+    stack[2 * at], stack[2 * at + 1] = first, second
+    bounds[at] = bound
+    return height + 1
+
+
+@njit()
+def _nearest_triangles(A, B, shift, limit, memory):
+    """Triangles of two surfaces that are nearest to each other, by block and lane; -1 if none comes within `limit`."""
+    a, b = surface_of(A), surface_of(B)
+    size = lengths(A, B, shift)
+    error = CORNER_ERROR * size
+    about = relation(A, B, shift, size, 0.0)
+    stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
+    lanes = floats_at(memory + _LANES, (WIDE,))
+    placed = floats_at(memory + PLACED, (2 * BLOCK,))
+    best = limit * limit
+    found_a = found_b = -1
+    stack[0], stack[1], bounds[0] = 0, 0, 0.0
+    height = 1
+    while height > 0:
+        height -= 1
+        if bounds[height] * BELIEVED > best:
+            continue
+        slot_a, slot_b = stack[2 * height], stack[2 * height + 1]
+        child_a, child_b = a.children[slot_a], b.children[slot_b]
+        if child_a < 0 and child_b < 0:
+            leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
+            store_corners(placed, 0, placed_corners(A, a.blocks, leaf_a, (0.0, 0.0, 0.0)))
+            others = placed_corners(B, b.blocks, leaf_b, shift)
+            for lane in range(size_of(child_a)):
+                corners = corners_at(placed, 0, lane)
+                bits = movemask(_box_gaps(corners, others) <= best) & ((1 << size_of(child_b)) - 1)
+                if bits == 0:
+                    continue
+                store(lanes, 0, squared_distances(corners, others, error))
+                while bits != 0:
+                    other = lowest_bit(bits)
+                    bits &= bits - 1
+                    if lanes[other] <= best:
+                        best = lanes[other]
+                        found_a, found_b = leaf_a * LEAF + lane, leaf_b * LEAF + other
+            continue
+        middle_a, half_a = box_at(a.boxes, slot_a)
+        middle_b, half_b = box_at(b.boxes, slot_b)
+        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
+        if child_b < 0 or (child_a >= 0 and larger_a):
+            middles, halves = boxes_of(a.boxes, child_a)
+            gaps = squared_gaps(about, between(about, middles, middle_b), halves, half_b)
+            height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_a, slot_b, True)
+        else:
+            middles, halves = boxes_of(b.boxes, child_b)
+            gaps = squared_gaps(about, between(about, middle_a, middles), half_a, halves)
+            height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_b, slot_a, False)
+    return found_a, found_b
+
+
+@inline
+def _push_near(stack, bounds, kept, height, gaps, halves, best, child, other, first):
+    """Put the boxes of a node that may be near enough on the stack, the nearest on top."""
+    bits = movemask((gaps <= np.float32(best * (1.0 + 2e-5) + 1e-37)) & (halves[0] >= np.float32(0.0)))
+    store(kept, 0, gaps)
+    base = height
+    while bits != 0:
+        lane = lowest_bit(bits)
+        bits &= bits - 1
+        bound = kept[lane]
+        if first:
+            height = _push(stack, bounds, height, base, child * WIDE + lane, other, bound)
+        else:
+            height = _push(stack, bounds, height, base, other, child * WIDE + lane, bound)
+    return height
+
+
+@inline
+def _box_gaps(a, b):
+    """Squared distances of the box of a triangle from those of eight."""
+    total = _gap(a, b, 0) + _gap(a, b, 1) + _gap(a, b, 2)
+    return total
+
+
+@inline
+def _gap(a, b, axis):
+    low, high = least(a[0][axis], a[1][axis], a[2][axis]), most(a[0][axis], a[1][axis], a[2][axis])
+    below = least(b[0][axis], b[1][axis], b[2][axis]) - high
+    above = low - most(b[0][axis], b[1][axis], b[2][axis])
+    gap = maximum(maximum(below, above), 0.0)
+    return gap * gap
+
+
+@njit()
+def _nearest_to_piece(A, B, shift, limit, memory):
+    """Triangle of surface A that is nearest to the convex piece B; -1 if none comes within `limit`."""
+    a = surface_of(A)
+    size = lengths(A, B, shift)
+    error = rounding_error(A, B, shift)
+    W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
+    ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
+    box = floats_at(memory + PLACED, (6,))
+    box_in_frame(A, B, shift, 0.0, size, box)
+    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
+    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
+    f = np.float32
+    single, wide = (f(middle[0]), f(middle[1]), f(middle[2])), (f(half[0]), f(half[1]), f(half[2]))
+    center = image(rotation_of(A), (0.0, 0.0, 0.0), middle)
+    stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
+    lanes = floats_at(memory + _LANES, (WIDE,))
+    placed = floats_at(memory + PLACED, (2 * BLOCK,))
+    best, found = limit, -1
+    stack[0], stack[1], bounds[0] = 0, 0, 0.0
+    height = 1
+    while height > 0:
+        height -= 1
+        if bounds[height] * BELIEVED > best * best:
+            continue
+        child = a.children[stack[2 * height]]
+        if child >= 0:
+            middles, halves = boxes_of(a.boxes, child)
+            x = maximum(absolute(middles[0] - single[0]) - (halves[0] + wide[0]), f(0.0))
+            y = maximum(absolute(middles[1] - single[1]) - (halves[1] + wide[1]), f(0.0))
+            z = maximum(absolute(middles[2] - single[2]) - (halves[2] + wide[2]), f(0.0))
+            height = _push_near(
+                stack, bounds, lanes, height, x * x + y * y + z * z, halves, best * best, child, np.int64(0), True
+            )
+            continue
+        leaf = leaf_of(child)
+        x = _reach_of(a.blocks, leaf * BLOCK, middle[0], half[0])
+        y = _reach_of(a.blocks, leaf * BLOCK + LEAF, middle[1], half[1])
+        z = _reach_of(a.blocks, leaf * BLOCK + 2 * LEAF, middle[2], half[2])
+        bits = movemask((x * x + y * y + z * z) * BELIEVED <= best * best) & ((1 << size_of(child)) - 1)
+        if bits == 0:
+            continue
+        store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
+        while bits != 0:
+            lane = lowest_bit(bits)
+            bits &= bits - 1
+            corners = corners_at(placed, BLOCK, lane)
+            write_triangle(W, 0, corners)
+            n = minus(center, corners[0])
+            if not dot(n, n) > 0.0:
+                n = (1.0, 0.0, 0.0)
+            status, _, above = measure(A, B, shift, W, ends, n, error, -np.inf, best, result)
+            if status != APART and (above < best or status != NEAREST):
+                best = above if status == NEAREST else min(best, max(above, 0.0))
+                found = leaf * LEAF + lane
+    return found
+
+
+@inline
+def _reach_of(blocks, at, middle, half):
+    """How far eight triangles stay away from an interval, along an axis."""
+    x, y, z = load(blocks, at), load(blocks, at + 3 * LEAF), load(blocks, at + 6 * LEAF)
+    return maximum(maximum(least(x, y, z) - (middle + half), (middle - half) - most(x, y, z)), 0.0)
+
+
+# -- depth ------------------------------------------------------------------------------------------
+
+
+@njit()
+def _depth(A, B, shift, n, faces, edges, memory, result):
+    """At least how deep two pieces that meet are in each other."""
+    found = 0.0
+    result[0], result[1], result[2] = _unit(n)
+    for c in range(6):
+        result[3 + c] = 0.0
+    own = np.empty(9)
+    if is_surface(A) and is_surface(B):
+        found = _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result)
+    elif is_surface(A):
+        found = _deepest_to_piece(A, B, shift, found, 1.0, faces, edges, memory, own, result)
+    else:
+        found = _deepest_to_piece(
+            B, A, (-shift[0], -shift[1], -shift[2]), found, -1.0, faces, edges, memory, own, result
+        )
+    if is_solid(A):
+        found = _deepest_point(A, B, shift, found, 1.0, memory, result)
+    if is_solid(B):
+        found = _deepest_point(B, A, (-shift[0], -shift[1], -shift[2]), found, -1.0, memory, result)
+    return found
+
+
+@inline
+def _unit(n):
+    squared = dot(n, n)
+    if not 0.0 < squared < np.inf:
+        return 0.0, 0.0, 1.0
+    return scaled(1.0 / np.sqrt(squared), n)
+
+
+@njit()
+def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
+    """Depth of the deepest pair of triangles, if it is more than what was found."""
+    a, b = surface_of(A), surface_of(B)
+    size = lengths(A, B, shift)
+    error = CORNER_ERROR * size
+    about = relation(A, B, shift, size, 0.0)
+    stack, placed = integers_at(memory, (STACK,)), floats_at(memory + PLACED, (2 * BLOCK,))
+    stack[0], stack[1] = 0, 0
+    height = 2
+    while height > 0:
+        height -= 2
+        slot_a, slot_b = stack[height], stack[height + 1]
+        child_a, child_b = a.children[slot_a], b.children[slot_b]
+        if child_a < 0 and child_b < 0:
+            leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
+            store_corners(placed, 0, placed_corners(A, a.blocks, leaf_a, (0.0, 0.0, 0.0)))
+            others = placed_corners(B, b.blocks, leaf_b, shift)
+            store_corners(placed, BLOCK, others)
+            long_b = longest_edge(others[0], others[1], others[2])
+            for lane in range(size_of(child_a)):
+                corners = corners_at(placed, 0, lane)
+                bits = movemask(_box_gaps(corners, others) <= 0.0) & ((1 << size_of(child_b)) - 1)
+                if bits == 0:
+                    continue
+                long_a = longest_edge(corners[0], corners[1], corners[2])
+                side = doubt(long_a, long_a, length1(minus(others[0], corners[0])) + long_a + long_b, error)
+                on_a = sides(cross(minus(corners[1], corners[0]), minus(corners[2], corners[1])), corners[0], others)
+                bits &= ~movemask(same_side(on_a[0], on_a[1], on_a[2], side))
+                while bits != 0:
+                    other = lowest_bit(bits)
+                    bits &= bits - 1
+                    if _most_depth(corners, corners_at(placed, BLOCK, other)) <= found:
+                        continue
+                    S = triangle_piece(A, leaf_a * LEAF + lane, memory + _PIECES)
+                    T = triangle_piece(B, leaf_b * LEAF + other, memory + _PIECES + PIECE)
+                    n = minus(corners_at(placed, BLOCK, other)[0], corners[0])
+                    status, _, deep = overlap_depth(S, T, n, faces, edges, own)
+                    if status == DEPTH_SETTLED and deep > found:
+                        found = deep
+                        for c in range(9):
+                            result[c] = own[c]
+            continue
+        middle_a, half_a = box_at(a.boxes, slot_a)
+        middle_b, half_b = box_at(b.boxes, slot_b)
+        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
+        if child_b < 0 or (child_a >= 0 and larger_a):
+            middles, halves = boxes_of(a.boxes, child_a)
+            bits = meeting(about, between(about, middles, middle_b), halves, half_b)
+            while bits != 0:
+                stack[height], stack[height + 1] = child_a * WIDE + lowest_bit(bits), slot_b
+                height += 2
+                bits &= bits - 1
+        else:
+            middles, halves = boxes_of(b.boxes, child_b)
+            bits = meeting(about, between(about, middle_a, middles), half_a, halves)
+            while bits != 0:
+                stack[height], stack[height + 1] = slot_a, child_b * WIDE + lowest_bit(bits)
+                height += 2
+                bits &= bits - 1
+    return found
+
+
+@inline
+def _most_depth(a, b):
+    """Upper bound on the depth of two triangles: how far they have to go along either normal; 0 if they are apart."""
+    n, m = cross(minus(a[1], a[0]), minus(a[2], a[0])), cross(minus(b[1], b[0]), minus(b[2], b[0]))
+    return max(min(_overlap(n, a, b), _overlap(m, a, b)), 0.0)
+
+
+@inline
+def _overlap(n, a, b):
+    squared = dot(n, n)
+    if not squared > 0.0:
+        return np.inf
+    p, q, r = dot(n, a[0]), dot(n, a[1]), dot(n, a[2])
+    s, t, u = dot(n, b[0]), dot(n, b[1]), dot(n, b[2])
+    return min(max(p, max(q, r)) - min(s, min(t, u)), max(s, max(t, u)) - min(p, min(q, r))) / np.sqrt(squared)
+
+
+@njit()
+def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, result):
+    """Depth of the triangle of A that is deepest in the convex piece B; the result is turned round if sign is -1."""
+    a = surface_of(A)
+    box = floats_at(memory + PLACED, (6,))
+    box_in_frame(A, B, shift, 0.0, lengths(A, B, shift), box)
+    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
+    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
+    f = np.float32
+    single, wide = (f(middle[0]), f(middle[1]), f(middle[2])), (f(half[0]), f(half[1]), f(half[2]))
+    stack = integers_at(memory, (STACK,))
+    curved = B.layout[B.piece, KIND] != POLYTOPE
+    work = robust_workspace(curved)
+    G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
+    stack[0] = 0
+    height = 1
+    while height > 0:
+        height -= 1
+        child = a.children[stack[height]]
+        if child >= 0:
+            middles, halves = boxes_of(a.boxes, child)
+            bits = movemask(
+                (absolute(middles[0] - single[0]) <= halves[0] + wide[0])
+                & (absolute(middles[1] - single[1]) <= halves[1] + wide[1])
+                & (absolute(middles[2] - single[2]) <= halves[2] + wide[2])
+            )
+            while bits != 0:
+                stack[height] = child * WIDE + lowest_bit(bits)
+                height += 1
+                bits &= bits - 1
+            continue
+        leaf = leaf_of(child)
+        x = _reach_of(a.blocks, leaf * BLOCK, middle[0], half[0])
+        y = _reach_of(a.blocks, leaf * BLOCK + LEAF, middle[1], half[1])
+        z = _reach_of(a.blocks, leaf * BLOCK + 2 * LEAF, middle[2], half[2])
+        bits = movemask(x + y + z <= 0.0) & ((1 << size_of(child)) - 1)
+        while bits != 0:
+            S = triangle_piece(A, leaf * LEAF + lowest_bit(bits), memory + _PIECES)
+            bits &= bits - 1
+            deep = 0.0
+            if not curved:
+                status, _, deep = overlap_depth(S, B, (0.0, 0.0, 1.0), faces, edges, own)
+                if status != DEPTH_SETTLED:
+                    continue
+            else:
+                status, _, above, k = run(S, B, shift, (0.0, 0.0, 1.0), 0.0, False, G, weights, v, d)
+                if k < 4 and above + radius(S) + radius(B) > 0.0:
+                    continue
+                _, deep = penetration(S, B, shift, DEPTH_ACCURACY, work, own)
+                if deep == FLAT:
+                    continue
+            if deep > found:
+                found = deep
+                _write_turned(own, shift, sign, result)
+    return found
+
+
+@inline
+def _write_turned(own, shift, sign, result):
+    """Copy a normal and two witnesses; with sign -1 seen from the other body, whose translation is at `shift`."""
+    for c in range(3):
+        result[c] = sign * own[c]
+        if sign > 0.0:
+            result[3 + c], result[6 + c] = own[3 + c], own[6 + c]
+        else:
+            result[3 + c], result[6 + c] = own[6 + c] - shift[c], own[3 + c] - shift[c]
+
+
+@njit()
+def _deepest_point(A, B, shift, found, sign, memory, result):
+    """Depth of a ball of B, or of points of its parts, that lies within the solid A."""
+    size = lengths(A, B, shift)
+    R, own = rotation_of(B), np.empty(9)
+    t, c = B.table, INNER_CENTER
+    center = plus(image(R, (0.0, 0.0, 0.0), (t[B.piece, c], t[B.piece, c + 1], t[B.piece, c + 2])), shift)
+    ball = max(t[B.piece, INNER_SIGMA] * (1.0 - 1e-9) - radius(B), 0.0)
+    found = _deeper_point(A, center, ball, size, found, shift, sign, memory, own, result)
+    if is_surface(B):
+        parts = surface_of(B).parts
+        for at in range(0, min(len(parts), 3 * MOST_PARTS), 3):
+            x = image(R, shift, (parts[at], parts[at + 1], parts[at + 2]))
+            found = _deeper_point(A, x, 0.0, size, found, shift, sign, memory, own, result)
+    return found
+
+
+@njit()
+def _deeper_point(A, x, ball, size, found, shift, sign, memory, own, result):
+    """Depth of a ball about a point within the solid A, if it is more than what was found."""
+    if point_within(A, x, size, memory) != WITHIN:
+        return found
+    depth, near = nearest_point(A, x, np.inf, size, memory)
+    if not depth > 0.0 or not depth + ball > found:
+        return found
+    n = scaled(1.0 / depth, minus(near, x))
+    for c in range(3):
+        own[c], own[3 + c], own[6 + c] = n[c], near[c], x[c] - ball * n[c]
+    _write_turned(own, shift, sign, result)
+    return depth + ball
+
+
+# -- points -----------------------------------------------------------------------------------------
+
+
+@njit()
+def nearest_point(A, x, limit, size, memory):
+    """Distance of a point, in the world's axes from the translation of A, from surface A, and its nearest point.
+
+    inf if it is above `limit`.
+    """
+    a = surface_of(A)
+    R = rotation_of(A)
+    # In A's axes, which may be 1e-6 off; the triangles are placed.
+    q = dot((R[0], R[3], R[6]), x), dot((R[1], R[4], R[7]), x), dot((R[2], R[5], R[8]), x)
+    f = np.float32
+    single, slack = (f(q[0]), f(q[1]), f(q[2])), f(1e-5 * size)
+    stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
+    lanes = floats_at(memory + _LANES, (WIDE,))
+    placed = floats_at(memory + PLACED, (2 * BLOCK,))
+    best, near = limit * limit, x
+    found = -1
+    stack[0], stack[1], bounds[0] = 0, 0, 0.0
+    height = 1
+    while height > 0:
+        height -= 1
+        if bounds[height] * BELIEVED > best:
+            continue
+        child = a.children[stack[2 * height]]
+        if child >= 0:
+            middles, halves = boxes_of(a.boxes, child)
+            u = maximum(absolute(middles[0] - single[0]) - (halves[0] + slack), f(0.0))
+            v = maximum(absolute(middles[1] - single[1]) - (halves[1] + slack), f(0.0))
+            w = maximum(absolute(middles[2] - single[2]) - (halves[2] + slack), f(0.0))
+            height = _push_near(
+                stack, bounds, lanes, height, u * u + v * v + w * w, halves, best, child, np.int64(0), True
+            )
+            continue
+        corners = placed_corners(A, a.blocks, leaf_of(child), (0.0, 0.0, 0.0))
+        u, v, w = _nearest_on(corners, x)
+        squared = (u - x[0]) * (u - x[0]) + (v - x[1]) * (v - x[1]) + (w - x[2]) * (w - x[2])
+        bits = movemask(squared <= best) & ((1 << size_of(child)) - 1)
+        if bits == 0:
+            continue
+        store(lanes, 0, squared)
+        store(placed, 0, u)
+        store(placed, LEAF, v)
+        store(placed, 2 * LEAF, w)
+        while bits != 0:
+            lane = lowest_bit(bits)
+            bits &= bits - 1
+            if lanes[lane] <= best:
+                best, found = lanes[lane], lane
+                near = placed[lane], placed[LEAF + lane], placed[2 * LEAF + lane]
+    return (np.sqrt(best) if found >= 0 else np.inf), near
+
+
+@inline
+def _nearest_on(corners, x):
+    """Nearest points of eight triangles to a point: on an edge, or the foot on the plane where that lies inside."""
+    a, b, c = corners
+    edges = minus(b, a), minus(c, b), minus(a, c)
+    p, squared = _nearest_on_edge(a, edges[0], x)
+    other, less = _nearest_on_edge(b, edges[1], x)
+    p, squared = _nearer(p, squared, other, less)
+    other, less = _nearest_on_edge(c, edges[2], x)
+    p, squared = _nearer(p, squared, other, less)
+    normal = cross(edges[0], edges[1])
+    long = longest_edge(a, b, c)
+    square = dot(normal, normal)
+    h = minus(x, a)
+    inside = (
+        (dot(cross(edges[0], h), normal) >= 0.0)
+        & (dot(cross(edges[1], minus(x, b)), normal) >= 0.0)
+        & (dot(cross(edges[2], minus(x, c)), normal) >= 0.0)
+        & (square > (long * long) * (long * long) * 1e-24)
+    )
+    t = dot(normal, h) / square
+    foot = x[0] - t * normal[0], x[1] - t * normal[1], x[2] - t * normal[2]
+    return select(inside, foot[0], p[0]), select(inside, foot[1], p[1]), select(inside, foot[2], p[2])
+
+
+@inline
+def _nearest_on_edge(a, edge, x):
+    t = minimum(maximum(dot(minus(x, a), edge) / dot(edge, edge), 0.0), 1.0)
+    p = a[0] + t * edge[0], a[1] + t * edge[1], a[2] + t * edge[2]
+    d = minus(p, x)
+    return p, dot(d, d)
+
+
+@inline
+def _nearer(p, squared, q, other):
+    less = other < squared
+    return (
+        (select(less, q[0], p[0]), select(less, q[1], p[1]), select(less, q[2], p[2])),
+        select(less, other, squared),
+    )
