@@ -49,7 +49,7 @@ ENTRIES = {
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
         Entry("trees.piece_tree", "piece_trees", "I1 F2 F2", "F1 I1 I1"),
-        Entry("trees.triangle_tree", "triangle_tree", "F2 I2", "F1 I1 F1"),
+        Entry("trees.triangle_tree", "triangle_tree", "F2 I2", "F1 I1 F1 F1"),
         Entry("trees.triangle_mesh", "equal_vertices", "F2", "i I1"),
         Entry("trees.triangle_mesh", "part_vertices", "i I2", "I1"),
         Entry("trees.boxes", "body_boxes", "i i i i i F3 F2 F2", ""),

@@ -25,6 +25,8 @@ class SurfaceTree:
         Described in `loewner._kernels.trees.triangle_tree`.
     parts : ndarray, shape (3 parts,)
         A vertex of each connected part.
+    ellipsoids : ndarray of float32
+        Of the nodes, described there, too.
     table : ndarray of int64
         Where these are; kernels get its address.
     """
@@ -33,15 +35,16 @@ class SurfaceTree:
     children: Ints
     blocks: Floats
     parts: Floats
+    ellipsoids: NDArray[np.float32]
     table: Ints
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints) -> SurfaceTree:
         """Build the tree over some triangles, at least one."""
-        boxes, children, blocks = entries.triangle_tree(vertices, triangles)
+        boxes, children, blocks, ellipsoids = entries.triangle_tree(vertices, triangles)
         _, number = entries.equal_vertices(vertices)
         parts = vertices[_first(number)[entries.part_vertices(len(vertices), number[triangles])]].ravel()
-        return cls._at(boxes.astype(np.float32), children, blocks, parts)
+        return cls._at(boxes.astype(np.float32), children, blocks, parts, ellipsoids.astype(np.float32))
 
     @classmethod
     def _at(cls, *arrays: Any) -> SurfaceTree:
@@ -49,12 +52,16 @@ class SurfaceTree:
 
     def __reduce__(self) -> Any:
         """Copies are made anew: the table is of addresses."""
-        return type(self)._at, (self.boxes, self.children, self.blocks, self.parts)
+        return type(self)._at, self._arrays
+
+    @property
+    def _arrays(self) -> tuple[Any, ...]:
+        return self.boxes, self.children, self.blocks, self.parts, self.ellipsoids
 
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
-        return sum(int(a.nbytes) for a in (self.boxes, self.children, self.blocks, self.parts, self.table))
+        return sum(int(a.nbytes) for a in (*self._arrays, self.table))
 
 
 Trees = dict[int, SurfaceTree]

@@ -14,12 +14,12 @@ import numpy as np
 
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import KIND, SOLID, SURFACE, SURFACE_AT
-from loewner._kernels.linalg3 import apply_transposed
+from loewner._kernels.linalg3 import apply_symmetric, apply_transposed, dot
 from loewner._kernels.records import ENTRIES
 from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
-from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask
+from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask, sqrt
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
-from loewner._kernels.trees.triangle_tree import ROWS, WIDE
+from loewner._kernels.trees.triangle_tree import OVAL, ROWS, WIDE
 
 # What fifteen axes may be off by: so many times by how much both rotations fail to be orthonormal, and so many
 # roundoffs of single precision, of the lengths that places are made of.
@@ -34,6 +34,7 @@ class Tree(NamedTuple):
     children: Any
     blocks: Any
     parts: Any
+    ellipsoids: Any
 
 
 class Relation(NamedTuple):
@@ -71,12 +72,13 @@ def is_solid(P):
 @inline
 def surface_of(P):
     """Tree of a surface that is a piece."""
-    t = integers_at(P.layout[P.piece, SURFACE_AT], (4, ENTRIES))
+    t = integers_at(P.layout[P.piece, SURFACE_AT], (5, ENTRIES))
     return Tree(
         singles_at(t[0, 0], (t[0, 1],)),
         integers_at(t[1, 0], (t[1, 1],)),
         floats_at(t[2, 0], (t[2, 1],)),
         floats_at(t[3, 0], (t[3, 1],)),
+        singles_at(t[4, 0], (t[4, 1],)),
     )
 
 
@@ -202,3 +204,63 @@ def squared_gaps(relation, t, g, h):
     w = absolute(t[0] * m[2] + t[1] * m[5] + t[2] * m[8]) - ((h[2] + e) + (z[2] * g[0] + z[5] * g[1] + z[8] * g[2]))
     x, y, w = maximum(x, np.float32(0.0)), maximum(y, np.float32(0.0)), maximum(w, np.float32(0.0))
     return maximum(in_a, x * x + y * y + w * w)
+
+
+@inline
+def ellipsoids_of(ellipsoids, node):
+    """Centers of the ellipsoids of a node, and the roots of their shape matrices, as vectors."""
+    at = node * OVAL
+    return (
+        (load_single(ellipsoids, at), load_single(ellipsoids, at + WIDE), load_single(ellipsoids, at + 2 * WIDE)),
+        (
+            load_single(ellipsoids, at + 3 * WIDE),
+            load_single(ellipsoids, at + 4 * WIDE),
+            load_single(ellipsoids, at + 5 * WIDE),
+            load_single(ellipsoids, at + 6 * WIDE),
+            load_single(ellipsoids, at + 7 * WIDE),
+            load_single(ellipsoids, at + 8 * WIDE),
+        ),
+    )
+
+
+@inline
+def ellipsoid_at(ellipsoids, slot):
+    """The same of one ellipsoid."""
+    at = (slot >> 4) * OVAL + (slot & 15)
+    return (
+        (ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE]),
+        (
+            ellipsoids[at + 3 * WIDE],
+            ellipsoids[at + 4 * WIDE],
+            ellipsoids[at + 5 * WIDE],
+            ellipsoids[at + 6 * WIDE],
+            ellipsoids[at + 7 * WIDE],
+            ellipsoids[at + 8 * WIDE],
+        ),
+    )
+
+
+@inline
+def _width(root, n):
+    v = apply_symmetric(root, n)
+    return sqrt(dot(v, v))
+
+
+@inline
+def gaps_along(a, b, n_a, n_b, offset):
+    """Lower bounds on the distance of ellipsoids: how far they are apart along a unit vector, in the axes of both."""
+    return (dot(b[0], n_b) - _width(b[1], n_b)) - (dot(a[0], n_a) + _width(a[1], n_a)) + offset
+
+
+@inline
+def gaps_between_centers(relation, a, b):
+    """Lower bounds on the distance of ellipsoids, along the line of their centers; negative if that says nothing."""
+    t = between(relation, a[0], b[0])
+    m = relation.turn
+    u = (
+        m[0] * t[0] + m[3] * t[1] + m[6] * t[2],
+        m[1] * t[0] + m[4] * t[1] + m[7] * t[2],
+        m[2] * t[0] + m[5] * t[1] + m[8] * t[2],
+    )
+    squared = dot(t, t)
+    return (squared - _width(a[1], t) - _width(b[1], u)) / sqrt(squared + np.float32(1e-35)) - relation.slack

@@ -17,12 +17,13 @@ from loewner._kernels.columns import (
     INNER_SIGMA,
     KIND,
     LAYOUT,
+    OUTER_CENTER,
     POINTS_TO,
     POLYTOPE,
     REACH,
     ROUNDING,
 )
-from loewner._kernels.linalg3 import cross, dot, image, minus, plus, scaled
+from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, plus, scaled
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
@@ -34,6 +35,10 @@ from loewner._kernels.narrow.surface_boxes import (
     between,
     box_at,
     boxes_of,
+    ellipsoid_at,
+    ellipsoids_of,
+    gaps_along,
+    gaps_between_centers,
     is_solid,
     is_surface,
     meeting,
@@ -200,16 +205,20 @@ def _push(stack, bounds, height, base, first, second, bound):
 
 @njit()
 def _nearest_triangles(A, B, shift, limit, memory):
-    """Triangles of two surfaces that are nearest to each other, by block and lane; -1 if none comes within `limit`."""
+    """Triangles of two surfaces that are nearest to each other, by block and lane; -1 if none comes within `limit`.
+
+    Besides by boxes, what is too far is told by the ellipsoids along the normal of the nearest triangles so far.
+    """
     a, b = surface_of(A), surface_of(B)
     size = lengths(A, B, shift)
     error = CORNER_ERROR * size
     about = relation(A, B, shift, size, 0.0)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
-    lanes = floats_at(memory + _LANES, (WIDE,))
-    placed = floats_at(memory + PLACED, (2 * BLOCK,))
+    lanes, placed = floats_at(memory + _LANES, (WIDE,)), floats_at(memory + PLACED, (2 * BLOCK,))
     best = limit * limit
     found_a = found_b = -1
+    first = _between_middles(A, B, shift)
+    n, n_a, n_b, offset = _direction(A, B, shift, first)
     stack[0], stack[1], bounds[0] = 0, 0, 0.0
     height = 1
     while height > 0:
@@ -217,14 +226,25 @@ def _nearest_triangles(A, B, shift, limit, memory):
         if bounds[height] * BELIEVED > best:
             continue
         slot_a, slot_b = stack[2 * height], stack[2 * height + 1]
+        oval_a, oval_b = ellipsoid_at(a.ellipsoids, slot_a), ellipsoid_at(b.ellipsoids, slot_b)
+        gap = gaps_along(oval_a, oval_b, n_a, n_b, offset - about.slack)
+        if gap > 0.0 and gap * gap * BELIEVED > best:
+            continue
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
             store_corners(placed, 0, placed_corners(A, a.blocks, leaf_a, (0.0, 0.0, 0.0)))
             others = placed_corners(B, b.blocks, leaf_b, shift)
+            near = least(dot(others[0], n), dot(others[1], n), dot(others[2], n))
+            before = best
             for lane in range(size_of(child_a)):
                 corners = corners_at(placed, 0, lane)
-                bits = movemask(_box_gaps(corners, others) <= best) & ((1 << size_of(child_b)) - 1)
+                far = max(dot(corners[0], n), max(dot(corners[1], n), dot(corners[2], n)))
+                along = maximum(near - far, 0.0) * BELIEVED
+                bits = movemask((_box_gaps(corners, others) <= best) & (along * along <= best))
+                bits &= (1 << size_of(child_b)) - 1
+                if bits != 0:
+                    bits &= movemask(_middle_gaps(corners, others) <= best)
                 if bits == 0:
                     continue
                 store(lanes, 0, squared_distances(corners, others, error))
@@ -234,6 +254,14 @@ def _nearest_triangles(A, B, shift, limit, memory):
                     if lanes[other] <= best:
                         best = lanes[other]
                         found_a, found_b = leaf_a * LEAF + lane, leaf_b * LEAF + other
+            if best < before:
+                S = triangle_piece(A, found_a, memory + _PIECES)
+                T = triangle_piece(B, found_b, memory + _PIECES + PIECE)
+                result, W = floats_at(memory + RESULT, (9,)), floats_at(memory + GJK, (GJK_ENTRIES,))
+                ends = begin(S, T, shift, W)
+                status, _, _ = measure(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
+                if status == NEAREST:
+                    n, n_a, n_b, offset = _direction(A, B, shift, (result[0], result[1], result[2]))
             continue
         middle_a, half_a = box_at(a.boxes, slot_a)
         middle_b, half_b = box_at(b.boxes, slot_b)
@@ -241,12 +269,43 @@ def _nearest_triangles(A, B, shift, limit, memory):
         if child_b < 0 or (child_a >= 0 and larger_a):
             middles, halves = boxes_of(a.boxes, child_a)
             gaps = squared_gaps(about, between(about, middles, middle_b), halves, half_b)
+            ovals = ellipsoids_of(a.ellipsoids, child_a)
+            along = gaps_along(ovals, oval_b, n_a, n_b, offset - about.slack)
+            gaps = _larger(gaps, maximum(along, gaps_between_centers(about, ovals, oval_b)))
             height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_a, slot_b, True)
         else:
             middles, halves = boxes_of(b.boxes, child_b)
             gaps = squared_gaps(about, between(about, middle_a, middles), half_a, halves)
+            ovals = ellipsoids_of(b.ellipsoids, child_b)
+            along = gaps_along(oval_a, ovals, n_a, n_b, offset - about.slack)
+            gaps = _larger(gaps, maximum(along, gaps_between_centers(about, oval_a, ovals)))
             height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_b, slot_a, False)
     return found_a, found_b
+
+
+@inline
+def _between_middles(A, B, shift):
+    """Direction from the middle of one surface to that of the other."""
+    t, u, c = A.table, B.table, OUTER_CENTER
+    from_a = t[A.piece, c], t[A.piece, c + 1], t[A.piece, c + 2]
+    from_b = u[B.piece, c], u[B.piece, c + 1], u[B.piece, c + 2]
+    return minus(image(rotation_of(B), shift, from_b), image(rotation_of(A), (0.0, 0.0, 0.0), from_a))
+
+
+@inline
+def _direction(A, B, shift, n):
+    """A unit vector, the same in the axes of both frames in single precision, and how far the frames are apart."""
+    n = _unit(n)
+    a, b = apply_transposed(rotation_of(A), n), apply_transposed(rotation_of(B), n)
+    f = np.float32
+    return n, (f(a[0]), f(a[1]), f(a[2])), (f(b[0]), f(b[1]), f(b[2])), f(dot(n, shift))
+
+
+@inline
+def _larger(squared, gap):
+    """The larger of lower bounds on squared distances and on distances."""
+    gap = maximum(gap, np.float32(0.0))
+    return maximum(gap * gap, squared)
 
 
 @inline
@@ -264,6 +323,15 @@ def _push_near(stack, bounds, kept, height, gaps, halves, best, child, other, fi
         else:
             height = _push(stack, bounds, height, base, other, child * WIDE + lane, bound)
     return height
+
+
+@inline
+def _middle_gaps(a, b):
+    """Lower bounds on the squared distances of a triangle from eight, along the lines of their middles."""
+    n = minus(plus(plus(b[0], b[1]), b[2]), plus(plus(a[0], a[1]), a[2]))
+    near = least(dot(b[0], n), dot(b[1], n), dot(b[2], n))
+    gap = maximum(near - most(dot(a[0], n), dot(a[1], n), dot(a[2], n)), 0.0)
+    return gap * gap * BELIEVED / dot(n, n)
 
 
 @inline

@@ -141,7 +141,7 @@ def _call(builder, name, *args):
 
 
 def _result(args):
-    return _joint(args) or types.float64
+    return _joint(args) or (types.float32 if set(args) == {types.float32} else types.float64)
 
 
 @intrinsic

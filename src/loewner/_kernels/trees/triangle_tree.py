@@ -6,6 +6,10 @@ that is not negative, else a leaf, `leaf_of` of it and how many triangles it has
 A leaf is a block of eight triangles, nine rows of double precision: x, y, z of the first corners, of the second and of
 the third. The last triangle fills up a block.
 
+Each box has an ellipsoid as well, around the same triangles: nine rows of single precision, its center and the root of
+its shape matrix (xx, xy, xz, yy, yz, zz). Patches of a surface are flat and lie askew, where boxes are thick: the
+ellipsoid is that of the corners' covariance, as thin as they are along any direction.
+
 The tree is built from the top by the surface area heuristic.
 
 References
@@ -21,6 +25,7 @@ WIDE = 16  # boxes of a node
 ROWS = 6 * WIDE  # numbers of a node
 LEAF = 8  # triangles of a leaf at most
 BLOCK = 9 * LEAF  # numbers of a leaf
+OVAL = 9 * WIDE  # numbers of a node's ellipsoids
 
 BINS = 16
 DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
@@ -29,6 +34,13 @@ LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 # How many triangles a box of a node is to hold so that the node below it is well filled: a node of leaves has some 80.
 _FULL = 80
 _WIDER = 12
+
+# An ellipsoid is at least this thin, relative to its width, and this much wider than its corners; single precision can
+# turn it by a part in ten million.
+FLATTEST = 1e-6
+WIDER = 1.0 + 1e-5
+
+SWEEPS = 5  # of Jacobi's rotations, which converge quadratically
 
 UP = 1.0 + 2.0**-22  # more than what rounding to single precision takes
 _LEAST = 1e-37  # the same for numbers near zero
@@ -75,6 +87,8 @@ def triangle_tree(vertices, triangles):
         WIDE for each node.
     blocks : ndarray
         BLOCK for each leaf.
+    ellipsoids : ndarray
+        OVAL for each node, of single precision likewise.
     """
     count = triangles.shape[0]
     box, order = np.empty((count, 6), np.float32), np.arange(count)
@@ -89,12 +103,14 @@ def triangle_tree(vertices, triangles):
     hull = np.empty((WIDE, 6), np.float32)
     room = 4 + count // 24
     boxes, children = np.zeros(room * ROWS), np.zeros(room * WIDE, np.int64)
+    ellipsoids = np.zeros(room * OVAL)
     leaf_from = np.empty(4 + count // 4, np.int64)
     nodes, leaves = 1, 0
     waiting = np.empty((LEVELS * WIDE, 4), np.int64)  # from, to, splits above, where the child is to be written
     _clear(boxes, 0)
     _hull(box, 0, count, hull, 0)
     _write(boxes, 0, hull, 0)
+    _enclose(vertices, triangles, order, 0, count, ellipsoids, 0)
     waiting[0] = (0, count, 0, 0)
     left = 1
     while left > 0:
@@ -108,7 +124,7 @@ def triangle_tree(vertices, triangles):
             leaves += 1
             continue
         if (nodes + 1) * WIDE > len(children):
-            boxes, children = _longer(boxes), _longer(children)
+            boxes, children, ellipsoids = _longer(boxes), _longer(children), _longer(ellipsoids)
         children[slot] = nodes
         enough = LEAF
         while enough * _WIDER < last - first:
@@ -134,6 +150,7 @@ def triangle_tree(vertices, triangles):
         _clear(boxes, nodes)
         for k in range(used):
             _write(boxes, nodes * ROWS + k, hull, k)
+            _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], ellipsoids, nodes * OVAL + k)
             waiting[left] = (ranges[k, 0], ranges[k, 1], ranges[k, 2], nodes * WIDE + k)
             left += 1
         nodes += 1
@@ -149,7 +166,7 @@ def triangle_tree(vertices, triangles):
                 for axis in range(3):
                     at = leaf * BLOCK + (3 * corner + axis) * LEAF + lane
                     blocks[at] = vertices[triangles[t, corner], axis]
-    return boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy(), blocks
+    return boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy(), blocks, ellipsoids[: nodes * OVAL].copy()
 
 
 @njit()
@@ -177,6 +194,78 @@ def _write(boxes, at, hull, k):
         middle = float(np.float32(0.5 * low + 0.5 * high))
         boxes[at + axis * WIDE] = middle
         boxes[at + (3 + axis) * WIDE] = float(np.float32(max(high - middle, middle - low) * UP + _LEAST))
+
+
+@njit()
+def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
+    """Write the ellipsoid of the covariance of the corners of some triangles, scaled to hold them all."""
+    count = 3.0 * (last - first)
+    x = y = z = 0.0
+    for n in range(first, last):
+        for corner in range(3):
+            v = triangles[order[n], corner]
+            x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
+    # The center as it is kept, so that nothing is off by its rounding.
+    x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
+    xx = xy = xz = yy = yz = zz = 0.0
+    for n in range(first, last):
+        for corner in range(3):
+            v = triangles[order[n], corner]
+            p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
+            xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
+    U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count)
+    # Half widths along the axes found, however well: directions with none still get what rounding may hide there.
+    least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
+    a, b, c = (
+        np.sqrt(max(spread[0], 0.0)) + least, np.sqrt(max(spread[1], 0.0)) + least, np.sqrt(max(spread[2], 0.0)) + least
+    )  # fmt: skip
+    farthest = 0.0
+    for n in range(first, last):
+        for corner in range(3):
+            v = triangles[order[n], corner]
+            p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
+            s = (U[0] * p + U[3] * q + U[6] * r) / a
+            t = (U[1] * p + U[4] * q + U[7] * r) / b
+            u = (U[2] * p + U[5] * q + U[8] * r) / c
+            farthest = max(farthest, s * s + t * t + u * u)
+    scale = np.sqrt(farthest) * WIDER
+    a, b, c = a * scale, b * scale, c * scale
+    ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
+    row = 3
+    for i in range(3):
+        for j in range(i, 3):
+            entry = U[3 * i] * U[3 * j] * a + U[3 * i + 1] * U[3 * j + 1] * b + U[3 * i + 2] * U[3 * j + 2] * c
+            ellipsoids[at + row * WIDE] = float(np.float32(entry))
+            row += 1
+
+
+@njit()
+def _principal(xx, xy, xz, yy, yz, zz):
+    """Principal axes of a symmetric matrix, as the columns of nine numbers in row order, and its values along them.
+
+    Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
+    """
+    A = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    U = np.eye(3)
+    for _ in range(SWEEPS):
+        for turn in range(3):
+            i, j = (0, 1) if turn == 0 else (0, 2) if turn == 1 else (1, 2)
+            if A[i, j] == 0.0:
+                continue
+            slope = (A[j, j] - A[i, i]) / (2.0 * A[i, j])
+            t = np.copysign(1.0, slope) / (abs(slope) + np.sqrt(1.0 + slope * slope))
+            c = 1.0 / np.sqrt(1.0 + t * t)
+            s = t * c
+            for k in range(3):
+                A[k, i], A[k, j] = c * A[k, i] - s * A[k, j], s * A[k, i] + c * A[k, j]
+            for k in range(3):
+                A[i, k], A[j, k] = c * A[i, k] - s * A[j, k], s * A[i, k] + c * A[j, k]
+            for k in range(3):
+                U[k, i], U[k, j] = c * U[k, i] - s * U[k, j], s * U[k, i] + c * U[k, j]
+    return (
+        (U[0, 0], U[0, 1], U[0, 2], U[1, 0], U[1, 1], U[1, 2], U[2, 0], U[2, 1], U[2, 2]),
+        (A[0, 0], A[1, 1], A[2, 2]),
+    )
 
 
 @njit()
