@@ -17,7 +17,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.fits.dense import multiply_lower
 from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.linalg3 import along, cross, dot, minus, plus, scaled
-from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 # Triangles that share a box. They are next to each other in space, and most questions are about few boxes.
 BLOCK = 32
@@ -31,7 +31,7 @@ FEWEST_CHORDS = 64
 MOST_CHORDS = 512
 
 # Where on a chord a seed may be.
-PLACES = (0.5, 0.25, 0.75)
+PLACES = (0.5, 0.2, 0.8, 0.1, 0.9)
 
 # Precision of the distances of seeds.
 ROUGH = 0.8
@@ -52,8 +52,8 @@ GROWTH = 1.02
 # Half the box, in the ellipsoid's metric, in which a round looks for triangles.
 REACH = 6.0
 
-# Planes of a round, at most. A plane stands for all triangles beyond it, and for those that come before it by a share of
-# its distance: CLOSE at first, twice as much after each STEP planes more, so that their number stays bounded.
+# Planes of a round, at most. A plane stands for all triangles beyond it, and for those that come before it by a share
+# of its distance: CLOSE at first, twice as much after each STEP planes more, so that their number stays bounded.
 MOST_PLANES = 120
 STEP = 30
 CLOSE = 0.01
@@ -67,11 +67,16 @@ NEAR = 4096
 # From here on a mesh is large: fewer seeds and rounds.
 LARGE = 200_000
 
-# Where an ellipsoid ends in one before it, at the most, in units of its semi-axes.
-OVERLAP = 0.5
+# Seeds that grow as far as they can, for one large ellipsoid counts most. Those after them stay out of the ellipsoids
+# there are, but for OVERLAP, in units of their semi-axes from their centers.
+UNCUT = 3
+OVERLAP = 0.2
 
 # Gap in log-volume of the fits: what is left in is less than what planes leave out.
 FIT_TOLERANCE = 1e-3
+
+# Where in an ellipsoid, in units of its semi-axes, the winding number is asked for.
+OFF_CENTER = 0.0271, 0.0317, 0.0123
 
 # Points that measure how much of an ellipsoid lies in others.
 POINTS = 128
@@ -175,8 +180,19 @@ def lay_out(vertices, triangles, origin, scale, soup, boxes):
 
 @inline
 def beyond(direction, a, b, c):
-    """How far a triangle lies beyond the origin along a direction of any length; a lower bound on its distance."""
-    return min(dot(direction, a), dot(direction, b), dot(direction, c)) / np.sqrt(dot(direction, direction))
+    """How far a triangle lies beyond the origin along a direction: a lower bound on its distance; -inf if none."""
+    length2 = dot(direction, direction)
+    if not LEAST_SQUARE < length2 < np.inf:
+        return -np.inf
+    return min(dot(direction, a), dot(direction, b), dot(direction, c)) / np.sqrt(length2)
+
+
+@inline
+def clears(a, b, c, distance):
+    """Whether a triangle lies beyond the origin by `distance` along the direction to its middle: soon asked."""
+    m = plus(a, plus(b, c))
+    ahead = min(dot(m, a), dot(m, b), dot(m, c))
+    return ahead > 0.0 and ahead * ahead >= max(distance * distance * dot(m, m), LEAST_SQUARE)
 
 
 @inline
@@ -190,10 +206,10 @@ def nearest_on_edge(a, b):
 
 @njit()
 def separation(a, b, c):
-    """The direction along which a triangle lies farthest beyond the origin, and how far: its distance.
+    """Distance of a triangle from the origin, and a direction along which it lies as far beyond it.
 
-    Directions are to the nearest points (Ericson, Real-Time Collision Detection, 2005, 5.1.5). However a direction came
-    about, the triangle lies as far beyond the origin as is returned; where digits are lost, that is less than its distance.
+    The direction is to the nearest point (Ericson, Real-Time Collision Detection, 2005, 5.1.5). However it came about,
+    the triangle lies beyond the origin by what is returned; where digits are lost, that is less than its distance.
     """
     ab = minus(b, a)
     ac = minus(c, a)
@@ -222,8 +238,6 @@ def separation(a, b, c):
     n = cross(ab, ac)
     if dot(n, a) < 0.0:
         n = scaled(-1.0, n)
-    if not distance > -np.inf:
-        distance = -np.inf
     for guess in (n, nearest_on_edge(a, b), nearest_on_edge(b, c), nearest_on_edge(c, a)):
         value = beyond(guess, a, b, c)
         if value > distance:
@@ -253,9 +267,7 @@ def clearance(soup, boxes, center, G, limit, precision):
             a = lower(G, minus(p, center))
             b = lower(G, minus(q, center))
             c = lower(G, minus(r, center))
-            m = plus(a, plus(b, c))
-            least = min(dot(m, a), dot(m, b), dot(m, c))
-            if least > 0.0 and least * least >= enough * enough * dot(m, m):
+            if clears(a, b, c, enough):
                 continue
             distance, _ = separation(a, b, c)
             if distance < best:
@@ -270,10 +282,10 @@ def clearance(soup, boxes, center, G, limit, precision):
 def winding(soup, boxes, p):
     """How often the surface winds around a point that is not on it.
 
-    The plane y = p_y cuts the mesh in closed polygons, and what is counted are their crossings of the ray from the point
-    towards +z. Each corner of a polygon is computed from one edge of the mesh, from its lower end to its upper one, and
-    so is the same in both triangles of the edge. So rounding moves the polygons, but does not open them: the count is
-    exact for a point farther from the mesh than rounding (a few units in 1e16).
+    The plane y = p_y cuts the mesh in closed polygons, and what is counted are their crossings of the ray from the
+    point towards +z. Each corner of a polygon is computed from one edge of the mesh, from its lower end to its upper
+    one, and so is the same in both triangles of the edge. So rounding moves the polygons, but does not open them: the
+    count is exact for a point farther from the mesh than rounding (a few units in 1e16).
     """
     count = 0
     for block in range(len(boxes)):
@@ -376,10 +388,8 @@ def collect(soup, boxes, center, G, group, near, ways, distances):
             a = lower(G, minus(p, center))
             b = lower(G, minus(q, center))
             c = lower(G, minus(r, center))
-            m = plus(a, plus(b, c))
-            ahead = min(dot(m, a), dot(m, b), dot(m, c))
             limit = min(least, 2.0 * REACH)
-            if ahead > 0.0 and ahead * ahead >= limit * limit * dot(m, m):
+            if clears(a, b, c, limit):
                 continue
             distance, way = separation(a, b, c)
             if not distance > 0.0:
@@ -402,12 +412,12 @@ def collect(soup, boxes, center, G, group, near, ways, distances):
 
 @njit()
 def choose_planes(near, ways, distances, order, left, count, rows, planes, most):
-    """Planes between the unit ball and the triangles `left`, those of least `order` first, until none or `most` are left.
+    """Planes between the unit ball and the triangles `left`, the first by `order` first, until no triangle is left.
 
-    They become rows of {y : rows y <= 1}, after the `planes` that are there. Returns how many rows there are.
+    They become rows of {y : rows y <= 1}, `most` at most, after the `planes` that are there. Returns their number.
     """
     first = planes
-    count, nearest = keep_before(near, order, left, count, -1, rows[0], np.inf)
+    count, nearest = keep_before(near, order, left, count, -1, rows[0], np.inf)  # all of them
     while count > 0 and planes < first + most:
         for k in range(3):
             rows[planes, k] = ways[nearest, k] / distances[nearest]
@@ -445,9 +455,7 @@ def met(near, found, shift, low, order, left):
     for t in range(found):
         a, b, c = corners(near, t)
         a, b, c = lower(G, minus(a, shift)), lower(G, minus(b, shift)), lower(G, minus(c, shift))
-        m = plus(a, plus(b, c))
-        ahead = min(dot(m, a), dot(m, b), dot(m, c))
-        if ahead > 0.0 and ahead * ahead >= dot(m, m):
+        if clears(a, b, c, 1.0):
             continue
         distance, _ = separation(a, b, c)
         if distance < 1.0 - FIT_TOLERANCE:
@@ -591,27 +599,17 @@ def find_seeds(soup, boxes, wanted, seeds, radii):
 
 
 @njit()
-def next_seed(seeds, radii, found, centers, factors, count):
-    """The seed that promises most: far from the surface, and outside the ellipsoids there are; -1 if none is left."""
-    best = 0.0
-    choice = -1
+def discount(seeds, radii, scores, found, center, factor):
+    """Lower the scores of seeds in an ellipsoid to 0, and those of seeds near it; a score is a length."""
+    G = inverse(factor)
     for i in range(found):
-        score = radii[i]
-        for j in range(count):
-            y = lower(
-                inverse(factors[j]),
-                minus((seeds[i, 0], seeds[i, 1], seeds[i, 2]), (centers[j, 0], centers[j, 1], centers[j, 2])),
-            )
-            score = min(score, radii[i] * (np.sqrt(dot(y, y)) - 1.0))
-        if score > best:
-            best = score
-            choice = i
-    return choice
+        y = lower(G, minus((seeds[i, 0], seeds[i, 1], seeds[i, 2]), (center[0], center[1], center[2])))
+        scores[i] = min(scores[i], max(radii[i] * (np.sqrt(dot(y, y)) - 1.0), 0.0))
 
 
 @njit()
 def cut_off(seed, centers, factors, count, cuts):
-    """Half-spaces {x : n x >= offset} that keep what grows from a seed out of the far sides of the ellipsoids there are.
+    """Half-spaces {x : n x >= offset} that keep what grows from a seed out of most of the ellipsoids there are.
 
     Without them all seeds of a convex solid would grow to the same ellipsoid.
     """
@@ -685,8 +683,8 @@ def prove(soup, boxes, origin, scale, center, factor):
     Rounding, in units of u: corners and center move by 1 each when they become relative, their difference rounds by 2,
     and the three products and sums of a row of G by 6 more, times the row's sum g_k of |G_kj|: 10 g in all for a
     corner, where g is the length of (g_1, g_2, g_3). A corner is at most 2 g from the origin. That a triangle lies
-    beyond the origin along a direction is asked of its corners: 6 g for the product, 8 g for the direction's length. Boxes
-    are WIDER by more than their centers round. 24 g are derived, 64 g are taken.
+    beyond the origin along a direction is asked of its corners: 6 g for the product, 8 g for the direction's length.
+    Boxes are WIDER by more than their centers round. 24 g are derived, 64 g are taken.
     """
     middle = (center[0] - origin[0]) * scale, (center[1] - origin[1]) * scale, (center[2] - origin[2]) * scale
     F = np.empty((3, 3))
@@ -705,7 +703,8 @@ def prove(soup, boxes, origin, scale, center, factor):
         need = 1.0 + error + doubt
         share = clearance(soup, boxes, middle, G, 2.0 * need - 1.0, 1.0)
         if share >= need:
-            return winding(soup, boxes, middle) != 0
+            # Any point of the ellipsoid will do; off its center, no ray runs along an edge of a symmetric mesh.
+            return winding(soup, boxes, plus(middle, lower(low, OFF_CENTER))) != 0
         shrink = (share - 2.0 * doubt) / (1.0 + 2.0 * error) * (1.0 - attempt * 1e-9)
         if not shrink > 0.0:
             return False
@@ -718,15 +717,20 @@ def prove(soup, boxes, origin, scale, center, factor):
 @inline
 def off_inverse(G, F):
     """Upper bound on |G F - 1| of two lower triangular matrices, rounding included."""
-    off = 8.0 * UNIT_ROUNDOFF * (1.0 + abs(G[1] * F[0]) + abs(G[2] * F[1]) + abs(G[3] * F[0]) + abs(G[4] * F[1]))
-    off += 8.0 * UNIT_ROUNDOFF * (2.0 + abs(G[5] * F[3]) + abs(G[4] * F[2]) + abs(G[5] * F[4]))
-    off += abs(G[0] * F[0] - 1.0) + abs(G[2] * F[2] - 1.0) + abs(G[5] * F[5] - 1.0)
-    return off + abs(G[1] * F[0] + G[2] * F[1]) + abs(G[3] * F[0] + G[4] * F[1] + G[5] * F[3]) + abs(G[4] * F[2] + G[5] * F[4])
+    a, b = G[1] * F[0], G[2] * F[1]
+    c, d, e = G[3] * F[0], G[4] * F[1], G[5] * F[3]
+    f, g = G[4] * F[2], G[5] * F[4]
+    diagonal = abs(G[0] * F[0] - 1.0) + abs(G[2] * F[2] - 1.0) + abs(G[5] * F[5] - 1.0)
+    rounded = 8.0 * UNIT_ROUNDOFF * (3.0 + abs(a) + abs(b) + abs(c) + abs(d) + abs(e) + abs(f) + abs(g))
+    return diagonal + abs(a + b) + abs(c + d + e) + abs(f + g) + rounded
 
 
 @njit()
 def inscribed_ellipsoids(vertices, triangles, centers, factors):
-    """Ellipsoids inside the mesh into `centers` and `factors`, as many as these hold at most, largest first; how many."""
+    """Ellipsoids inside a closed mesh into `centers` and `factors`, as many as these hold at most; how many.
+
+    More are grown than asked for. The largest is first.
+    """
     count = len(centers)
     origin = np.empty(3)
     size = 0.0
@@ -756,22 +760,25 @@ def inscribed_ellipsoids(vertices, triangles, centers, factors):
     seeds = np.empty((chords * len(PLACES), 3))
     radii = np.empty(len(seeds))
     found = find_seeds(soup, boxes, chords, seeds, radii)
-    tries = count if total >= LARGE else count + (count + 1) // 2
-    rounds = 2 if total >= LARGE else ROUNDS
+    tries = count + UNCUT - 1 + (0 if total >= LARGE else (count + 1) // 2)
+    rounds = ROUNDS - 1 if total >= LARGE else ROUNDS
     grown_centers = np.empty((tries, 3))
     grown_factors = np.zeros((tries, 3, 3))
     cuts = np.empty((tries, 4))
+    scores = radii.copy()
     grown = 0
-    while grown < tries:
-        seed = next_seed(seeds, radii, found, grown_centers, grown_factors, grown)
-        if seed < 0:
+    while found > 0 and grown < tries:
+        seed = np.argmax(scores[:found])
+        if not scores[seed] > 0.0:
             break
+        center, factor = grown_centers[grown], grown_factors[grown]
         for k in range(3):
-            grown_centers[grown, k] = seeds[seed, k]
-            grown_factors[grown, k, k] = radii[seed]
-        cut_off(seeds[seed], grown_centers, grown_factors, grown, cuts)
-        grow(soup, boxes, rounds, cuts, grown, grown_centers[grown], grown_factors[grown])
-        radii[seed] = 0.0
+            center[k] = seeds[seed, k]
+            factor[k, k] = radii[seed]
+        cut_off(center, grown_centers, grown_factors, grown, cuts)
+        grow(soup, boxes, rounds, cuts, grown if grown >= UNCUT else 0, center, factor)
+        discount(seeds, radii, scores, found, center, factor)
+        scores[seed] = 0.0
         grown += 1
 
     chosen = np.empty(count, np.int64)
