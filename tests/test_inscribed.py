@@ -226,7 +226,7 @@ def test_ellipsoids_are_inside(name: str):
 def test_any_pose_and_scale():
     """What comes out after a rigid motion and a scale is inside as well, and about as large.
 
-    Of a simple solid it is as large within 5 %. Of one with bumps and dents, within 30 %: other seeds, other ellipsoids.
+    Of a simple solid it is as large within 5 %; of one with bumps and dents, within 30 %, for other seeds are found.
     """
     rng = np.random.default_rng(1)
     for name, close in (("box", 0.05), ("torus", 0.05), ("star", 0.3)):
