@@ -760,7 +760,7 @@ def inscribed_ellipsoids(vertices, triangles, centers, factors):
     seeds = np.empty((chords * len(PLACES), 3))
     radii = np.empty(len(seeds))
     found = find_seeds(soup, boxes, chords, seeds, radii)
-    tries = count + UNCUT - 1 + (0 if total >= LARGE else (count + 1) // 2)
+    tries = min(count + UNCUT - 1 + (0 if total >= LARGE else (count + 1) // 2), len(seeds))
     rounds = ROUNDS - 1 if total >= LARGE else ROUNDS
     grown_centers = np.empty((tries, 3))
     grown_factors = np.zeros((tries, 3, 3))
