@@ -65,6 +65,7 @@ ENTRIES = {
         Entry("fits.mvce", "fit_outer", "F2 f f F1 F2", "i f i i f f"),
         Entry("fits.mvce", "enclose", "F2 F1 F2", "f"),
         Entry("fits.mvce", "outer_gap", "F2 I1 F1 i F1 F2 f", "f"),
+        Entry("fits.inscribed", "inscribed_ellipsoids", "F2 I2 F2 F3", "i"),
         Entry("fits.mvie", "solve_primal_dual", "F2 i i f F1 F2 F1", "f i"),
         # -- the paper
         Entry("paper.detectors", "detector_1", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 F2 F1 I1 F2 F1 I1 U1 U1", ""),
