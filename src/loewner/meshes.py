@@ -25,7 +25,7 @@ from loewner.errors import GeometryError, InputError, MissingExtraError, install
 from loewner.mesh_files.parts import Triangles as Triangles
 from loewner.plane_cuts import pieces_within
 from loewner.polytopes import Polytope
-from loewner.protrusion import Solid, protrusions
+from loewner.protrusion import Solid, protrusion_of_hulls, protrusions
 
 __all__ = ["convex_pieces", "load"]
 
@@ -295,8 +295,14 @@ def convex_polytopes(
     convex = hulls is not None and all(map(_is_hull_of, parts, hulls))
     if not decompose or convex:
         pieces = [hull] if not decompose else hulls
-        kind = "convex" if convex and len(pieces) == len(hulls) else "hull"
-        covering = Covering(kind, True, 0.0, _excess_volume(pieces, whole), len(vertices), _protrusion(pieces, solid))
+        apart = convex and len(pieces) == len(hulls)
+        reached = (
+            protrusion_of_hulls([vertices[part.triangles] for part in parts], pieces)
+            if apart
+            else _protrusion(pieces, solid)
+        )
+        kind = "convex" if apart else "hull"
+        covering = Covering(kind, True, 0.0, _excess_volume(pieces, whole), len(vertices), reached)
         if within is None or not decompose or covering.max_protrusion <= within:
             return _told(pieces, covering, within)
 
@@ -336,9 +342,9 @@ def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
     return float(protrusions(pieces, solid, together=True).bounds.max())
 
 
-def _excess_volume(hulls: list[Polytope], volume: float) -> float:
+def _excess_volume(hulls: list[Polytope], whole: float) -> float:
     """By what share of the mesh's volume the pieces exceed it; NaN if it has none."""
-    return float(sum(_hull_volume(h) for h in hulls) / volume - 1) if volume > 0 else float("nan")
+    return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
 # -- files --------------------------------------------------------------------------------------

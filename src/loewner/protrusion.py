@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +24,13 @@ WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
 
 # A cell is cut along the edges of the triangle that it lies in, unless its edges are this many times as long.
 COARSE = 4.0
+
+# Cubes are asked for the triangles in their reach if they are no larger than this share of the diagonal.
+LARGEST_LOOKED_INTO = 0.1
+
+# Triangles face into one half-space if their normals have this much in common with a direction, which is looked for in
+# so many steps.
+FACING, FACING_STEPS = 1e-6, 6
 
 # Points at a time, for the memory that they take with the triangles near them.
 CHUNK = 16_384
@@ -46,12 +54,14 @@ class Solid:
         Corners. Of a closed mesh, counter-clockwise seen from outside.
     closed : bool
         Whether the mesh has an inside: all points with a winding number other than 0.
+    size : float, optional
+        What lengths are compared with, in metres; otherwise the diagonal of the mesh's box.
     """
 
-    def __init__(self, triangles: Floats, closed: bool) -> None:
+    def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
         self.triangles, self.closed = triangles, closed
         self.normals = unit_normals(triangles)
-        self.size = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0)))
+        self.size = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0))) if size is None else size
         self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(triangles).max())
         self._tree = _Tree(triangles.min(axis=1), triangles.max(axis=1))
         if closed:
@@ -99,6 +109,37 @@ class Solid:
         np.minimum.at(squared, point, found)
         better = (found == squared[point]) & (found < before[point])
         nearest[point[better]] = triangle[better]
+
+    def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
+        """Whether all triangles in reach of a point turn their outer sides into one half-space.
+
+        A surface that is not closed has two outer sides, unless the point and what is about it is known to be
+        `outside` of it: then the one that the point is on.
+        """
+        answer = np.zeros(len(points), dtype=bool)
+        chunk = CHUNK // 8
+        for k in range(0, len(points), chunk):
+            x, far = points[k : k + chunk], reach[k : k + chunk] + self.rounding
+            point, triangle = self._tree.items(*self._tree.within(x, far**2)[:2])
+            near = self._tree.gaps(x[point], triangle) <= far[point] ** 2
+            point, triangle = point[near], triangle[near]
+            normals = self.normals[triangle]
+            if not self.closed:
+                side = np.einsum("ij,ij->i", x[point] - self.triangles[triangle, 0], normals)
+                normals = normals * np.where(outside[k : k + chunk][point], np.sign(side), 0.0)[:, None]
+            direction = np.zeros_like(x)
+            np.add.at(direction, point, normals)
+            for _ in range(FACING_STEPS):
+                direction /= np.maximum(np.linalg.norm(direction, axis=1), np.finfo(float).tiny)[:, None]
+                common = np.einsum("ij,ij->i", normals, direction[point])
+                least = np.full(len(x), np.inf)
+                np.minimum.at(least, point, common)
+                worst = (common == least[point]) & (least[point] <= FACING)
+                if not worst.any():
+                    break
+                direction[point[worst]] += normals[worst]
+            answer[k : k + chunk] = least > FACING
+        return answer
 
     def winding_numbers(self, points: Floats) -> Ints:
         """How often the surface goes around each point, by the crossings of a ray; a closed mesh only."""
@@ -254,59 +295,138 @@ def protrusions(
 
     Notes
     -----
-    Distance to the solid is greatest on the boundary of a convex piece, and no two points differ in it by more than
-    they are apart. So a triangle of the boundary has a bound: the distance of its centre, negative inside, and the
-    radius about it. Distance to a single triangle of the mesh is convex, so greatest at a corner: another bound, and
-    the lesser one counts. A triangle whose bound is more than what is asked for is halved; or cut along the edges of
-    the mesh's triangle that it all but lies in, which settles that part.
+    No two points differ in distance to the solid by more than they are apart. So a triangle of a piece's boundary has
+    a bound: the distance of its centre, negative inside, and the radius about it. Distance to a single triangle of the
+    mesh is convex, so greatest at a corner: another bound, and the lesser one counts. A triangle whose bound is more
+    than what is asked for is halved; or cut along the edges of the mesh's triangle that it all but lies in, which
+    settles that part.
+
+    Inside of a piece, in a cavity or a groove that it fills, distance may be greater still, at a local maximum. There
+    the directions from the nearest points of the surface surround the point; and each is a combination of outward
+    normals of triangles that the nearest point belongs to. So a cube has no local maximum if all triangles in reach
+    face into one half-space. Other cubes have the bound above, or are divided. (Where a cavity reaches out of the part
+    that it belongs to, a triangle may have outside on both sides, and this does not hold.)
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
     bounds, found = np.zeros(len(hulls)), np.zeros(len(hulls))
     points = np.full((len(hulls), 3), np.nan)
     limit = np.full(len(cells), np.inf)  # what is known of each cell, from the one that it is a part of
-    work, rounding = 0, solid.rounding
+    rounding = solid.rounding
 
-    def targets() -> Floats:
+    def targets(work: int) -> Floats:
         best = np.full(len(hulls), found.max()) if together else found
         nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
         return np.maximum(floor, np.maximum(best * (1 + relative), best + accuracy))
 
-    while len(cells) and work < WORK:
-        if len(cells) > AT_ONCE:
-            first = np.argpartition(-limit, AT_ONCE)
-            now, later = first[:AT_ONCE], first[AT_ONCE:]
-        else:
-            now, later = np.arange(len(cells)), np.empty(0, dtype=np.int64)
-        some, of = cells[now], owner[now]
-        centers = some.mean(axis=1)
-        signed, nearest = solid.signed_distances(centers)
-        work += len(some)
-        for k in np.unique(of[signed > found[of]]):
-            mine = np.flatnonzero(of == k)
-            at = mine[signed[mine].argmax()]
-            found[k], points[k] = signed[at], centers[at]
-        radius = np.linalg.norm(some - centers[:, None], axis=2).max(axis=1)
-        corner = np.repeat(nearest, 3)
-        far = squared_distances(some.reshape(-1, 3), solid.triangles[corner], solid.normals[corner]).reshape(-1, 3)
-        bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + rounding
-        bound = np.minimum(bound, limit[now])
-        target = targets()
-        settled = bound <= target[of]
-        np.maximum.at(bounds, of[settled], bound[settled])
-        rest = ~settled
-        parts, origin, height = _smaller(some[rest], nearest[rest], target[of[rest]], solid)
-        np.maximum.at(bounds, of[rest], height)
-        # Those that waited may have been settled by what was found.
-        over = limit[later] <= target[owner[later]]
-        np.maximum.at(bounds, owner[later[over]], limit[later[over]])
-        later = later[~over]
-        cells = np.concatenate([parts, cells[later]])
-        limit = np.concatenate([bound[rest][origin], limit[later]])
-        owner = np.concatenate([of[rest][origin], owner[later]])
-    np.maximum.at(bounds, owner, limit)
+    search = _Search(hulls, solid, found, points, bounds, targets)
+    search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)
+    cubes = np.array([[*(box := hull.vertices).min(axis=0), *np.ptp(box, axis=0)] for hull in hulls])
+    middles, half = cubes[:, :3] + cubes[:, 3:] / 2, cubes[:, 3:].max(axis=1, keepdims=True) / 2
+    search.go(np.hstack([middles, half]), np.arange(len(hulls)), np.full(len(hulls), np.inf), search.inside)
     return Protrusions(np.where(bounds <= 4 * rounding, 0.0, bounds), found, points)
+
+
+def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
+    """Bound how far the hulls of closed parts stick out, each of its own part.
+
+    Other parts, which may touch this one or lie in it, would only be in the way: so each is put far from the others.
+    """
+    size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
+    edge = round(np.ceil(len(parts) ** (1 / 3)))
+    places = 3 * size * np.stack(np.unravel_index(np.arange(len(parts)), (edge, edge, edge)), axis=1)
+    shifts = places - [hull.vertices.mean(axis=0) for hull in hulls]
+    solid = Solid(np.concatenate([part + shift for part, shift in zip(parts, shifts, strict=True)]), True, size)
+    moved = [
+        replace(hull, vertices=hull.vertices + shift, offsets=hull.offsets + hull.normals @ shift)
+        for hull, shift in zip(hulls, shifts, strict=True)
+    ]
+    return float(protrusions(moved, solid, together=True).bounds.max())
+
+
+@dataclass
+class _Search:
+    """Branch and bound over cells of the pieces: what was found and what is proven, and two kinds of cells."""
+
+    hulls: list[Polytope]
+    solid: Solid
+    found: Floats
+    points: Floats
+    bounds: Floats
+    targets: Callable[[int], Floats]
+
+    def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
+        """Look at cells, those of the greatest bounds first, and at the parts of those that remain.
+
+        `limit` is what is known of each cell. `look` takes cells, owners, limits and the work so far, and returns the
+        parts of those that are not settled, whose parts they are, and the bounds of all of the cells.
+        """
+        work = 0
+        while len(cells) and work < WORK:
+            now, later = np.arange(len(cells)), np.empty(0, dtype=np.int64)
+            if len(cells) > AT_ONCE:
+                order = np.argpartition(-limit, AT_ONCE)
+                now, later = order[:AT_ONCE], order[AT_ONCE:]
+            work += len(now)
+            parts, origin, bound = look(cells[now], owner[now], limit[now], work)
+            # Those that waited may have been settled by what was found.
+            over = limit[later] <= self.targets(work)[owner[later]]
+            np.maximum.at(self.bounds, owner[later[over]], limit[later[over]])
+            later = later[~over]
+            cells = np.concatenate([parts, cells[later]])
+            limit = np.concatenate([bound[origin], limit[later]])
+            owner = np.concatenate([owner[now][origin], owner[later]])
+        np.maximum.at(self.bounds, owner, limit)
+
+    def _note(self, points: Floats, signed: Floats, owner: Ints) -> None:
+        """Keep the farthest point of each piece."""
+        for k in np.unique(owner[signed > self.found[owner]]):
+            mine = np.flatnonzero(owner == k)
+            at = mine[signed[mine].argmax()]
+            self.found[k], self.points[k] = signed[at], points[at]
+
+    def boundary(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Triangles of the pieces' boundaries."""
+        solid = self.solid
+        centers = cells.mean(axis=1)
+        signed, nearest = solid.signed_distances(centers)
+        self._note(centers, signed, owner)
+        radius = np.linalg.norm(cells - centers[:, None], axis=2).max(axis=1)
+        corner = np.repeat(nearest, 3)
+        far = squared_distances(cells.reshape(-1, 3), solid.triangles[corner], solid.normals[corner]).reshape(-1, 3)
+        bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + solid.rounding
+        bound = np.minimum(bound, limit)
+        target = self.targets(work)[owner]
+        rest = np.flatnonzero(bound > target)
+        np.maximum.at(self.bounds, owner, np.where(bound > target, 0.0, bound))
+        parts, origin, height = _smaller(cells[rest], nearest[rest], target[rest], solid)
+        np.maximum.at(self.bounds, owner[rest], height)
+        return parts, rest[origin], bound
+
+    def inside(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Cubes, as middles and half edges, which may hold local maxima of distance in the pieces."""
+        middles, half = cells[:, :3], cells[:, 3]
+        radius = np.sqrt(3.0) * half
+        height = np.empty(len(cells))
+        for k in np.unique(owner):
+            mine = owner == k
+            height[mine] = (middles[mine] @ self.hulls[k].normals.T - self.hulls[k].offsets).max(axis=1)
+        signed = np.full(len(cells), -np.inf)
+        met = np.flatnonzero(height < radius)
+        signed[met] = self.solid.signed_distances(middles[met])[0]
+        self._note(middles[height <= 0], signed[height <= 0], owner[height <= 0])
+        bound = np.minimum(np.maximum(signed + radius, 0.0) + self.solid.rounding, limit)
+        target = self.targets(work)[owner]
+        low = (bound <= target) & (height < radius)
+        np.maximum.at(self.bounds, owner[low], bound[low])
+        rest = np.flatnonzero((bound > target) & (height < radius))
+        small = rest[radius[rest] <= self.solid.size * LARGEST_LOOKED_INTO]
+        settled = small[self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])]
+        rest = np.setdiff1d(rest, settled)
+        steps = np.array([[x, y, z, 0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+        parts = np.hstack([middles, half[:, None] / 2])[rest, None] + steps * half[rest, None, None]
+        return parts.reshape(-1, 4), np.repeat(rest, 8), bound
 
 
 def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tuple[Floats, Ints, Floats]:
