@@ -1,4 +1,4 @@
-"""Closed parts of a mesh: told apart where they share edges, turned the right way out, cavities with what holds them."""
+"""Closed parts of a mesh: told apart where they share edges, turned the right way out, cavities with their parts."""
 
 from __future__ import annotations
 

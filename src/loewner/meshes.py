@@ -284,46 +284,43 @@ def convex_polytopes(
     _expect_finite(vertices, name)
     _ask_about_units(vertices[triangles].reshape(-1, 3), name)
     vertices, triangles = _welded(vertices, triangles)
-    parts = closed_parts(vertices, triangles)
-    if parts is not None:
+    parts = closed_parts(vertices, triangles) or []  # none of a mesh that is not closed
+    if parts:
         triangles = np.concatenate([part.triangles for part in parts])  # turned the right way out
-    solid = Solid(vertices[triangles], closed=parts is not None)
-    whole = sum(part.volume for part in parts) if parts is not None else np.nan
-
+    mesh_volume = sum(part.volume for part in parts) if parts else np.nan
+    solid = Solid(vertices[triangles], closed=bool(parts))
     hull = Polytope.from_points(vertices)
     hulls = _hulls_of_parts(vertices, parts, hull)
-    convex = hulls is not None and all(map(_is_hull_of, parts, hulls))
-    if not decompose or convex:
-        pieces = [hull] if not decompose else hulls
-        apart = convex and len(pieces) == len(hulls)
-        reached = (
-            protrusion_of_hulls([vertices[part.triangles] for part in parts], pieces)
-            if apart
-            else _protrusion(pieces, solid)
-        )
-        kind = "convex" if apart else "hull"
-        covering = Covering(kind, True, 0.0, _excess_volume(pieces, whole), len(vertices), reached)
-        if within is None or not decompose or covering.max_protrusion <= within:
-            return _told(pieces, covering, within)
+    convex = bool(hulls) and all(map(_is_hull_of, parts, hulls))
 
-    if parts is None and _has_holes(triangles):
+    if not decompose or convex:
+        pieces = hulls if decompose else [hull]
+        kind = "convex" if convex and len(pieces) == len(hulls) else "hull"
+        corners = [vertices[part.triangles] for part in parts]
+        reached = protrusion_of_hulls(corners, pieces) if kind == "convex" else _protrusion(pieces, solid)
+        if within is None or reached <= within or not decompose:
+            excess = _excess_volume(pieces, mesh_volume)
+            return _told(pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
+
+    if _has_holes(triangles):
         warn(
             "mesh: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
             "them, or take its convex hull (decompose=False). Decomposing may take minutes"
         )
-    size = _size(vertices)
     if within is None:
         pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
-        pieces, covering = covered(vertices[triangles], pieces, size, grow=cover)
+        pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
         reached = _protrusion(pieces, solid)
     else:
-        surfaces = [vertices[part.triangles] for part in parts] if hulls is not None else [vertices[triangles]]
+        surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
         cells = pieces_within(surfaces, solid, within, most, progress)
         pieces = [cell.hull for cell in cells]
-        # The cells lie in their hulls as they stand; there is nothing to grow.
-        _, covering = covered(np.concatenate([cell.triangles for cell in cells]), pieces, size, grow=False)
+        # Each cell lies in its hull as it stands; there is nothing to grow.
+        surface = np.concatenate([cell.triangles for cell in cells])
+        _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
-    return _told(pieces, replace(covering, excess_volume=_excess_volume(pieces, whole), max_protrusion=reached), within)
+    excess = _excess_volume(pieces, mesh_volume)
+    return _told(pieces, replace(covering, excess_volume=excess, max_protrusion=reached), within)
 
 
 def _told(pieces: list[Polytope], covering: Covering, tolerance: float | None) -> tuple[list[Polytope], Covering]:
@@ -410,14 +407,14 @@ def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
     return bool(part.volume >= (1 - CONVEX_VOLUME_TOLERANCE) * _hull_volume(hull))
 
 
-def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart] | None, hull: Polytope) -> list[Polytope] | None:
-    """Hull of each closed part, `hull` if there is one only; None if the mesh is not closed, or a part is flat."""
-    if parts is None or len(parts) == 1:
-        return None if parts is None else [hull]
+def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
+    """Hull of each closed part, `hull` if there is one only; none at all if a part is flat."""
+    if len(parts) == 1:
+        return [hull]
     try:
         return [Polytope.from_points(vertices[np.unique(part.triangles)]) for part in parts]
     except GeometryError:
-        return None
+        return []
 
 
 def _interruptible(work: Callable[[], T]) -> T:
@@ -446,15 +443,15 @@ def _interruptible(work: Callable[[], T]) -> T:
 def _coacd_by_parts(
     vertices: Floats,
     triangles: Triangles,
-    parts: list[ClosedPart] | None,
-    hulls: list[Polytope] | None,
+    parts: list[ClosedPart],
+    hulls: list[Polytope],
     threshold: float,
     most: int | None,
     seed: int,
     progress: Progress | None,
 ) -> list[Polytope]:
-    """Decompose each closed part that is not convex; a mesh that is not closed, or of too many parts, as a whole."""
-    if parts is None or hulls is None or (most is not None and len(parts) > most):
+    """Decompose each closed part that is not convex; a mesh without known parts, or with too many, as a whole."""
+    if not hulls or (most is not None and len(parts) > most):
         return _coacd(vertices, triangles, threshold, most, seed)
     curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
     pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]

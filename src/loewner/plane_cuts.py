@@ -75,7 +75,8 @@ def pieces_within(
             cell = Cell(cells[k].triangles, cells[k].hull, float(found.bounds[k]))
             # Every cell that is not yet looked at counts as one piece, and a cut makes one more.
             room = len(done) + len(todo) + len(order) - rank < limit
-            halves = _cut(cell, found.points[k], solid, rng) if cell.bound > tolerance and room else None
+            open_to_cut = cell.bound > tolerance and room and found.found[k] > 0
+            halves = _cut(cell, found.points[k], solid, rng) if open_to_cut else None
             if halves is None:
                 done.append(cell)
             else:
@@ -144,12 +145,15 @@ def _foot(point: Floats, triangle: Floats) -> Floats:
     """The point of a triangle that is nearest to a point."""
     normal = unit_normals(triangle[None])[0]
     foot = point - ((point - triangle[0]) @ normal) * normal
-    if normal.any() and all(np.cross(normal, np.roll(triangle, -1, axis=0)[k] - a) @ (foot - a) >= 0 for k, a in enumerate(triangle)):
+    if normal.any() and all(
+        np.cross(normal, np.roll(triangle, -1, axis=0)[k] - a) @ (foot - a) >= 0 for k, a in enumerate(triangle)
+    ):
         return foot
     edges = np.roll(triangle, -1, axis=0) - triangle
     along = np.clip(((point - triangle) * edges).sum(axis=1) / np.maximum((edges**2).sum(axis=1), 1e-300), 0, 1)
     feet = triangle + along[:, None] * edges
-    return np.asarray(feet[((point - feet) ** 2).sum(axis=1).argmin()])
+    nearest: Floats = feet[((point - feet) ** 2).sum(axis=1).argmin()]
+    return nearest
 
 
 def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Generator) -> list[Cell]:
@@ -171,7 +175,9 @@ def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Ge
         samples = np.concatenate([_samples(hull, rng) for hull in hulls])
         height = solid.signed_distances(samples)[0].reshape(len(hulls), -1).max(axis=1)
         apart |= {pair for pair, out in zip(pairs, height, strict=True) if out > tolerance}
-        gain = [_volume(hull) - sum(_volume(cells[k].hull) for k in pair) for hull, pair in zip(hulls, pairs, strict=True)]
+        gain = [
+            _volume(hull) - sum(_volume(cells[k].hull) for k in pair) for hull, pair in zip(hulls, pairs, strict=True)
+        ]
         taken: set[int] = set()
         chosen = []
         for k in np.argsort(gain, kind="stable"):

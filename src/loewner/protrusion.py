@@ -121,7 +121,8 @@ class Solid:
         for k in range(0, len(points), chunk):
             x, far = points[k : k + chunk], reach[k : k + chunk] + self.rounding
             point, triangle = self._tree.items(*self._tree.within(x, far**2)[:2])
-            near = self._tree.gaps(x[point], triangle) <= far[point] ** 2
+            # A sliver is in the edges of its neighbours, whose normals count.
+            near = (self._tree.gaps(x[point], triangle) <= far[point] ** 2) & self.normals[triangle].any(axis=1)
             point, triangle = point[near], triangle[near]
             normals = self.normals[triangle]
             if not self.closed:
@@ -138,7 +139,7 @@ class Solid:
                 if not worst.any():
                     break
                 direction[point[worst]] += normals[worst]
-            answer[k : k + chunk] = least > FACING
+            answer[k : k + chunk] = np.isfinite(least) & (least > FACING)
         return answer
 
     def winding_numbers(self, points: Floats) -> Ints:
@@ -177,7 +178,8 @@ class Solid:
 
 def _sheared(points: Floats) -> Floats:
     """Coordinates in which the rays go along the third axis."""
-    return points - points[..., 2:] * np.array([*SHEAR, 0.0])
+    sheared: Floats = points - points[..., 2:] * np.array([*SHEAR, 0.0])
+    return sheared
 
 
 def _side(p: Floats, a: Floats, b: Floats) -> Floats:
@@ -212,7 +214,8 @@ class _Tree:
 
     @staticmethod
     def _starts(count: int, level: int) -> Ints:
-        return np.arange(2**level + 1) * count // 2**level
+        starts: Ints = np.arange(2**level + 1) * count // 2**level
+        return starts
 
     def items(self, point: Ints, leaf: Ints) -> tuple[Ints, Ints]:
         """Pairs of points and boxes, from pairs of points and leaves."""
@@ -311,7 +314,6 @@ def protrusions(
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
     bounds, found = np.zeros(len(hulls)), np.zeros(len(hulls))
     points = np.full((len(hulls), 3), np.nan)
-    limit = np.full(len(cells), np.inf)  # what is known of each cell, from the one that it is a part of
     rounding = solid.rounding
 
     def targets(work: int) -> Floats:
@@ -422,7 +424,9 @@ class _Search:
         np.maximum.at(self.bounds, owner[low], bound[low])
         rest = np.flatnonzero((bound > target) & (height < radius))
         small = rest[radius[rest] <= self.solid.size * LARGEST_LOOKED_INTO]
-        settled = small[self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])]
+        settled = small[
+            self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])
+        ]
         rest = np.setdiff1d(rest, settled)
         steps = np.array([[x, y, z, 0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
         parts = np.hstack([middles, half[:, None] / 2])[rest, None] + steps * half[rest, None, None]

@@ -56,7 +56,9 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     height[np.abs(height) <= rounding] = 0.0
     lower, upper = (height < 0).sum(axis=1), (height > 0).sum(axis=1)
     crossed = np.flatnonzero((lower > 0) & (upper > 0))
-    facing = np.einsum("tj,tj->t", np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), normals)
+    facing = np.einsum(
+        "tj,tj->t", np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), normals
+    )
     in_plane = (lower == 0) & (upper == 0)
     whole_below = np.flatnonzero((lower > 0) & (upper == 0) | in_plane & (facing > 0))
     whole_above = np.flatnonzero((upper > 0) & (lower == 0) | in_plane & (facing <= 0))

@@ -68,7 +68,11 @@ def _covering(values: list[str]) -> Covering:
         gap, more, out = float(uncovered), float(excess), float(last[0]) if last else math.nan
     except ValueError:
         raise InputError(f"covering: expected numbers, found {', '.join([uncovered, excess, *last])}") from None
-    if not 0 <= gap < math.inf or not (math.isnan(more) or -1 <= more < math.inf) or not (math.isnan(out) or 0 <= out < math.inf):
+    if (
+        not 0 <= gap < math.inf
+        or not (math.isnan(more) or -1 <= more < math.inf)
+        or not (math.isnan(out) or 0 <= out < math.inf)
+    ):
         raise InputError(
             f"covering: expected a length >= 0, a ratio >= -1 or nan and a length >= 0 or nan, found "
             f"{', '.join([uncovered, excess, *last])}"

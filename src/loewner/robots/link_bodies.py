@@ -27,7 +27,19 @@ from loewner.robots.urdf import Description, Shape
 NOT_CACHED = (".gltf", ".glb")
 
 # What makes a body of a mesh file, apart from the kernels.
-_MAKERS = ("mesh_files", "meshes.py", "closed_parts.py", "plane_cuts.py", "coverage.py", "protrusion.py", "triangles.py", "polytopes.py", "fits.py", "bodies", "robots/link_bodies.py")
+_MAKERS = (
+    "mesh_files",
+    "meshes.py",
+    "closed_parts.py",
+    "plane_cuts.py",
+    "coverage.py",
+    "protrusion.py",
+    "triangles.py",
+    "polytopes.py",
+    "fits.py",
+    "bodies",
+    "robots/link_bodies.py",
+)
 
 _PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
