@@ -452,7 +452,7 @@ def _coacd_by_parts(
 ) -> list[Polytope]:
     """Decompose each closed part that is not convex; a mesh without known parts, or with too many, as a whole."""
     if not hulls or (most is not None and len(parts) > most):
-        return _coacd(vertices, triangles, threshold, most, seed)
+        return _at_most(most, _coacd(vertices, triangles, threshold, most, seed))
     curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
     pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]
     size = _size(vertices)
@@ -464,6 +464,22 @@ def _coacd_by_parts(
         pieces += _coacd(vertices[corners], own.reshape(-1, 3), relative, share, seed)
         if progress is not None:
             progress(k + 1, sum(curved))
+    return _at_most(most, pieces)
+
+
+def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
+    """Join pieces until there are no more than a limit, those first whose common box is smallest.
+
+    CoACD keeps parts apart that are not connected, whatever limit it is given.
+    """
+    pieces = list(pieces)
+    while most is not None and len(pieces) > most:
+        lower, upper = (np.array([f(piece.vertices, axis=0) for piece in pieces]) for f in (np.min, np.max))
+        box = np.maximum(upper[:, None], upper) - np.minimum(lower[:, None], lower)
+        size = np.linalg.norm(box, axis=2) + np.diag(np.full(len(pieces), np.inf))
+        a, b = np.unravel_index(size.argmin(), size.shape)
+        joined = Polytope.from_points(np.concatenate([pieces[a].vertices, pieces[b].vertices]))
+        pieces = [piece for k, piece in enumerate(pieces) if k not in (a, b)] + [joined]
     return pieces
 
 

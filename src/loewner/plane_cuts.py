@@ -144,12 +144,11 @@ def _planes(cell: Cell, deepest: Floats, solid: Solid) -> list[tuple[Floats, flo
 def _foot(point: Floats, triangle: Floats) -> Floats:
     """The point of a triangle that is nearest to a point."""
     normal = unit_normals(triangle[None])[0]
-    foot = point - ((point - triangle[0]) @ normal) * normal
-    if normal.any() and all(
-        np.cross(normal, np.roll(triangle, -1, axis=0)[k] - a) @ (foot - a) >= 0 for k, a in enumerate(triangle)
-    ):
-        return foot
     edges = np.roll(triangle, -1, axis=0) - triangle
+    foot: Floats = point - ((point - triangle[0]) @ normal) * normal
+    inward = (np.cross(normal, edges) * (foot - triangle)).sum(axis=1)
+    if normal.any() and (inward >= 0).all():
+        return foot
     along = np.clip(((point - triangle) * edges).sum(axis=1) / np.maximum((edges**2).sum(axis=1), 1e-300), 0, 1)
     feet = triangle + along[:, None] * edges
     nearest: Floats = feet[((point - feet) ** 2).sum(axis=1).argmin()]
