@@ -227,6 +227,19 @@ def mug_body():
     return loewner.Body.from_mesh(mug(), tolerance=0.002)
 
 
+def test_tolerance_of_an_open_mesh():
+    """The walls of a box without a lid become plates; what is in the box stays free."""
+    mesh = trimesh.creation.box((2, 2, 2))
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0.99)
+    with pytest.warns(UserWarning, match="mesh: has holes"):
+        pieces, covering = meshes.convex_pieces(mesh, tolerance=0.1)
+    assert len(pieces) == 5
+    assert covering.exact
+    assert covering.max_protrusion <= 0.1
+    body = loewner.Body.from_pieces(pieces)
+    assert not loewner.collide(body, None, loewner.Body.sphere(0.9), None)
+
+
 def test_tolerance_of_a_mug(mug_body):
     """A ball in a mug is as far from the walls as the cavity says, to the tolerance."""
     mesh, body = mug(), mug_body

@@ -30,6 +30,9 @@ SAMPLES = 48
 # A part with less than this share of a piece's volume is no progress.
 LEAST_SHARE = 1e-4
 
+# A flat part of a surface that is not closed becomes a plate, whose sides are this share of the tolerance from it.
+PLATE = 0.25
+
 # Pieces in all, where the caller sets no limit: a tolerance that needs more is one below the mesh's own accuracy.
 MOST = 2000
 
@@ -65,7 +68,8 @@ def pieces_within(
     if len(parts) > limit:
         parts = [np.concatenate(parts)]
     rng = np.random.default_rng(0)
-    cells = [Cell(part, Polytope.from_points(part.reshape(-1, 3))) for part in parts]
+    plate = 0.0 if solid.closed else PLATE * tolerance
+    cells = [Cell(part, _hull(part, plate)) for part in parts]
     done: list[Cell] = []
     while cells:
         found = protrusions([cell.hull for cell in cells], solid, floor=tolerance, relative=ACCURACY)
@@ -76,7 +80,7 @@ def pieces_within(
             # Every cell that is not yet looked at counts as one piece, and a cut makes one more.
             room = len(done) + len(todo) + len(order) - rank < limit
             open_to_cut = cell.bound > tolerance and room and found.found[k] > 0
-            halves = _cut(cell, found.points[k], solid, rng) if open_to_cut else None
+            halves = _cut(cell, found.points[k], solid, plate, rng) if open_to_cut else None
             if halves is None:
                 done.append(cell)
             else:
@@ -87,21 +91,21 @@ def pieces_within(
     return _merged(done, solid, tolerance, rng)
 
 
-def _cut(cell: Cell, deepest: Floats, solid: Solid, rng: np.random.Generator) -> list[Cell] | None:
+def _cut(cell: Cell, deepest: Floats, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
     """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
     whole = _volume(cell.hull)
     middles = cell.triangles.mean(axis=1)
     best, least = None, np.inf
     options, samples = [], []
-    for normal, offset in _planes(cell, deepest, solid):
+    for normal, offset in _planes(cell, deepest, solid, plate):
         ones = np.ones(len(middles))
         below, _, above, _ = cut(cell.triangles, ones[:, None] * normal, ones * offset, solid.rounding)
         try:
-            halves = [Cell(half, Polytope.from_points(half.reshape(-1, 3))) for half in (below, above)]
+            halves = [Cell(half, _hull(half, plate)) for half in (below, above)]
         except GeometryError:
             continue  # nothing on one side, or something flat
         volumes = [_volume(half.hull) for half in halves]
-        if min(volumes) < LEAST_SHARE * whole:
+        if not plate and min(volumes) < LEAST_SHARE * whole:
             continue
         options.append((halves, sum(volumes) / whole))
         samples += [_samples(half.hull, rng) for half in halves]
@@ -115,7 +119,19 @@ def _cut(cell: Cell, deepest: Floats, solid: Solid, rng: np.random.Generator) ->
     return best
 
 
-def _planes(cell: Cell, deepest: Floats, solid: Solid) -> list[tuple[Floats, float]]:
+def _hull(triangles: Floats, plate: float) -> Polytope:
+    """Hull of triangles; of flat ones, a plate with its sides so far from them, unless that is 0."""
+    points = triangles.reshape(-1, 3)
+    try:
+        return Polytope.from_points(points)
+    except GeometryError:
+        if not plate or len(points) == 0:
+            raise
+    thin = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    return Polytope.from_points(np.concatenate([points - plate * thin, points + plate * thin]))
+
+
+def _planes(cell: Cell, deepest: Floats, solid: Solid, plate: float) -> list[tuple[Floats, float]]:
     """Planes that may cut off what sticks out, as unit normals and offsets."""
     _, nearest = solid.signed_distances(deepest[None])
     out = deepest - _foot(deepest, solid.triangles[nearest[0]])
@@ -137,7 +153,8 @@ def _planes(cell: Cell, deepest: Floats, solid: Solid) -> list[tuple[Floats, flo
             break
         if faces[k].any() and all(abs(faces[k] @ other) < 0.999 for other in chosen):
             chosen.append(faces[k])
-            planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0])))
+            # From a surface that is not closed, the face itself is cut off, with a little of what it borders on.
+            planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0]) - 2 * plate))
     return planes
 
 
