@@ -174,6 +174,24 @@ def test_fit_options_reach_the_fit(saved, capsys):
     assert len(loewner.Body.load("hulls/two.npz").pieces) == 1
 
 
+def test_fit_tells_how_far_pieces_stick_out(saved, capsys):
+    """--tolerance is kept; the table says which model was made and how far it sticks out."""
+    trimesh.creation.annulus(0.5, 1.0, 1.0, sections=12).export("ring.stl")
+    status, out, _ = run(capsys, "fit", "ring.stl", "-o", "near", "--tolerance", "0.05")
+    assert status == 0
+    body = loewner.Body.load("near/ring.npz")
+    assert body.covering.max_protrusion <= 0.05
+    told = " ".join(out.split())
+    assert "decomposition, holds the mesh" in told
+    assert f"sticks out by up to {1e3 * body.covering.max_protrusion:.3g} mm" in told
+    assert "convex, holds the mesh, +0.0 % volume, sticks out by up to 0 mm" in " ".join(
+        run(capsys, "fit", "cube.stl", "-o", "near")[1].split()
+    )
+    status, _, err = run(capsys, "fit", "ring.stl", "-o", "near", "--tolerance", "0")
+    assert status == 2
+    assert "tolerance" in err
+
+
 def test_fit_refuses_two_meshes_of_one_name(saved, capsys):
     """a/part.stl and b/part.obj would overwrite each other."""
     status, _, err = run(capsys, "fit", "a/part.stl", "b/part.obj", "-o", "out")

@@ -18,11 +18,14 @@ from numpy.typing import ArrayLike
 from loewner import _validate, mesh_files
 from loewner._files import shown
 from loewner._plausible import warn
-from loewner._validate import Floats
+from loewner._validate import Floats, Progress
+from loewner.closed_parts import ClosedPart, closed_parts, volume
 from loewner.coverage import Covering, covered
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
 from loewner.mesh_files.parts import Triangles as Triangles
+from loewner.plane_cuts import pieces_within
 from loewner.polytopes import Polytope
+from loewner.protrusion import Solid, protrusion_of_hulls, protrusions
 
 __all__ = ["convex_pieces", "load"]
 
@@ -164,9 +167,11 @@ def convex_pieces(
     scale: ArrayLike = 1.0,
     decompose: bool = True,
     cover: bool = True,
+    tolerance: float | None = None,
     threshold: float = 0.05,
     max_pieces: int | None = None,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> tuple[list[Floats], Covering]:
     """Split a mesh into convex pieces.
 
@@ -180,12 +185,17 @@ def convex_pieces(
         False takes the convex hull of everything as the one piece; it holds the mesh.
     cover : bool
         Grow the pieces of a decomposition until they hold the mesh's whole surface.
+    tolerance : float, optional
+        How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
+        they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning says by how much.
     threshold : float
         CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
     max_pieces : int, optional
         Limit on the number of pieces of a decomposition.
     seed : int
         Seed of CoACD's search.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each step; with `tolerance`, a step is a piece, and the total grows.
 
     Returns
     -------
@@ -202,12 +212,13 @@ def convex_pieces(
     -----
     UserWarning
         If a mesh to decompose has holes: its inside is not solid then. If the mesh, scaled, is more than 1000 m or less
-        than 0.1 mm across: it may be in another unit than metres.
+        than 0.1 mm across: it may be in another unit than metres. If the pieces stick out by more than `tolerance`.
 
     Notes
     -----
-    A mesh whose connected parts are all closed and convex (its volume is its hull's, to 1e-3)
-    needs no decomposition: its pieces are their hulls.
+    Closed parts of a mesh are decomposed one by one, also where they overlap, or share edges or corners. A part that
+    is convex (its volume is its hull's, to 1e-3) is its hull. A part of negative volume is a cavity of the part that
+    it lies in.
 
     Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; one that lies in
     none is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With
@@ -232,9 +243,11 @@ def convex_pieces(
         scale=scale,
         decompose=decompose,
         cover=cover,
+        tolerance=tolerance,
         threshold=threshold,
         max_pieces=max_pieces,
         seed=seed,
+        progress=progress,
     )
     return [np.array(piece.vertices) for piece in polytopes], covering
 
@@ -260,43 +273,81 @@ def convex_polytopes(
     scale: ArrayLike,
     decompose: bool,
     cover: bool,
+    tolerance: float | None,
     threshold: float,
     max_pieces: int | None,
     seed: int,
+    progress: Progress | None,
 ) -> tuple[list[Polytope], Covering]:
     """Split a mesh as `convex_pieces` does, and keep the faces of the hulls."""
     threshold = _validate.positive_scalar(threshold, "threshold")
     if not 0.01 <= threshold <= 1:
         raise InputError(f"threshold: expected 0.01 to 1, found {threshold:g}")
+    within = None if tolerance is None else _validate.positive_scalar(tolerance, "tolerance")
     most = None if max_pieces is None else _validate.whole_number(max_pieces, "max_pieces", 1, LARGEST_NUMBER)
     seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
     decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
+    _validate.callback(progress, "progress")
     vertices, triangles = scaled_mesh(source, scale)
     vertices, triangles = _welded(vertices, triangles)
-    volume = _volume(vertices, triangles) if _is_closed(triangles) else np.nan
-    if volume < 0:  # turned inside out
-        triangles, volume = triangles[:, ::-1], -volume
-
+    parts = closed_parts(vertices, triangles) or []  # none of a mesh that is not closed
+    if parts:
+        triangles = np.concatenate([part.triangles for part in parts])  # turned the right way out
+    mesh_volume = sum(part.volume for part in parts) if parts else np.nan
+    solid = Solid(vertices[triangles], closed=bool(parts))
     hull = Polytope.from_points(vertices)
-    parts = [hull] if not decompose else _convex_parts(vertices, triangles, hull, volume)
-    if parts is not None:
-        kind = "convex" if len(parts) > 1 or _close(volume, _hull_volume(hull)) else "hull"
-        return parts, Covering(kind, True, 0.0, _excess_volume(parts, volume), len(vertices))
+    hulls = _hulls_of_parts(vertices, parts, hull)
+    convex = bool(hulls) and all(map(_is_hull_of, parts, hulls))
+
+    if not decompose or convex:
+        pieces = hulls if decompose else [hull]
+        kind = "convex" if convex and len(pieces) == len(hulls) else "hull"
+        corners = [vertices[part.triangles] for part in parts]
+        reached = protrusion_of_hulls(corners, pieces) if kind == "convex" else _protrusion(pieces, solid)
+        if within is None or reached <= within or not decompose:
+            excess = _excess_volume(pieces, mesh_volume)
+            return _told(pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
 
     if _has_holes(triangles):
         warn(
             "mesh: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
             "them, or take its convex hull (decompose=False). Decomposing may take minutes"
         )
-    hulls = _coacd(vertices, triangles, threshold, most, seed)
-    size = _size(vertices)
-    hulls, covering = covered(vertices[triangles], hulls, size, grow=cover)
-    return hulls, replace(covering, excess_volume=_excess_volume(hulls, volume))
+    if within is None:
+        pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
+        pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
+        reached = _protrusion(pieces, solid)
+    else:
+        surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
+        cells = pieces_within(surfaces, solid, within, most, progress)
+        pieces = [cell.hull for cell in cells]
+        # Each cell lies in its hull as it stands; there is nothing to grow.
+        surface = np.concatenate([cell.triangles for cell in cells])
+        _, covering = covered(surface, pieces, _size(vertices), grow=False)
+        reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
+    excess = _excess_volume(pieces, mesh_volume)
+    return _told(pieces, replace(covering, excess_volume=excess, max_protrusion=reached), within)
 
 
-def _excess_volume(hulls: list[Polytope], volume: float) -> float:
+def _told(pieces: list[Polytope], covering: Covering, tolerance: float | None) -> tuple[list[Polytope], Covering]:
+    """Pieces and covering, with a warning if they stick out by more than a tolerance."""
+    if tolerance is not None and covering.max_protrusion > tolerance:
+        warn(
+            f"mesh: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
+            f"stick out by up to {covering.max_protrusion:.4g} m; more pieces (max_pieces), a closed mesh, or "
+            "decompose=True may do it"
+        )
+    return pieces, covering
+
+
+def _protrusion(pieces: list[Polytope], solid: Solid) -> float:
+    """Proven bound on how far pieces stick out."""
+    return float(protrusions(pieces, solid, together=True).bounds.max())
+
+
+def _excess_volume(hulls: list[Polytope], whole: float) -> float:
     """By what share of the mesh's volume the pieces exceed it; NaN if it has none."""
-    return float(sum(_hull_volume(h) for h in hulls) / volume - 1) if volume > 0 else float("nan")
+    return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
 # -- files --------------------------------------------------------------------------------------
@@ -354,51 +405,22 @@ def _has_holes(triangles: Triangles) -> bool:
     return bool((counts % 2).any())
 
 
-def _is_closed(triangles: Triangles) -> bool:
-    """Whether each directed edge occurs once and so does its reverse."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    span = triangles.max() + 1
-    forth, back = np.sort(edges[:, 0] * span + edges[:, 1]), np.sort(edges[:, 1] * span + edges[:, 0])
-    return bool((forth[1:] != forth[:-1]).all() and (forth == back).all())
-
-
-def _volume(vertices: Floats, triangles: Triangles) -> float:
-    """Signed volume of a closed mesh, by the divergence theorem about its centre (less cancellation there)."""
-    a, b, c = (vertices - vertices.mean(axis=0))[triangles].transpose(1, 0, 2)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-
 def _hull_volume(hull: Polytope) -> float:
-    return abs(_volume(hull.vertices, hull.simplices))
+    return abs(volume(hull.vertices, hull.simplices))
 
 
-def _close(volume: float, hull_volume: float) -> bool:
-    return bool(volume >= (1 - CONVEX_VOLUME_TOLERANCE) * hull_volume)
+def _is_hull_of(part: ClosedPart, hull: Polytope) -> bool:
+    return bool(part.volume >= (1 - CONVEX_VOLUME_TOLERANCE) * _hull_volume(hull))
 
 
-def _convex_parts(vertices: Floats, triangles: Triangles, hull: Polytope, volume: float) -> list[Polytope] | None:
-    """Hulls of the connected parts if all are closed and convex, else None."""
-    if np.isnan(volume):
-        return None
-    if _close(volume, _hull_volume(hull)):
+def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -> list[Polytope]:
+    """Hull of each closed part, `hull` if there is one only; none at all if a part is flat."""
+    if len(parts) == 1:
         return [hull]
-    # Imported late: SciPy's graph routines are needed on this path only.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ones = np.ones(len(triangles) * 2, dtype=np.int8)
-    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
-    count, label = connected_components(coo_array((ones, ends), shape=(len(vertices),) * 2), directed=False)
-    if count == 1:
-        return None
-    parts = []
-    for k in range(count):
-        part = Polytope.from_points(vertices[label == k])
-        # A part with negative volume is a cavity, which a hull would fill.
-        if not _close(_volume(vertices, triangles[label[triangles[:, 0]] == k]), _hull_volume(part)):
-            return None
-        parts.append(part)
-    return parts
+    try:
+        return [Polytope.from_points(vertices[np.unique(part.triangles)]) for part in parts]
+    except GeometryError:
+        return []
 
 
 def _interruptible(work: Callable[[], T]) -> T:
@@ -422,6 +444,49 @@ def _interruptible(work: Callable[[], T]) -> T:
     if errors:
         raise errors[0]
     return done[0]
+
+
+def _coacd_by_parts(
+    vertices: Floats,
+    triangles: Triangles,
+    parts: list[ClosedPart],
+    hulls: list[Polytope],
+    threshold: float,
+    most: int | None,
+    seed: int,
+    progress: Progress | None,
+) -> list[Polytope]:
+    """Decompose each closed part that is not convex; a mesh without known parts, or with too many, as a whole."""
+    if not hulls or (most is not None and len(parts) > most):
+        return _at_most(most, _coacd(vertices, triangles, threshold, most, seed))
+    curved = [not _is_hull_of(part, hull) for part, hull in zip(parts, hulls, strict=True)]
+    pieces = [hull for hull, left in zip(hulls, curved, strict=True) if not left]
+    size = _size(vertices)
+    for k, part in enumerate(part for part, left in zip(parts, curved, strict=True) if left):
+        # An even share of the pieces that are left; a threshold is relative to the whole mesh.
+        share = None if most is None else (most - len(pieces)) // (sum(curved) - k)
+        corners, own = np.unique(part.triangles, return_inverse=True)
+        relative = min(1.0, threshold * size / _size(vertices[corners]))
+        pieces += _coacd(vertices[corners], own.reshape(-1, 3), relative, share, seed)
+        if progress is not None:
+            progress(k + 1, sum(curved))
+    return _at_most(most, pieces)
+
+
+def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
+    """Join pieces until there are no more than a limit, those first whose common box is smallest.
+
+    CoACD keeps parts apart that are not connected, whatever limit it is given.
+    """
+    pieces = list(pieces)
+    while most is not None and len(pieces) > most:
+        lower, upper = (np.array([f(piece.vertices, axis=0) for piece in pieces]) for f in (np.min, np.max))
+        box = np.maximum(upper[:, None], upper) - np.minimum(lower[:, None], lower)
+        size = np.linalg.norm(box, axis=2) + np.diag(np.full(len(pieces), np.inf))
+        a, b = np.unravel_index(size.argmin(), size.shape)
+        joined = Polytope.from_points(np.concatenate([pieces[a].vertices, pieces[b].vertices]))
+        pieces = [piece for k, piece in enumerate(pieces) if k not in (a, b)] + [joined]
+    return pieces
 
 
 def _coacd(vertices: Floats, triangles: Triangles, threshold: float, most: int | None, seed: int) -> list[Polytope]:

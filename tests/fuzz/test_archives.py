@@ -87,7 +87,7 @@ def bases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Arrays]:
     for name, bodies in _bases().items():
         made[name] = stored(bodies.save, folder)
         assert ask(bodies, folder) is None
-    covering = loewner.Covering("decomposition", False, 1e-3, 0.25, 1234)
+    covering = loewner.Covering("decomposition", False, 1e-3, 0.25, 1234, 0.002)
     made["covered"] = stored(Body(Body.box([1, 2, 3])._packed, covering).save, folder)
     for arrays in made.values():
         assert arrays.pop("digest") == digest(arrays)

@@ -215,9 +215,11 @@ class Body(_Bodies):
         tol: float = 1e-4,
         scale: ArrayLike = 1.0,
         cover: bool = True,
+        tolerance: float | None = None,
         threshold: float = 0.05,
         max_pieces: int | None = None,
         seed: int = 0,
+        progress: Progress | None = None,
     ) -> Body:
         """Body of a triangle mesh.
 
@@ -234,12 +236,19 @@ class Body(_Bodies):
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
         cover : bool
             Grow the pieces of a decomposition until they hold the mesh's whole surface.
+        tolerance : float, optional
+            How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
+            they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning says by how
+            much.
         threshold : float
             CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
         max_pieces : int, optional
             Limit on the number of pieces of a decomposition.
         seed : int
             Seed of CoACD's search.
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each step; with `tolerance`, a step is a piece, and the total
+            grows. The fits come last, as one step.
 
         Raises
         ------
@@ -256,19 +265,33 @@ class Body(_Bodies):
         --------
         >>> import trimesh
         >>> body = Body.from_mesh(trimesh.creation.box((0.1, 0.2, 0.3)))
-        >>> body, body.covering.kind
-        (Body(polytope, 8 vertices), 'convex')
+        >>> body, body.covering.kind, body.covering.max_protrusion
+        (Body(polytope, 8 vertices), 'convex', 0.0)
         """
+        _validate.callback(progress, "progress")
+        steps = 1  # the fits
+
+        def report(done: int, total: int) -> None:
+            nonlocal steps
+            steps = total + 1
+            if progress is not None:
+                progress(done, steps)
+
         polytopes, covering = meshes.convex_polytopes(
             source,
             scale=scale,
             decompose=decompose,
             cover=cover,
+            tolerance=tolerance,
             threshold=threshold,
             max_pieces=max_pieces,
             seed=seed,
+            progress=report,
         )
-        return cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
+        body = cls(_fitted(Hulls.of(polytopes), np.array([0, len(polytopes)]), tol), covering)
+        if progress is not None:
+            progress(steps, steps)
+        return body
 
     @classmethod
     def from_surface(

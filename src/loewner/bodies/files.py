@@ -53,18 +53,28 @@ def _bodies(told: dict[str, Any]) -> tuple[Packed, Covering | None]:
 
 
 def _covering(values: list[str]) -> Covering:
-    """What a mesh's pieces leave uncovered, from the five texts that `save` writes."""
-    if np.shape(values) != (5,):
-        raise InputError(f"covering: expected five entries, found {values!r}")
-    kind, exact, uncovered, excess, samples = values
+    """What a mesh's pieces leave uncovered and how far they stick out, from the six texts that `save` writes.
+
+    Files of before `max_protrusion` have five; NaN is then in its place.
+    """
+    if np.shape(values) not in ((5,), (6,)):
+        raise InputError(f"covering: expected six entries, found {values!r}")
+    kind, exact, uncovered, excess, samples, *last = values
     if kind not in COVERINGS or exact not in ("True", "False") or not re.fullmatch(r"\d{1,18}", samples, re.ASCII):
         raise InputError(
             f"covering: expected a kind among {', '.join(COVERINGS)}, True or False, ..., found {values!r}"
         )
     try:
-        gap, more = float(uncovered), float(excess)
+        gap, more, out = float(uncovered), float(excess), float(last[0]) if last else math.nan
     except ValueError:
-        raise InputError(f"covering: expected numbers, found {uncovered!r} and {excess!r}") from None
-    if not 0 <= gap < math.inf or not (math.isnan(more) or -1 <= more < math.inf):
-        raise InputError(f"covering: expected a length >= 0 and a ratio >= -1 or nan, found {uncovered} and {excess}")
-    return Covering(kind, exact == "True", gap, more, int(samples))
+        raise InputError(f"covering: expected numbers, found {', '.join([uncovered, excess, *last])}") from None
+    if (
+        not 0 <= gap < math.inf
+        or not (math.isnan(more) or -1 <= more < math.inf)
+        or not (math.isnan(out) or 0 <= out < math.inf)
+    ):
+        raise InputError(
+            f"covering: expected a length >= 0, a ratio >= -1 or nan and a length >= 0 or nan, found "
+            f"{', '.join([uncovered, excess, *last])}"
+        )
+    return Covering(kind, exact == "True", gap, more, int(samples), out)

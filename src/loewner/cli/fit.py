@@ -15,6 +15,7 @@ from loewner.errors import FileError, InputError
 EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies
   loewner fit gripper.obj -o bodies --threshold 0.02    more pieces, a closer fit
+  loewner fit mug.stl -o bodies --tolerance 0.002       pieces that stick out by at most 2 mm
   loewner fit table.glb -o bodies --hull                one piece: the convex hull
 """
 
@@ -37,13 +38,18 @@ def _run(options: argparse.Namespace) -> int:
     if twice:
         raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
     table = new_table(
-        "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "covering", title="loewner fit"
+        "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
     )
     with progress_bar() as progress:
-        task = progress.add_task("", total=len(targets))
+        task = progress.add_task("meshes", total=len(targets))
+        part = progress.add_task("", total=None)
+
+        def report(done: int, total: int) -> None:
+            progress.update(part, completed=done, total=total)
+
         for mesh, target in zip(options.meshes, targets, strict=True):
-            progress.update(task, description=mesh.name)
-            body = inputs.from_mesh(mesh, options, tol=options.tol)
+            progress.update(part, description=mesh.name, completed=0, total=None)
+            body = inputs.from_mesh(mesh, options, tol=options.tol, progress=report)
             _make_folder(options.out)
             body.save(target)
             table.add_row(*_fit_row(target, body))

@@ -10,7 +10,7 @@ import numpy as np
 
 import loewner
 from loewner._rotations import from_quaternion
-from loewner._validate import Floats
+from loewner._validate import Floats, Progress
 from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
@@ -27,6 +27,7 @@ def add_mesh_options(command: argparse.ArgumentParser) -> None:
     """Options of commands that take meshes."""
     command.add_argument("--hull", action="store_true", help="take the convex hull of a mesh; do not decompose it")
     command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
+    command.add_argument("--tolerance", type=float, metavar="M", help="the pieces stick out by no more [m]")
     command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
     command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
@@ -52,16 +53,26 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     return loewner.Body.load(path) if path.suffix.lower() == ".npz" else from_mesh(path, options)
 
 
-def from_mesh(path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE) -> loewner.Body:
-    """Body of a mesh."""
+def from_mesh(
+    path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
+) -> loewner.Body:
+    """Body of a mesh, with a bar of its own unless the caller shows progress."""
+    if progress is None:
+        with progress_bar() as bar:
+            task = bar.add_task(path.name, total=None)
+            return from_mesh(
+                path, options, tol=tol, progress=lambda done, total: bar.update(task, completed=done, total=total)
+            )
     return loewner.Body.from_mesh(
         path,
         decompose=not options.hull,
         scale=options.scale,
+        tolerance=options.tolerance,
         threshold=options.threshold,
         max_pieces=options.max_pieces,
         seed=options.seed,
         tol=tol,
+        progress=progress,
     )
 
 

@@ -82,13 +82,15 @@ def print_table(table: Table | PlainTable) -> None:
 
 
 def covering_text(covering: loewner.Covering | None) -> str:
-    """What the pieces of a mesh hold of it, in a few words."""
+    """Which model of a mesh the pieces are, what they hold of it and how far they stick out, in a few words."""
     if covering is None:
         return "-"
     percent = round(100 * covering.excess_volume, 1) + 0.0  # no minus zero
     excess = f", {percent:+.1f} % volume"
     if np.isnan(covering.excess_volume):
         excess = ", volume of the mesh unknown"
+    if not np.isnan(covering.max_protrusion):
+        excess += f", sticks out by up to {1e3 * covering.max_protrusion:.3g} mm"
     if covering.exact:
         return f"{covering.kind}, holds the mesh{excess}"
     return f"{covering.kind}, leaves up to {1e3 * covering.max_uncovered:.3g} mm uncovered{excess}"

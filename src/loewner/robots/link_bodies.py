@@ -27,7 +27,19 @@ from loewner.robots.urdf import Description, Shape
 NOT_CACHED = (".gltf", ".glb")
 
 # What makes a body of a mesh file, apart from the kernels.
-_MAKERS = ("mesh_files", "meshes.py", "coverage.py", "polytopes.py", "fits.py", "bodies", "robots/link_bodies.py")
+_MAKERS = (
+    "mesh_files",
+    "meshes.py",
+    "closed_parts.py",
+    "plane_cuts.py",
+    "coverage.py",
+    "protrusion.py",
+    "triangles.py",
+    "polytopes.py",
+    "fits.py",
+    "bodies",
+    "robots/link_bodies.py",
+)
 
 _PRIMITIVES: dict[str, Callable[..., Body]] = {
     "box": lambda *size: Body.box(size),
@@ -197,6 +209,8 @@ def _union(parts: list[Body]) -> Body:
             max_uncovered=max(c.max_uncovered for c in known),
             excess_volume=float("nan"),
             samples=sum(c.samples for c in known),
+            # Out of its own mesh, a piece may be inside of another one's: a bound it is all the same.
+            max_protrusion=max(c.max_protrusion for c in known),
         ),
     )
 

@@ -1,0 +1,463 @@
+"""How far convex pieces stick out of a mesh: a proven bound, by branch and bound over the pieces' surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loewner._validate import Bools, Floats, Ints
+from loewner.polytopes import Polytope
+from loewner.triangles import cut, halved, longest_edges, squared_distances, unit_normals
+
+# What is looked for ends when the bound is this near to a value that was found: a share of the value, or of the
+# diagonal of the mesh's box.
+RELATIVE, ABSOLUTE = 0.01, 1e-4
+
+# Distances and heights are rounded by less than this share of the diagonal, and this one of the largest coordinate.
+ROUNDING, COORDINATES = 1e-12, 1e-14
+
+# Cells looked at in all, after which the bound that there is counts; in one go; and, where nothing was found to stick
+# out, until that is known down to rounding.
+WORK, AT_ONCE, WORK_ON_NOTHING = 400_000, 8192, 100_000
+
+# A cell is cut along the edges of the triangle that it lies in, unless its edges are this many times as long.
+COARSE = 4.0
+
+# Cubes are asked for the triangles in their reach if they are no larger than this share of the diagonal.
+LARGEST_LOOKED_INTO = 0.1
+
+# Triangles face into one half-space if their normals have this much in common with a direction, which is looked for in
+# so many steps.
+FACING, FACING_STEPS = 1e-6, 6
+
+# Points at a time, for the memory that they take with the triangles near them.
+CHUNK = 16_384
+
+# Leaves that a point looks at one by one, the nearest first, before it looks at all that are still in reach.
+LEAVES_FIRST = 4
+
+# Triangles of a leaf of the trees, at most.
+LEAF = 4
+
+# Direction of the rays that tell inside from outside, with third component 1: along no edge that anybody draws.
+SHEAR = (0.017_320_508_07, 0.031_415_926_53)
+
+
+class Solid:
+    """A triangle mesh that tells how far points are from it: from the solid if it is closed, else from the surface.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (t, 3, 3)
+        Corners. Of a closed mesh, counter-clockwise seen from outside.
+    closed : bool
+        Whether the mesh has an inside: all points with a winding number other than 0.
+    size : float, optional
+        What lengths are compared with, in metres; otherwise the diagonal of the mesh's box.
+    """
+
+    def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
+        self.triangles, self.closed = triangles, closed
+        self.normals = unit_normals(triangles)
+        self.size = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0))) if size is None else size
+        self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(triangles).max())
+        self._tree = _Tree(triangles.min(axis=1), triangles.max(axis=1))
+        if closed:
+            self._shadows = _sheared(triangles)
+            lower, upper = self._shadows.min(axis=1), self._shadows.max(axis=1)
+            lower[:, 2] = -np.inf  # a ray goes up: it meets the triangles that reach above where it starts
+            self._shadow_tree = _Tree(lower, upper)
+
+    def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
+        """Distance of points to the surface, negative inside, and the triangle that each is nearest to."""
+        distances, nearest = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        for k in range(0, len(points), CHUNK):
+            some = points[k : k + CHUNK]
+            squared, nearest[k : k + CHUNK] = self._nearest(some)
+            found = np.sqrt(squared)
+            if self.closed:
+                clear = np.flatnonzero(found > self.rounding)  # on the surface, either sign will do
+                found[clear[self.winding_numbers(some[clear]) != 0]] *= -1
+            distances[k : k + CHUNK] = found
+        return distances, nearest
+
+    def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
+        """Squared distance to the nearest triangle, and which it is."""
+        squared, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+        point, leaf = self._tree.guess(points)
+        self._look(points, *self._tree.items(point, leaf), squared, nearest)
+        point, leaf, gap = self._tree.within(points, squared)
+        # The nearest leaf first, a few times: most of the others are then out of reach.
+        for _ in range(LEAVES_FIRST):
+            least = np.full(len(points), np.inf)
+            np.minimum.at(least, point, gap)
+            first = gap == least[point]
+            self._look(points, *self._tree.items(point[first], leaf[first]), squared, nearest)
+            left = ~first & (gap < squared[point])
+            point, leaf, gap = point[left], leaf[left], gap[left]
+        self._look(points, *self._tree.items(point, leaf), squared, nearest)
+        return squared, nearest
+
+    def _look(self, points: Floats, point: Ints, triangle: Ints, squared: Floats, nearest: Ints) -> None:
+        """Lower the least squared distances of points, where their pairs with triangles do."""
+        in_reach = self._tree.gaps(points[point], triangle) < squared[point]
+        point, triangle = point[in_reach], triangle[in_reach]
+        found = squared_distances(points[point], self.triangles[triangle], self.normals[triangle])
+        before = squared.copy()
+        np.minimum.at(squared, point, found)
+        better = (found == squared[point]) & (found < before[point])
+        nearest[point[better]] = triangle[better]
+
+    def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
+        """Whether all triangles in reach of a point turn their outer sides into one half-space.
+
+        A surface that is not closed has two outer sides, unless the point and what is about it is known to be
+        `outside` of it: then the one that the point is on.
+        """
+        answer = np.zeros(len(points), dtype=bool)
+        chunk = CHUNK // 8
+        for k in range(0, len(points), chunk):
+            x, far = points[k : k + chunk], reach[k : k + chunk] + self.rounding
+            point, triangle = self._tree.items(*self._tree.within(x, far**2)[:2])
+            # A sliver is in the edges of its neighbours, whose normals count.
+            near = (self._tree.gaps(x[point], triangle) <= far[point] ** 2) & self.normals[triangle].any(axis=1)
+            point, triangle = point[near], triangle[near]
+            normals = self.normals[triangle]
+            if not self.closed:
+                side = np.einsum("ij,ij->i", x[point] - self.triangles[triangle, 0], normals)
+                normals = normals * np.where(outside[k : k + chunk][point], np.sign(side), 0.0)[:, None]
+            direction = np.zeros_like(x)
+            np.add.at(direction, point, normals)
+            for _ in range(FACING_STEPS):
+                direction /= np.maximum(np.linalg.norm(direction, axis=1), np.finfo(float).tiny)[:, None]
+                common = np.einsum("ij,ij->i", normals, direction[point])
+                least = np.full(len(x), np.inf)
+                np.minimum.at(least, point, common)
+                worst = (common == least[point]) & (least[point] <= FACING)
+                if not worst.any():
+                    break
+                direction[point[worst]] += normals[worst]
+            answer[k : k + chunk] = np.isfinite(least) & (least > FACING)
+        return answer
+
+    def winding_numbers(self, points: Floats) -> Ints:
+        """How often the surface goes around each point, by the crossings of a ray; a closed mesh only."""
+        x = _sheared(points)
+        point, triangle = self._shadow_tree.holding(x)
+        a, b, c = self._shadows[triangle].transpose(1, 0, 2)
+        p = x[point]
+        # Each edge from its smaller end to the larger, so that both of its triangles find it on the same side.
+        sides = np.stack([_side(p, a, b), _side(p, b, c), _side(p, c, a)])
+        turn = np.sign(sides)
+        hit = (turn == turn[0]).all(axis=0)
+        u, v = b - a, c - a
+        normal = np.cross(u, v)
+        over = np.einsum("ij,ij->i", normal, a - p) * np.sign(normal[:, 2]) > 0
+        counts = np.zeros(len(points), dtype=np.int64)
+        np.add.at(counts, point[hit & over], turn[0, hit & over].astype(np.int64))
+        # A ray through an edge, to rounding: count by solid angles.
+        scale = np.maximum((u**2).sum(axis=1), (v**2).sum(axis=1)) + self.size * np.abs(p - a).max(axis=1, initial=0.0)
+        doubt = np.unique(point[(np.abs(sides) <= 1e-14 * scale).any(axis=0)])
+        for k in doubt:
+            counts[k] = self._turns(points[k])
+        return counts
+
+    def _turns(self, point: Floats) -> int:
+        """Winding number by the sum of the triangles' solid angles."""
+        arms = self.triangles - point
+        length = np.linalg.norm(arms, axis=2)
+        a, b, c = arms.transpose(1, 0, 2)
+        la, lb, lc = length.T
+        volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+        dots = [np.einsum("ij,ij->i", *pair) for pair in ((a, b), (b, c), (c, a))]
+        angles = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+        return round(float(angles.sum()) / (4 * np.pi))
+
+
+def _sheared(points: Floats) -> Floats:
+    """Coordinates in which the rays go along the third axis."""
+    sheared: Floats = points - points[..., 2:] * np.array([*SHEAR, 0.0])
+    return sheared
+
+
+def _side(p: Floats, a: Floats, b: Floats) -> Floats:
+    """On which side of a line from a to b points are, seen along the third axis; exactly opposite from b to a."""
+    swap = (a[:, 0] > b[:, 0]) | ((a[:, 0] == b[:, 0]) & (a[:, 1] > b[:, 1]))
+    first, second = (np.where(swap[:, None], *pair)[:, :2] for pair in ((b, a), (a, b)))
+    u, v = second - first, p[:, :2] - first
+    side = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    return np.where(swap, -side, side)
+
+
+class _Tree:
+    """Boxes in a balanced binary tree, asked by many points at once, level by level."""
+
+    def __init__(self, lower: Floats, upper: Floats) -> None:
+        self._boxes = lower, upper
+        count = len(lower)
+        depth = max(0, int(np.ceil(np.log2(max(count / LEAF, 1)))))
+        middle = np.where(np.isfinite(lower), lower, upper) + upper
+        order = np.arange(count)
+        for level in range(depth):
+            start = self._starts(count, level)
+            segment = np.repeat(np.arange(2**level), np.diff(start))
+            extent = np.maximum.reduceat(middle[order], start[:-1]) - np.minimum.reduceat(middle[order], start[:-1])
+            order = order[np.lexsort((middle[order, extent.argmax(axis=1)[segment]], segment))]
+        self._order, self._leaves = order, self._starts(count, depth)
+        self._lower, self._upper = [], []
+        for level in range(depth + 1):
+            start = self._starts(count, level)[:-1]
+            self._lower.append(np.minimum.reduceat(lower[order], start))
+            self._upper.append(np.maximum.reduceat(upper[order], start))
+
+    @staticmethod
+    def _starts(count: int, level: int) -> Ints:
+        starts: Ints = np.arange(2**level + 1) * count // 2**level
+        return starts
+
+    def items(self, point: Ints, leaf: Ints) -> tuple[Ints, Ints]:
+        """Pairs of points and boxes, from pairs of points and leaves."""
+        sizes = self._leaves[leaf + 1] - self._leaves[leaf]
+        inside = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        return np.repeat(point, sizes), self._order[np.repeat(self._leaves[leaf], sizes) + inside]
+
+    def gaps(self, points: Floats, box: Ints) -> Floats:
+        """Squared distances of points to boxes."""
+        return _gaps(points, self._boxes[0][box], self._boxes[1][box])
+
+    def _node_gaps(self, points: Floats, level: int, node: Ints) -> Floats:
+        return _gaps(points, self._lower[level][node], self._upper[level][node])
+
+    def guess(self, points: Floats) -> tuple[Ints, Ints]:
+        """Pairs of points and the leaf that going down to the nearer box leads to."""
+        node = np.zeros(len(points), dtype=np.int64)
+        for level in range(1, len(self._lower)):
+            first, second = (self._node_gaps(points, level, 2 * node + k) for k in (0, 1))
+            node = 2 * node + (second < first)
+        return np.arange(len(points)), node
+
+    def within(self, points: Floats, squared: Floats) -> tuple[Ints, Ints, Floats]:
+        """Pairs of points and leaves no farther than these squared distances, and how far those are."""
+        point, node = np.arange(len(points)), np.zeros(len(points), dtype=np.int64)
+        gap = self._node_gaps(points, 0, node)
+        for level in range(1, len(self._lower)):
+            point, node = np.concatenate([point, point]), np.concatenate([2 * node, 2 * node + 1])
+            gap = self._node_gaps(points[point], level, node)
+            near = gap <= squared[point]
+            point, node, gap = point[near], node[near], gap[near]
+        return point, node, gap
+
+    def holding(self, points: Floats) -> tuple[Ints, Ints]:
+        """Pairs of points and boxes that may hold them."""
+        point, leaf, _ = self.within(points, np.zeros(len(points)))
+        return self.items(point, leaf)
+
+
+def _gaps(points: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Squared distances of points to boxes."""
+    gap = np.maximum(np.maximum(lower - points, points - upper), 0.0)
+    return np.asarray(np.einsum("ij,ij->i", gap, gap))
+
+
+@dataclass(frozen=True)
+class Protrusions:
+    """How far convex pieces stick out of a solid.
+
+    Attributes
+    ----------
+    bounds : ndarray, shape (k,)
+        Proven upper bound for each piece, in metres.
+    found : ndarray, shape (k,)
+        The distance of the farthest point that was found, a lower bound.
+    points : ndarray, shape (k, 3)
+        That point; NaN if nothing sticks out.
+    """
+
+    bounds: Floats
+    found: Floats
+    points: Floats
+
+
+def protrusions(
+    hulls: list[Polytope], solid: Solid, *, floor: float = 0.0, relative: float = RELATIVE, together: bool = False
+) -> Protrusions:
+    """Bound how far convex pieces stick out of a solid.
+
+    Parameters
+    ----------
+    hulls : list of Polytope
+    solid : Solid
+    floor : float
+        No piece is looked at more closely once its bound is below this length.
+    relative : float
+        How near the bound is to be to the distance found.
+    together : bool
+        Whether only the piece that sticks out most matters.
+
+    Notes
+    -----
+    No two points differ in distance to the solid by more than they are apart. So a triangle of a piece's boundary has
+    a bound: the distance of its centre, negative inside, and the radius about it. Distance to a single triangle of the
+    mesh is convex, so greatest at a corner: another bound, and the lesser one counts. A triangle whose bound is more
+    than what is asked for is halved; or cut along the edges of the mesh's triangle that it all but lies in, which
+    settles that part.
+
+    Inside of a piece, in a cavity or a groove that it fills, distance may be greater still, at a local maximum. There
+    the directions from the nearest points of the surface surround the point; and each is a combination of outward
+    normals of triangles that the nearest point belongs to. So a cube has no local maximum if all triangles in reach
+    face into one half-space. Other cubes have the bound above, or are divided. (Where a cavity reaches out of the part
+    that it belongs to, a triangle may have outside on both sides, and this does not hold.)
+    """
+    cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
+    owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
+    bounds, found = np.zeros(len(hulls)), np.zeros(len(hulls))
+    points = np.full((len(hulls), 3), np.nan)
+    rounding = solid.rounding
+
+    def targets(work: int) -> Floats:
+        best = np.full(len(hulls), found.max()) if together else found
+        nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
+        accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
+        return np.maximum(floor, np.maximum(best * (1 + relative), best + accuracy))
+
+    search = _Search(hulls, solid, found, points, bounds, targets)
+    search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)
+    cubes = np.array([[*(box := hull.vertices).min(axis=0), *np.ptp(box, axis=0)] for hull in hulls])
+    middles, half = cubes[:, :3] + cubes[:, 3:] / 2, cubes[:, 3:].max(axis=1, keepdims=True) / 2
+    search.go(np.hstack([middles, half]), np.arange(len(hulls)), np.full(len(hulls), np.inf), search.inside)
+    return Protrusions(np.where(bounds <= 4 * rounding, 0.0, bounds), found, points)
+
+
+def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
+    """Bound how far the hulls of closed parts stick out, each of its own part.
+
+    Other parts, which may touch this one or lie in it, would only be in the way: so each is put far from the others.
+    """
+    size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
+    edge = round(np.ceil(len(parts) ** (1 / 3)))
+    places = 3 * size * np.stack(np.unravel_index(np.arange(len(parts)), (edge, edge, edge)), axis=1)
+    shifts = places - [hull.vertices.mean(axis=0) for hull in hulls]
+    solid = Solid(np.concatenate([part + shift for part, shift in zip(parts, shifts, strict=True)]), True, size)
+    moved = [
+        replace(hull, vertices=hull.vertices + shift, offsets=hull.offsets + hull.normals @ shift)
+        for hull, shift in zip(hulls, shifts, strict=True)
+    ]
+    return float(protrusions(moved, solid, together=True).bounds.max())
+
+
+@dataclass
+class _Search:
+    """Branch and bound over cells of the pieces: what was found and what is proven, and two kinds of cells."""
+
+    hulls: list[Polytope]
+    solid: Solid
+    found: Floats
+    points: Floats
+    bounds: Floats
+    targets: Callable[[int], Floats]
+
+    def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
+        """Look at cells, those of the greatest bounds first, and at the parts of those that remain.
+
+        `limit` is what is known of each cell. `look` takes cells, owners, limits and the work so far, and returns the
+        parts of those that are not settled, whose parts they are, and the bounds of all of the cells.
+        """
+        work = 0
+        while len(cells) and work < WORK:
+            now, later = np.arange(len(cells)), np.empty(0, dtype=np.int64)
+            if len(cells) > AT_ONCE:
+                order = np.argpartition(-limit, AT_ONCE)
+                now, later = order[:AT_ONCE], order[AT_ONCE:]
+            work += len(now)
+            parts, origin, bound = look(cells[now], owner[now], limit[now], work)
+            # Those that waited may have been settled by what was found.
+            over = limit[later] <= self.targets(work)[owner[later]]
+            np.maximum.at(self.bounds, owner[later[over]], limit[later[over]])
+            later = later[~over]
+            cells = np.concatenate([parts, cells[later]])
+            limit = np.concatenate([bound[origin], limit[later]])
+            owner = np.concatenate([owner[now][origin], owner[later]])
+        np.maximum.at(self.bounds, owner, limit)
+
+    def _note(self, points: Floats, signed: Floats, owner: Ints) -> None:
+        """Keep the farthest point of each piece."""
+        for k in np.unique(owner[signed > self.found[owner]]):
+            mine = np.flatnonzero(owner == k)
+            at = mine[signed[mine].argmax()]
+            self.found[k], self.points[k] = signed[at], points[at]
+
+    def boundary(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Triangles of the pieces' boundaries."""
+        solid = self.solid
+        centers = cells.mean(axis=1)
+        signed, nearest = solid.signed_distances(centers)
+        self._note(centers, signed, owner)
+        radius = np.linalg.norm(cells - centers[:, None], axis=2).max(axis=1)
+        corner = np.repeat(nearest, 3)
+        far = squared_distances(cells.reshape(-1, 3), solid.triangles[corner], solid.normals[corner]).reshape(-1, 3)
+        bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + solid.rounding
+        bound = np.minimum(bound, limit)
+        target = self.targets(work)[owner]
+        rest = np.flatnonzero(bound > target)
+        np.maximum.at(self.bounds, owner, np.where(bound > target, 0.0, bound))
+        parts, origin, height = _smaller(cells[rest], nearest[rest], target[rest], solid)
+        np.maximum.at(self.bounds, owner[rest], height)
+        return parts, rest[origin], bound
+
+    def inside(self, cells: Floats, owner: Ints, limit: Floats, work: int) -> tuple[Floats, Ints, Floats]:
+        """Cubes, as middles and half edges, which may hold local maxima of distance in the pieces."""
+        middles, half = cells[:, :3], cells[:, 3]
+        radius = np.sqrt(3.0) * half
+        height = np.empty(len(cells))
+        for k in np.unique(owner):
+            mine = owner == k
+            height[mine] = (middles[mine] @ self.hulls[k].normals.T - self.hulls[k].offsets).max(axis=1)
+        signed = np.full(len(cells), -np.inf)
+        met = np.flatnonzero(height < radius)
+        signed[met] = self.solid.signed_distances(middles[met])[0]
+        self._note(middles[height <= 0], signed[height <= 0], owner[height <= 0])
+        bound = np.minimum(np.maximum(signed + radius, 0.0) + self.solid.rounding, limit)
+        target = self.targets(work)[owner]
+        low = (bound <= target) & (height < radius)
+        np.maximum.at(self.bounds, owner[low], bound[low])
+        rest = np.flatnonzero((bound > target) & (height < radius))
+        small = rest[radius[rest] <= self.solid.size * LARGEST_LOOKED_INTO]
+        settled = small[
+            self.solid.face_one_way(middles[small], signed[small] + 2 * radius[small], signed[small] > radius[small])
+        ]
+        rest = np.setdiff1d(rest, settled)
+        steps = np.array([[x, y, z, 0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+        parts = np.hstack([middles, half[:, None] / 2])[rest, None] + steps * half[rest, None, None]
+        return parts.reshape(-1, 4), np.repeat(rest, 8), bound
+
+
+def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tuple[Floats, Ints, Floats]:
+    """Parts of cells, the cell that each comes from, and a bound for the part of each cell that is settled."""
+    length, edge = longest_edges(cells)
+    mesh, normals = solid.triangles[nearest], solid.normals[nearest]
+    height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
+    flat = normals.any(axis=1) & (height <= target) & (length <= COARSE * longest_edges(mesh)[0])
+    flat &= _over(cells.mean(axis=1), mesh, normals)
+    plain = np.flatnonzero(~flat)
+    parts, origins = [halved(cells[plain], edge[plain])], [plain, plain]
+    rest, of = cells[flat], np.flatnonzero(flat)
+    for k in range(3):
+        a, b = mesh[of, k], mesh[of, (k + 1) % 3]
+        outward = np.cross(b - a, normals[of])
+        outward /= np.linalg.norm(outward, axis=1)[:, None]
+        rest, inside, outside, beyond = cut(rest, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
+        parts.append(outside)
+        origins.append(of[beyond])
+        of = of[inside]
+    return np.concatenate(parts), np.concatenate(origins), np.where(flat, height, 0.0)
+
+
+def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
+    """Whether points lie over the insides of triangles."""
+    above = np.ones(len(points), dtype=bool)
+    for k in range(3):
+        edge = triangles[:, (k + 1) % 3] - triangles[:, k]
+        above &= np.einsum("ij,ij->i", np.cross(normals, edge), points - triangles[:, k]) > 0
+    return above

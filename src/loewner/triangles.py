@@ -1,0 +1,98 @@
+"""Many triangles in space at a time: halved, cut by planes, and how far points are from them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._validate import Floats, Ints
+
+# A triangle whose height is less than this share of its longest edge has no direction of its own: it counts as its
+# edges, which are all of it but for that height.
+SLIVER = 1e-12
+
+
+def halved(triangles: Floats, edge: Ints) -> Floats:
+    """Cut each triangle across the edge that starts at the given corner; the second halves follow the first ones."""
+    row = np.arange(len(triangles))
+    a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
+    middle = (a + b) / 2
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+
+
+def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
+    """Length of each triangle's longest edge, and the corner that it starts at."""
+    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+    return edges.max(axis=1), edges.argmax(axis=1)
+
+
+def unit_normals(triangles: Floats) -> Floats:
+    """Unit normals, right-handed; zero for slivers."""
+    a, b, c = triangles.transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    sound = length > SLIVER * longest_edges(triangles)[0] ** 2
+    return np.where(sound[:, None], normals / np.where(sound, length, 1.0)[:, None], 0.0)
+
+
+def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) -> tuple[Floats, Ints, Floats, Ints]:
+    """Cut each triangle by a plane.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (t, 3, 3)
+    normals : ndarray, shape (t, 3)
+        One plane {x : normal x = offset} for each triangle.
+    offsets : ndarray, shape (t,)
+    rounding : float
+        Corners this near to the plane count as in it. A triangle that lies in it belongs to the side that is behind
+        it: where the solid is that it bounds.
+
+    Returns
+    -------
+    below, above : ndarray, shapes (k, 3, 3)
+        Each followed by the numbers of the triangles that its parts come from.
+    """
+    height = np.einsum("tij,tj->ti", triangles, normals) - offsets[:, None]
+    height[np.abs(height) <= rounding] = 0.0
+    lower, upper = (height < 0).sum(axis=1), (height > 0).sum(axis=1)
+    crossed = np.flatnonzero((lower > 0) & (upper > 0))
+    facing = np.einsum(
+        "tj,tj->t", np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), normals
+    )
+    in_plane = (lower == 0) & (upper == 0)
+    whole_below = np.flatnonzero((lower > 0) & (upper == 0) | in_plane & (facing > 0))
+    whole_above = np.flatnonzero((upper > 0) & (lower == 0) | in_plane & (facing <= 0))
+
+    # The corner `a` that is alone on its side, and the two that are not, or that lie in the plane.
+    single_below = lower[crossed] == 1
+    alone = np.where(single_below, (height[crossed] < 0).argmax(axis=1), (height[crossed] > 0).argmax(axis=1))
+    (a, b, c), (ha, hb, hc) = (
+        [values[crossed, (alone + k) % 3] for k in range(3)] for values in (triangles, height)
+    )  # fmt: skip
+    ab = np.where((hb == 0)[:, None], b, a + (b - a) * (ha / (ha - hb))[:, None])
+    ac = np.where((hc == 0)[:, None], c, a + (c - a) * (ha / (ha - hc))[:, None])
+    tips = np.stack([a, ab, ac], axis=1)
+    rests = [(np.stack([ab, b, c], axis=1), hb != 0), (np.stack([ab, c, ac], axis=1), hc != 0)]
+
+    parts, origins = [], []
+    for whole, tip_here in ((whole_below, single_below), (whole_above, ~single_below)):
+        picked = [(triangles[whole], whole), (tips[tip_here], crossed[tip_here])]
+        picked += [(rest[there & ~tip_here], crossed[there & ~tip_here]) for rest, there in rests]
+        parts.append(np.concatenate([part for part, _ in picked]))
+        origins.append(np.concatenate([origin for _, origin in picked]))
+    return parts[0], origins[0], parts[1], origins[1]
+
+
+def squared_distances(points: Floats, triangles: Floats, normals: Floats) -> Floats:
+    """Squared distance of each point to its triangle, from three edges and the inside; `normals` zero for slivers."""
+    least = np.full(len(points), np.inf)
+    above = normals.any(axis=1)
+    for k in range(3):
+        a, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
+        x = points - a
+        length = np.einsum("ij,ij->i", edge, edge)
+        along = np.clip(np.einsum("ij,ij->i", x, edge) / np.where(length > 0, length, 1.0), 0, 1)
+        least = np.minimum(least, ((x - along[:, None] * edge) ** 2).sum(axis=1))
+        above &= np.einsum("ij,ij->i", np.cross(normals, edge), x) >= 0
+    height = np.einsum("ij,ij->i", points - triangles[:, 0], normals)
+    return np.where(above, np.minimum(least, height**2), least)
