@@ -786,6 +786,23 @@ def distance(a: Mesh, Ta: np.ndarray, b: Mesh, Tb: np.ndarray) -> float:
     return root(best * Fraction(2) ** (2 * placed.exponent))
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _nearest(points, corners, out):
+    work = np.empty((24, 4))
+    for n in range(len(points)):
+        best = np.inf
+        for t in range(len(corners)):
+            best = min(best, _triangle_point(points[n], corners[t], work[8], work))
+        out[n] = np.sqrt(best)
+
+
+def distances_of_points(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Distances of points from a surface, in its own frame, in floating point."""
+    out = np.empty(len(points))
+    _nearest(np.ascontiguousarray(points), mesh.tree.corners, out)
+    return out
+
+
 def root(square: Fraction) -> float:
     """Square root to the last digit."""
     if square == 0:
