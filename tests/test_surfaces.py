@@ -192,7 +192,7 @@ def test_a_cavity_is_free():
 
 
 def test_a_ball_in_a_cup():
-    """Its distance is known within the cup, above it and beside it; in the wall it collides, in the cavity it does not."""
+    """Its distance is known within the cup, above and below it; in the wall it collides, in the cavity it does not."""
     body, ball, r = surface(cup()), Body.sphere(0.1), 0.1
     flat = INSIDE * np.cos(np.pi / SIDES)  # of the polygon's sides
     for x, z, expected in ((0.0, 0.6, flat), (0.0, 0.15, 0.15), (0.0, 1.4, np.hypot(0.4, INSIDE)), (0.0, -0.4, 0.35)):
@@ -486,7 +486,7 @@ def test_margins(first: str, second: str):
 @pytest.mark.parametrize("other", ["cup", "sphere", "hull"])
 @pytest.mark.parametrize("name", ["cup", "cup as a skin", "soup", "plane"])
 def test_a_radius_is_a_margin(name: str, other: str):
-    """A surface with a radius is at a distance less by that, and collides where the one without does with that margin."""
+    """A surface with a radius is nearer by that, and collides where the one without does with that margin."""
     r, mesh = 0.07, SOLIDS[name]()
     thin, thick = surface(mesh), surface(mesh, radius=r)
     b = surface(cup()) if other == "cup" else OTHERS[other]()
