@@ -757,15 +757,28 @@ def _near_triangles(P, Q, work):
 
 @numba.njit(cache=True, error_model="numpy")
 def _squares(A, B, out):
-    """Squares of the distances of all triangles of one mesh from all of another, about; 0 where they cross."""
+    """Squares of the distances of all triangles of one mesh from all of another, about; 0 where they cross.
+
+    Infinite where their boxes show that others are nearer.
+    """
     work = np.empty((24, 4))
     P, Q = np.empty((3, 3)), np.empty((3, 3))
+    best = np.inf
     for i in range(len(A)):
         for j in range(len(B)):
+            apart = 0.0
+            for k in range(3):
+                low_a, high_a = min(A[i, 0, k], A[i, 1, k], A[i, 2, k]), max(A[i, 0, k], A[i, 1, k], A[i, 2, k])
+                low_b, high_b = min(B[j, 0, k], B[j, 1, k], B[j, 2, k]), max(B[j, 0, k], B[j, 1, k], B[j, 2, k])
+                apart += max(0.0, low_b - high_a, low_a - high_b) ** 2
+            out[i, j] = np.inf
+            if apart > best * (1 + 1e-6):
+                continue
             out[i, j] = _near_triangles(A[i], B[j], work)
             P[:], Q[:] = A[i], B[j]
-            if _judge(P, Q, 0.0, work) == MEET:
+            if apart == 0 and _judge(P, Q, 0.0, work) == MEET:
                 out[i, j] = 0.0
+            best = min(best, out[i, j])
 
 
 def distance(a: Mesh, Ta: np.ndarray, b: Mesh, Tb: np.ndarray) -> float:

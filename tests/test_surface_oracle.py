@@ -224,6 +224,45 @@ def test_batches_are_their_poses(rng: np.random.Generator):
     assert (found == collides(b, T, a, np.eye(4))).all()
 
 
+def by_whole_numbers_alone(a: Mesh, Ta: np.ndarray, b: Mesh, Tb: np.ndarray) -> bool:
+    """Every pair of triangles, and every triangle against a ray from every component; nothing compiled."""
+    placed = surface_oracle.Placed((a, b), (Ta, Tb))
+    A, B = ([placed.triangle(side, f) for f in range(len(m.faces))] for side, m in enumerate((a, b)))
+    if any(triangles_meet(s, t) for s in A for t in B):
+        return True
+    for side, mesh, other, triangles in ((0, a, b, B), (1, b, a, A)):
+        for seed in mesh.seeds if other.solid else ():
+            crossings = [None]
+            directions = surface_oracle._directions()
+            while None in crossings:
+                d = next(directions)
+                crossings = [surface_oracle._crossing(placed.vertex(side, int(seed)), d, t) for t in triangles]
+            if sum(crossings) != 0:
+                return True
+    return False
+
+
+def test_nothing_compiled_agrees(rng: np.random.Generator):
+    """Boxes, shells and soups in random poses and on a grid: whole numbers alone, without any filter, say the same."""
+    meshes = [
+        box(),
+        joined(box(2.0), box(1.5, inwards=True)),
+        box(0.5, solid=False),
+        joined(box(0.25), box(0.25, (1, 0, 0))),
+    ]
+    soup = rng.integers(0, 5, (6, 3, 3)) / 4
+    meshes.append(Mesh(soup.reshape(-1, 3), np.arange(18), False))
+    answers = []
+    for k in range(160):
+        a, b = (meshes[i] for i in rng.integers(len(meshes), size=2))
+        Ta, Tb = random_poses(rng, 2, 1.0)
+        if k % 2:
+            Ta, Tb = (translation(*(rng.integers(-6, 7, 3) / 4)) for _ in range(2))
+        answers.append(by_whole_numbers_alone(a, Ta, b, Tb))
+        assert collides(a, Ta, b, Tb) == answers[-1]
+    assert 30 < sum(answers) < 130
+
+
 def test_distances_of_boxes():
     """Faces, edges and vertices of boxes are as far apart as they are, and as far when all is turned."""
     a, b, eye = box(), box(), np.eye(4)

@@ -268,7 +268,8 @@ def test_a_box_on_a_grid():
     for size, x, y in product((1.0, 0.5, 10.0), (0.0, 0.5, 0.3), (0.0, 0.25, 1.0)):
         for other in (surface(box(size)), Body.box([size] * 3), surface(box(size, solid=False))):
             assert collide(floor, None, other, translation(x, y, size / 2))
-            assert collide(floor, None, other, translation(x, y, size / 2 - HAIR))
+            if size < 6:  # a larger one, sunk, has all of the plane within it
+                assert collide(floor, None, other, translation(x, y, size / 2 - HAIR))
             assert not collide(floor, None, other, translation(x, y, size / 2 + HAIR))
             assert not collide(floor, None, other, translation(x, y, -size / 2 - HAIR))
             assert collide(other, translation(x, y, -size / 2), floor, None)
@@ -367,8 +368,7 @@ def test_soups_agree_with_brute_force(seed: int):
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_distances_agree_with_brute_force(first: str, second: str):
-    """Where bodies are apart, the distance is that of the nearest triangles; the bounds hold it; else it is not
-    positive."""
+    """Apart, bodies are as far as their nearest triangles, within the bounds; colliding, they are at no distance."""
     A, B = SOLIDS[first](), SOLIDS[second]()
     a, b = surface(A), surface(B)
     Ta, Tb = poses_of(3, 30, 3.0)
@@ -397,7 +397,7 @@ def test_witnesses(first: str, second: str):
     for k in apart:
         between = found.witness_b[k] - found.witness_a[k]
         assert np.linalg.norm(between) == pytest.approx(found.distance[k], abs=slack)
-        np.testing.assert_allclose(between, found.distance[k] * found.normal[k], atol=slack)
+        np.testing.assert_allclose(between, found.distance[k] * found.normal[k], rtol=0, atol=slack)
         assert np.linalg.norm(found.normal[k]) == pytest.approx(1, abs=1e-9)
         for mesh, T, x in ((A, Ta[k], found.witness_a[k]), (B, Tb[k], found.witness_b[k])):
             own = np.linalg.solve(T[:3, :3], x - T[:3, 3])
@@ -445,7 +445,7 @@ def test_symmetry(first: str, second: str):
     np.testing.assert_array_equal(apart, two.distance > 0)
     np.testing.assert_allclose(one.distance[apart], two.distance[apart], rtol=0, atol=TIGHT * lengths(Tb))
     between = two.witness_b[apart] - two.witness_a[apart]
-    np.testing.assert_allclose(np.linalg.norm(between, axis=1), one.distance[apart], atol=TIGHT * lengths(Tb))
+    np.testing.assert_allclose(np.linalg.norm(between, axis=1), one.distance[apart], rtol=0, atol=TIGHT * lengths(Tb))
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS[:4])
@@ -506,7 +506,7 @@ def test_a_radius_is_a_margin(name: str, other: str):
     assert apart.any()
     np.testing.assert_allclose(found.distance[apart], gap[apart] - r, rtol=0, atol=TIGHT * lengths(Tb))
     between = (found.witness_b - found.witness_a)[apart]
-    np.testing.assert_allclose(np.linalg.norm(between, axis=1), found.distance[apart], atol=TIGHT * lengths(Tb))
+    np.testing.assert_allclose(np.linalg.norm(between, axis=1), found.distance[apart], rtol=0, atol=TIGHT * lengths(Tb))
 
 
 def test_two_radii_add():
