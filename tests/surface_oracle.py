@@ -831,19 +831,22 @@ def boundary(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Two poses of `other` less than `tolerance` apart: it collides at the first and is free at the second.
 
-    From its pose, which has to collide, it goes along `way` to its end, which has to be free: else None.
+    From its pose, which has to collide, it goes along `way` to its end, which has to be free: else None. With a
+    tolerance of 0 they are as near as doubles along the way can be.
     """
 
     def at(s: float) -> np.ndarray:
-        T = T_other.copy()
-        T[:3, 3] = T_other[:3, 3] + s * way
-        return T
+        moved = T_other.copy()
+        moved[:3, 3] = T_other[:3, 3] + s * way
+        return moved
 
     if not collides(mesh, T, other, at(0.0))[0] or collides(mesh, T, other, at(1.0))[0]:
         return None
     low, high, length = 0.0, 1.0, float(np.linalg.norm(way))
     while (high - low) * length > tolerance:
         middle = (low + high) / 2
+        if middle in (low, high):
+            break
         if collides(mesh, T, other, at(middle))[0]:
             low = middle
         else:

@@ -278,10 +278,13 @@ def test_a_box_on_a_grid():
 @settings(max_examples=25)
 @given(SEEDS)
 def test_touching_on_a_grid(seed: int):
-    """Triangles, segments and points with corners on a grid, turned by right angles: what touches collides, exactly."""
+    """Triangles, segments and points on a grid, at right angles, far away too: what touches collides, exactly."""
     rng = np.random.default_rng(seed)
     A, B = soup(rng, int(rng.integers(1, 6)), True), soup(rng, int(rng.integers(1, 6)), True)
     Ta, Tb = grid_poses(rng, 12), grid_poses(rng, 12)
+    for T in (Ta, Tb):
+        T[6:, :3, 3] += 2.0**20
+        T[9:, :3, :3] *= 1 + 2.0**-22
     expected = collides(A, Ta, B, Tb)
     a, b = surface(A), surface(B)
     np.testing.assert_array_equal(collide(a, Ta, b, Tb), expected)
@@ -314,6 +317,26 @@ def test_both_sides_of_contact(first: str, second: str):
             assert not collide(b, both[1], a, Ta)
             found += 1
     assert found >= 3
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e3, -12345.678])
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_the_last_bit_of_contact(first: str, second: str, offset: float):
+    """Neighbouring doubles on either side of contact, far away too, turned a little askew: decided exactly."""
+    A, B = SOLIDS[first](), SOLIDS[second]()
+    a, b, rng = surface(A), surface(B), np.random.default_rng(29)
+    found = 0
+    for Ta, Tb in zip(*poses_of(30, 8), strict=True):
+        for T in (Ta, Tb):
+            T[:3, :3] += rng.uniform(-1e-7, 1e-7, (3, 3))
+            T[:3, 3] += offset
+        both = boundary(A, Ta, B, Tb, rng.normal(size=3) * 2, 0.0)
+        if both is not None:
+            for T, expected in zip(both, (True, False), strict=True):
+                assert collide(a, Ta, b, T) == collide(b, T, a, Ta) == expected
+                assert classify(a, Ta, b, T) != (Verdict.FREE if expected else Verdict.COLLIDING)
+            found += 1
+    assert found >= 1
 
 
 def test_a_pose_means_its_doubles():
