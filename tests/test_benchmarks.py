@@ -28,6 +28,8 @@ import robots
 import run
 import samples
 import singles
+import surface_samples
+import surfaces
 import threads
 import trajectories
 from loewner import paper
@@ -161,6 +163,36 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     written = {path.name for path in tmp_path.iterdir()}
     assert {f"{name}.csv" for name in [*run.BENCHMARKS, "memory"]} | {"machine.json"} <= written
     assert {f"{name}.svg" for name in run.FIGURES} <= written
+
+
+def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Sections run on tiny sizes, their figures are in the file, and no answer differs from the oracle's."""
+    two = [
+        surface_samples.Pair(
+            "mug and ball",
+            surface_samples.Mesh(*surface_samples.mug(12)),
+            surface_samples.Mesh(*surface_samples.sphere(0.012, 1)),
+        ),
+        surface_samples.Pair(
+            "torus and terrain",
+            surface_samples.Mesh(*surface_samples.torus(0.1, 0.03, 8, 6)),
+            surface_samples.Mesh(*surface_samples.terrain(32, 1.0)),
+        ),
+    ]
+    monkeypatch.setattr(surface_samples, "pairs", lambda: two)
+    monkeypatch.setattr(surface_samples, "TRIAL", 30)
+    monkeypatch.setattr(surfaces, "QUICK", 8)
+    assert (
+        surfaces.main(["--quick", "--only", "pair,million,answers,tiers", "--poses", "400", "--out", str(tmp_path)])
+        == 0
+    )
+    found = json.loads((tmp_path / "surfaces.json").read_text())
+    assert [entry["pair"] for entry in found["answers"]] == [pair.name for pair in two]
+    for entry in found["answers"]:
+        assert (entry["poses"], entry["grazing"]) == (36, 4)
+        assert (entry["differing"], entry["grazing differing"], entry["certified wrongly"]) == (0, 0, 0)
+    for entry in found["tiers"]:
+        assert sum(entry[verdict.name] for verdict in loewner.Verdict) == 40
 
 
 def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
