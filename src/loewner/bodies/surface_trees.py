@@ -47,8 +47,9 @@ class SurfaceTree:
         return cls._at(boxes.astype(np.float32), children, blocks, parts, ellipsoids.astype(np.float32))
 
     @classmethod
-    def _at(cls, *arrays: Any) -> SurfaceTree:
-        return cls(*arrays, table=records.table_of(arrays))
+    def _at(cls, boxes: Any, children: Ints, blocks: Floats, parts: Floats, ellipsoids: Any) -> SurfaceTree:
+        table = records.table_of((boxes, children, blocks, parts, ellipsoids))
+        return cls(boxes, children, blocks, parts, ellipsoids, table)
 
     def __reduce__(self) -> Any:
         """Copies are made anew: the table is of addresses."""

@@ -28,9 +28,9 @@ from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
-from loewner._kernels.narrow.gjk_fast import APART, NEAREST, begin, measure, place_piece
+from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure, place_piece
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_robust import lengths, rounding_error, run
+from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run
 from loewner._kernels.narrow.surface_boxes import (
     between,
     box_at,

@@ -140,11 +140,12 @@ def exact_parts(pack, piece):
         One of each connected part of a surface, or of a convex piece's core.
     """
     pieces = pieces_of(pack)
-    poses = np.eye(4).reshape(1, 4, 4)
+    poses = np.zeros((1, 4, 4))  # of which nothing hangs
     P = placed(pieces, piece, poses, 0)
     if not is_surface(P):
-        x, y, z = core_support(P, (1.0, 0.0, 0.0))
-        return P.layout[piece, KIND], radius(P), np.empty((0, 9)), np.array([[x, y, z]])
+        point = np.empty((1, 3))
+        point[0, 0], point[0, 1], point[0, 2] = core_support(P, (1.0, 0.0, 0.0))
+        return P.layout[piece, KIND], radius(P), np.empty((0, 9)), point
     tree = surface_of(P)
     triangles = np.full((len(tree.blocks) // BLOCK * LEAF, 9), np.nan)
     for child in tree.children:
@@ -152,7 +153,10 @@ def exact_parts(pack, piece):
             for lane in range(size_of(child)):
                 for c in range(9):
                     triangles[leaf_of(child) * LEAF + lane, c] = tree.blocks[leaf_of(child) * BLOCK + c * LEAF + lane]
-    return P.layout[piece, KIND], radius(P), triangles, tree.parts.copy().reshape(-1, 3)
+    points = np.empty((len(tree.parts) // 3, 3))
+    for n in range(len(tree.parts)):
+        points[n // 3, n % 3] = tree.parts[n]
+    return P.layout[piece, KIND], radius(P), triangles, points
 
 
 @njit()

@@ -245,8 +245,11 @@ def _principal(xx, xy, xz, yy, yz, zz):
 
     Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
     """
-    A = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    U = np.eye(3)
+    A, U = np.empty((3, 3)), np.zeros((3, 3))
+    A[0, 0], A[1, 1], A[2, 2] = xx, yy, zz
+    A[0, 1], A[0, 2], A[1, 2] = xy, xz, yz
+    A[1, 0], A[2, 0], A[2, 1] = xy, xz, yz
+    U[0, 0] = U[1, 1] = U[2, 2] = 1.0
     for _ in range(SWEEPS):
         for turn in range(3):
             i, j = (0, 1) if turn == 0 else (0, 2) if turn == 1 else (1, 2)
