@@ -23,13 +23,13 @@ from loewner._kernels.columns import (
     REACH,
     ROUNDING,
 )
-from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, plus, scaled
+from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
-from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure, place_piece
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
+from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure, place_piece
 from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run
 from loewner._kernels.narrow.surface_boxes import (
     between,
@@ -38,7 +38,6 @@ from loewner._kernels.narrow.surface_boxes import (
     ellipsoid_at,
     ellipsoids_of,
     gaps_along,
-    gaps_between_centers,
     is_solid,
     is_surface,
     meeting,
@@ -90,7 +89,7 @@ PIECE = 8 * (LAYOUT + COLUMNS + 3 * LEAF) + CACHE_LINE // 8 * 7
 # Memory: that of a walk, a lower bound for each entry of its stack, bounds of a node, and two triangles as pieces.
 _BOUNDS = WALK
 _LANES = _BOUNDS + 8 * STACK
-_PIECES = _LANES + 8 * WIDE
+_PIECES = _LANES + 8 * 2 * WIDE
 SIZE = _PIECES + 2 * PIECE  # bytes
 
 # Points of connected parts that are looked at for depth.
@@ -177,7 +176,8 @@ def _between_pieces(A, B, shift, n, memory, result):
     _, below, above, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     radii = radius(A) + radius(B)  # which `run` takes off
     if k == 4:
-        above = below = -radii
+        above = -radii
+    below = max(below, -radii)  # cores that are in each other for sure do not come here
     for c in range(3):
         result[c] = -d[c]
     for c in range(6):
@@ -191,15 +191,15 @@ def _between_pieces(A, B, shift, n, memory, result):
 
 
 @inline
-def _push(stack, bounds, height, base, first, second, bound):
-    """Put an entry on a stack, below those of the same node that are nearer."""
+def _push(stack, bounds, height, base, first, second, bound, order):
+    """Put an entry on a stack, below those of the same node that come earlier in `order`."""
     at = height
-    while at > base and bounds[at - 1] < bound:
+    while at > base and bounds[2 * at - 1] < order:
         stack[2 * at], stack[2 * at + 1] = stack[2 * at - 2], stack[2 * at - 1]
-        bounds[at] = bounds[at - 1]
+        bounds[2 * at], bounds[2 * at + 1] = bounds[2 * at - 2], bounds[2 * at - 1]
         at -= 1
     stack[2 * at], stack[2 * at + 1] = first, second
-    bounds[at] = bound
+    bounds[2 * at], bounds[2 * at + 1] = bound, order
     return height + 1
 
 
@@ -214,7 +214,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
     error = CORNER_ERROR * size
     about = relation(A, B, shift, size, 0.0)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
-    lanes, placed = floats_at(memory + _LANES, (WIDE,)), floats_at(memory + PLACED, (2 * BLOCK,))
+    lanes, placed = floats_at(memory + _LANES, (2 * WIDE,)), floats_at(memory + PLACED, (2 * BLOCK,))
     best = limit * limit
     found_a = found_b = -1
     first = _between_middles(A, B, shift)
@@ -223,7 +223,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
     height = 1
     while height > 0:
         height -= 1
-        if bounds[height] * BELIEVED > best:
+        if bounds[2 * height] * BELIEVED > best:
             continue
         slot_a, slot_b = stack[2 * height], stack[2 * height + 1]
         oval_a, oval_b = ellipsoid_at(a.ellipsoids, slot_a), ellipsoid_at(b.ellipsoids, slot_b)
@@ -233,6 +233,10 @@ def _nearest_triangles(A, B, shift, limit, memory):
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
+            gap = _least_along(b.blocks, leaf_b, n_b, lanes) + _least_along(a.blocks, leaf_a, negated(n_a), lanes)
+            gap += np.float64(offset - about.slack)
+            if gap > 0.0 and gap * gap * BELIEVED > best:
+                continue
             store_corners(placed, 0, placed_corners(A, a.blocks, leaf_a, (0.0, 0.0, 0.0)))
             others = placed_corners(B, b.blocks, leaf_b, shift)
             near = least(dot(others[0], n), dot(others[1], n), dot(others[2], n))
@@ -268,19 +272,36 @@ def _nearest_triangles(A, B, shift, limit, memory):
         larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
         if child_b < 0 or (child_a >= 0 and larger_a):
             middles, halves = boxes_of(a.boxes, child_a)
-            gaps = squared_gaps(about, between(about, middles, middle_b), halves, half_b)
+            t = between(about, middles, middle_b)
+            gaps = squared_gaps(about, t, halves, half_b)
             ovals = ellipsoids_of(a.ellipsoids, child_a)
             along = gaps_along(ovals, oval_b, n_a, n_b, offset - about.slack)
-            gaps = _larger(gaps, maximum(along, gaps_between_centers(about, ovals, oval_b)))
-            height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_a, slot_b, True)
+            gaps = _larger(gaps, along)
+            height = _push_near(stack, bounds, lanes, height, gaps, dot(t, t), halves, best, child_a, slot_b, True)
         else:
             middles, halves = boxes_of(b.boxes, child_b)
-            gaps = squared_gaps(about, between(about, middle_a, middles), half_a, halves)
+            t = between(about, middle_a, middles)
+            gaps = squared_gaps(about, t, half_a, halves)
             ovals = ellipsoids_of(b.ellipsoids, child_b)
             along = gaps_along(oval_a, ovals, n_a, n_b, offset - about.slack)
-            gaps = _larger(gaps, maximum(along, gaps_between_centers(about, oval_a, ovals)))
-            height = _push_near(stack, bounds, lanes, height, gaps, halves, best, child_b, slot_a, False)
+            gaps = _larger(gaps, along)
+            height = _push_near(stack, bounds, lanes, height, gaps, dot(t, t), halves, best, child_b, slot_a, False)
     return found_a, found_b
+
+
+@inline
+def _least_along(blocks, leaf, n, lanes):
+    """How far back the corners of a leaf go along a direction."""
+    at = leaf * BLOCK
+    x, y, z = np.float64(n[0]), np.float64(n[1]), np.float64(n[2])
+    a = load(blocks, at) * x + load(blocks, at + LEAF) * y + load(blocks, at + 2 * LEAF) * z
+    b = load(blocks, at + 3 * LEAF) * x + load(blocks, at + 4 * LEAF) * y + load(blocks, at + 5 * LEAF) * z
+    c = load(blocks, at + 6 * LEAF) * x + load(blocks, at + 7 * LEAF) * y + load(blocks, at + 8 * LEAF) * z
+    store(lanes, 0, least(a, b, c))
+    found = lanes[0]
+    for lane in range(1, LEAF):
+        found = min(found, lanes[lane])
+    return found
 
 
 @inline
@@ -309,19 +330,24 @@ def _larger(squared, gap):
 
 
 @inline
-def _push_near(stack, bounds, kept, height, gaps, halves, best, child, other, first):
-    """Put the boxes of a node that may be near enough on the stack, the nearest on top."""
+def _push_near(stack, bounds, lanes, height, gaps, apart, halves, best, child, other, first):
+    """Put the boxes of a node that may be near enough on the stack, that with the nearest middle on top.
+
+    Bounds of large boxes are 0 for many at a time; their middles still tell which is the best to begin with.
+    """
     bits = movemask((gaps <= np.float32(best * (1.0 + 2e-5) + 1e-37)) & (halves[0] >= np.float32(0.0)))
-    store(kept, 0, gaps)
+    if bits == 0:
+        return height
+    store(lanes, 0, gaps)
+    store(lanes, WIDE, apart)
     base = height
     while bits != 0:
         lane = lowest_bit(bits)
         bits &= bits - 1
-        bound = kept[lane]
         if first:
-            height = _push(stack, bounds, height, base, child * WIDE + lane, other, bound)
+            height = _push(stack, bounds, height, base, child * WIDE + lane, other, lanes[lane], lanes[WIDE + lane])
         else:
-            height = _push(stack, bounds, height, base, other, child * WIDE + lane, bound)
+            height = _push(stack, bounds, height, base, other, child * WIDE + lane, lanes[lane], lanes[WIDE + lane])
     return height
 
 
@@ -366,23 +392,34 @@ def _nearest_to_piece(A, B, shift, limit, memory):
     single, wide = (f(middle[0]), f(middle[1]), f(middle[2])), (f(half[0]), f(half[1]), f(half[2]))
     center = image(rotation_of(A), (0.0, 0.0, 0.0), middle)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
-    lanes = floats_at(memory + _LANES, (WIDE,))
+    lanes = floats_at(memory + _LANES, (2 * WIDE,))
     placed = floats_at(memory + PLACED, (2 * BLOCK,))
     best, found = limit, -1
     stack[0], stack[1], bounds[0] = 0, 0, 0.0
     height = 1
     while height > 0:
         height -= 1
-        if bounds[height] * BELIEVED > best * best:
+        if bounds[2 * height] * BELIEVED > best * best:
             continue
         child = a.children[stack[2 * height]]
         if child >= 0:
             middles, halves = boxes_of(a.boxes, child)
-            x = maximum(absolute(middles[0] - single[0]) - (halves[0] + wide[0]), f(0.0))
-            y = maximum(absolute(middles[1] - single[1]) - (halves[1] + wide[1]), f(0.0))
-            z = maximum(absolute(middles[2] - single[2]) - (halves[2] + wide[2]), f(0.0))
+            t = minus(middles, single)
+            x = maximum(absolute(t[0]) - (halves[0] + wide[0]), f(0.0))
+            y = maximum(absolute(t[1]) - (halves[1] + wide[1]), f(0.0))
+            z = maximum(absolute(t[2]) - (halves[2] + wide[2]), f(0.0))
             height = _push_near(
-                stack, bounds, lanes, height, x * x + y * y + z * z, halves, best * best, child, np.int64(0), True
+                stack,
+                bounds,
+                lanes,
+                height,
+                x * x + y * y + z * z,
+                dot(t, t),
+                halves,
+                best * best,
+                child,
+                np.int64(0),
+                True,
             )
             continue
         leaf = leaf_of(child)
@@ -645,7 +682,7 @@ def nearest_point(A, x, limit, size, memory):
     f = np.float32
     single, slack = (f(q[0]), f(q[1]), f(q[2])), f(1e-5 * size)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
-    lanes = floats_at(memory + _LANES, (WIDE,))
+    lanes = floats_at(memory + _LANES, (2 * WIDE,))
     placed = floats_at(memory + PLACED, (2 * BLOCK,))
     best, near = limit * limit, x
     found = -1
@@ -653,16 +690,17 @@ def nearest_point(A, x, limit, size, memory):
     height = 1
     while height > 0:
         height -= 1
-        if bounds[height] * BELIEVED > best:
+        if bounds[2 * height] * BELIEVED > best:
             continue
         child = a.children[stack[2 * height]]
         if child >= 0:
             middles, halves = boxes_of(a.boxes, child)
-            u = maximum(absolute(middles[0] - single[0]) - (halves[0] + slack), f(0.0))
-            v = maximum(absolute(middles[1] - single[1]) - (halves[1] + slack), f(0.0))
-            w = maximum(absolute(middles[2] - single[2]) - (halves[2] + slack), f(0.0))
+            t = minus(middles, single)
+            u = maximum(absolute(t[0]) - (halves[0] + slack), f(0.0))
+            v = maximum(absolute(t[1]) - (halves[1] + slack), f(0.0))
+            w = maximum(absolute(t[2]) - (halves[2] + slack), f(0.0))
             height = _push_near(
-                stack, bounds, lanes, height, u * u + v * v + w * w, halves, best, child, np.int64(0), True
+                stack, bounds, lanes, height, u * u + v * v + w * w, dot(t, t), halves, best, child, np.int64(0), True
             )
             continue
         corners = placed_corners(A, a.blocks, leaf_of(child), (0.0, 0.0, 0.0))

@@ -31,9 +31,7 @@ BINS = 16
 DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 
-# How many triangles a box of a node is to hold so that the node below it is well filled: a node of leaves has some 80.
-_FULL = 80
-_WIDER = 12
+FULL = 80  # triangles below a node whose boxes are all leaves, or nearly
 
 # An ellipsoid is at least this thin, relative to its width, and this much wider than its corners; single precision can
 # turn it by a part in ten million.
@@ -126,9 +124,7 @@ def triangle_tree(vertices, triangles):
         if (nodes + 1) * WIDE > len(children):
             boxes, children, ellipsoids = _longer(boxes), _longer(children), _longer(ellipsoids)
         children[slot] = nodes
-        enough = LEAF
-        while enough * _WIDER < last - first:
-            enough = _FULL if enough == LEAF else enough * _WIDER
+        enough = _enough(last - first)
         ranges[0] = (first, last, splits, 0)
         _hull(box, first, last, hull, 0)
         used = 1
@@ -167,6 +163,20 @@ def triangle_tree(vertices, triangles):
                     at = leaf * BLOCK + (3 * corner + axis) * LEAF + lane
                     blocks[at] = vertices[triangles[t, corner], axis]
     return boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy(), blocks, ellipsoids[: nodes * OVAL].copy()
+
+
+@njit()
+def _enough(count):
+    """How many triangles the boxes of a node are to hold, so that all levels below it are filled alike."""
+    levels = 0
+    held = float(FULL)
+    while held < count:
+        held *= WIDE
+        levels += 1
+    if levels == 0:
+        return LEAF
+    parts = max(2.0, np.ceil((count / FULL) ** (1.0 / levels)))
+    return int(np.ceil(count / parts))
 
 
 @njit()
