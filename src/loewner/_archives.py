@@ -83,9 +83,7 @@ class Format:
     optional: frozenset[str] = frozenset()
 
 
-def write(
-    path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any], version: int | None = None
-) -> None:
+def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any], version: int | None = None) -> None:
     """Write arrays and texts into a file of some kind.
 
     Parameters
@@ -107,9 +105,8 @@ def write(
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
     _check_content(sum(np.asarray(array).nbytes for array in arrays.values()), str(target))
-    content: dict[str, Any] = {
-        "format": kind.name, "version": kind.version if version is None else version, "digest": digest(arrays), **arrays,
-    }  # fmt: skip
+    told = kind.version if version is None else version
+    content: dict[str, Any] = {"format": kind.name, "version": told, "digest": digest(arrays), **arrays}
     with replacing(target) as temporary, open(temporary, "xb") as stream:
         np.savez_compressed(stream, **content)
 

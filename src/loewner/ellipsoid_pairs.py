@@ -221,7 +221,7 @@ class PairArrays:
                 raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
             if not E.factor.any(axis=(-2, -1)).all():
                 raise GeometryError(
-                    f"{name}: expected ellipsoids with an inside, found a point; the inner ellipsoid of a surface is one"
+                    f"{name}: expected ellipsoids with an inside, found a point, as the inner ellipsoid of a surface is"
                 )
         if E1.dim != E2.dim:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")

@@ -276,9 +276,11 @@ class Ellipsoids:
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
         with np.errstate(over="ignore", invalid="ignore"):  # what is beyond the floats is outside
             x = np.broadcast_to(p - self.center, (*batch, self.dim))
-            point = ~F.any(axis=(-2, -1))  # what stands for the inner ellipsoid of a surface
-            u = np.linalg.solve(np.where(point[..., None, None], np.eye(self.dim), F), x[..., None])[..., 0]
-            return np.where(point, ~x.any(axis=-1), (u * u).sum(axis=-1) <= 1.0)
+            # What stands for the inner ellipsoid of a surface is its center alone.
+            point = np.asarray(~F.any(axis=(-2, -1)))
+            F = np.asarray(np.where(point[..., None, None], np.eye(self.dim), F), dtype=np.float64)
+            u = np.linalg.solve(F, x[..., None])[..., 0]
+            return np.asarray(np.where(point, ~x.any(axis=-1), (u * u).sum(axis=-1) <= 1.0))
 
     def bounding_box(self) -> tuple[Floats, Floats]:
         """Lower and upper corner of the axis-aligned box, each of shape (..., n).

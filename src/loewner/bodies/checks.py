@@ -369,7 +369,7 @@ def _check_surfaces(arrays: dict[str, Any]) -> None:
     _refuse(frames[rows, 0] < 0, "frames: expected a radius >= 0", frames[rows, 0], rows)
     _refuse(frames[rows, 1:].any(axis=1), "frames: expected a radius alone of a surface", rows=rows)
     _refuse(~(gaps[rows] < np.inf).all(axis=1), "gaps: expected finite numbers", gaps[rows], rows)
-    for i in rows:
+    for i in rows.tolist():
         points = arrays["points"][layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
         triangles = arrays["triangles"][arrays["triangle_start"][i] : arrays["triangle_start"][i + 1]]
         try:

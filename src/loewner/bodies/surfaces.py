@@ -98,8 +98,8 @@ def expect_closed(vertices: Floats, triangles: Ints) -> None:
         return
     a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
     raise GeometryError(
-        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more often "
-        f"one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
+        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more "
+        f"often one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
     )
 
 
