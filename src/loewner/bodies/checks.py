@@ -136,7 +136,7 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
     """Every index leads where it should: nothing overlaps, nothing is left over, nothing is outside."""
     layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
     kind = layout[:, columns.KIND]
-    _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected a kind among {sorted(KIND_NAMES)}", kind)
+    _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected kinds among {sorted(KIND_NAMES)}", kind)
     _rises("piece_start", arrays["piece_start"], len(layout), 1)
     _rises("triangle_start", triangle_start, len(triangles), 0)
     counts = {"triangles": np.diff(triangle_start)}
