@@ -55,6 +55,7 @@ class Format:
     name : str
         What its member "format" says.
     version : int
+        The newest that is read; files of older ones are read as well.
     what : str
         What is in it, for messages: "a body".
     else_use : str
@@ -82,8 +83,16 @@ class Format:
     optional: frozenset[str] = frozenset()
 
 
-def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any]) -> None:
+def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any], version: int | None = None) -> None:
     """Write arrays and texts into a file of some kind.
+
+    Parameters
+    ----------
+    path : path
+    kind : Format
+    arrays : dict
+    version : int, optional
+        The oldest one that has what is in these arrays; the newest by default.
 
     Raises
     ------
@@ -96,7 +105,8 @@ def write(path: str | os.PathLike[str], kind: Format, arrays: Mapping[str, Any])
     if target.suffix != ".npz":
         raise InputError(f"path: expected a name that ends in .npz, found {target.name!r}")
     _check_content(sum(np.asarray(array).nbytes for array in arrays.values()), str(target))
-    content: dict[str, Any] = {"format": kind.name, "version": kind.version, "digest": digest(arrays), **arrays}
+    told = kind.version if version is None else version
+    content: dict[str, Any] = {"format": kind.name, "version": told, "digest": digest(arrays), **arrays}
     with replacing(target) as temporary, open(temporary, "xb") as stream:
         np.savez_compressed(stream, **content)
 
@@ -154,9 +164,11 @@ def _from_archive(archive: zipfile.ZipFile, name: str, kind: Format) -> dict[str
     if "format.npy" not in infos or _text(archive, infos["format.npy"]) != kind.name:
         raise FileError(f"{name}: expected a loewner .npz, found another kind of .npz")
     version = _version(archive, infos["version.npy"]) if "version.npy" in infos else None
-    if version != kind.version:
+    if not isinstance(version, int) or not 1 <= version <= kind.version:
+        older = " or older" if kind.version > 1 else ""
         raise FileError(
-            f"{name}: expected format version {kind.version}, found {version}; a newer loewner may have written it"
+            f"{name}: expected format version {kind.version}{older}, found {version}; a newer loewner may have "
+            "written it"
         )
     needed = (*kind.arrays, *(text for text in kind.texts if text not in kind.optional), "digest")
     missing = [member for member in needed if f"{member}.npy" not in infos]

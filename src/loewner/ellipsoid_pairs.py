@@ -18,7 +18,7 @@ from loewner._kernels import codes
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.ellipsoids import Ellipsoids
-from loewner.errors import ConvergenceError, InputError
+from loewner.errors import ConvergenceError, GeometryError, InputError
 
 NEAR_POINT_METHODS = {"rimon-boyd": codes.RIMON_BOYD, "lin-han": codes.LIN_HAN, "center-line": codes.CENTER_LINE}
 
@@ -219,6 +219,10 @@ class PairArrays:
         for name, E in (("E1", E1), ("E2", E2)):
             if not isinstance(E, Ellipsoids):
                 raise InputError(f"{name}: expected Ellipsoids, found {type(E).__name__}")
+            if not E.factor.any(axis=(-2, -1)).all():
+                raise GeometryError(
+                    f"{name}: expected ellipsoids with an inside, found a point, as the inner ellipsoid of a surface is"
+                )
         if E1.dim != E2.dim:
             raise InputError(f"{caller}: expected ellipsoids of one dimension, found {E1.dim} and {E2.dim}")
         if dim is not None and E1.dim != dim:

@@ -34,6 +34,12 @@ class Ellipsoids:
     GeometryError
         If a factor is singular (a flat ellipsoid).
 
+    Notes
+    -----
+    Among the `inner` ellipsoids of bodies there are points: a surface without a radius has no inside, and a factor of
+    zeros. Their semi-axes and volumes are 0, they support and contain their center alone, and stay points when they
+    are moved. What takes two ellipsoids refuses them.
+
     Examples
     --------
     >>> E = Ellipsoids.from_semi_axes([0, 0, 0], [3, 2, 1])
@@ -270,8 +276,11 @@ class Ellipsoids:
         F = np.broadcast_to(self.factor, (*batch, self.dim, self.dim))
         with np.errstate(over="ignore", invalid="ignore"):  # what is beyond the floats is outside
             x = np.broadcast_to(p - self.center, (*batch, self.dim))
+            # What stands for the inner ellipsoid of a surface is its center alone.
+            point = np.asarray(~F.any(axis=(-2, -1)))
+            F = np.asarray(np.where(point[..., None, None], np.eye(self.dim), F), dtype=np.float64)
             u = np.linalg.solve(F, x[..., None])[..., 0]
-            return np.asarray((u * u).sum(axis=-1) <= 1.0)
+            return np.asarray(np.where(point, ~x.any(axis=-1), (u * u).sum(axis=-1) <= 1.0))
 
     def bounding_box(self) -> tuple[Floats, Floats]:
         """Lower and upper corner of the axis-aligned box, each of shape (..., n).
@@ -363,7 +372,8 @@ class Ellipsoids:
             c = np.einsum("...ij,...j->...i", A, self.center) + b
             F = A @ self.factor
         there = np.isfinite(c).all() and np.isfinite(F).all()
-        if not there or (F.size and not (np.linalg.svd(F, compute_uv=False)[..., -1] > 0).all()):
+        point = ~self.factor.any(axis=(-2, -1))  # which stays one
+        if not there or (F.size and not (point | (np.linalg.svd(F, compute_uv=False)[..., -1] > 0)).all()):
             raise GeometryError("expected a map to where floats can say the ellipsoid, found one beyond their range")
         return Ellipsoids._trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
 

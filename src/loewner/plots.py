@@ -544,6 +544,8 @@ def _draw(ax: Any, body: Body, T: Floats, colour: str, ellipsoids: bool) -> None
         for fitted, line, width in ((body.outer, OUTER, 0.4), (body.inner, INNER, 0.6)):
             moved = fitted.transformed(T)
             for center, factor in zip(moved.center, moved.factor, strict=True):
+                if not factor.any():  # a point: a surface has nothing inside
+                    continue
                 ax.add_collection3d(Line3DCollection(center + _WIRES @ factor.T, colors=line, linewidths=width))
 
 

@@ -582,6 +582,15 @@ CALLS: dict[str, Call] = {
             "progress": callback(),
         },
     ),
+    "Body.from_surface": Call(
+        Body.from_surface,
+        {
+            "source": arg("part.obj"),
+            "radius": positive(0.25, ZERO),
+            "solid": arg(True, FLAGS, NONE),
+            "scale": arg(2.0, NUMBERS, NEGATIVE),
+        },
+    ),
     "Body.box": Call(Body.box, {"size": array([1.0, 2.0, 3.0], FINITE)}),
     "Body.sphere": Call(Body.sphere, {"radius": positive()}),
     "Body.ellipsoid": Call(Body.ellipsoid, {"semi_axes": array([1.0, 2.0, 3.0], FINITE)}),
@@ -714,6 +723,7 @@ CALLS: dict[str, Call] = {
             "path": arg("gantry.urdf"),
             "srdf": arg("gantry.srdf", NONE),
             "package_dirs": arg(list, NOTHING, "folder"),
+            "meshes": choice("hull"),
             "decompose": flag(False),
             "tol": TOL,
             "cache": flag(False),

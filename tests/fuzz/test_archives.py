@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 import driver
@@ -49,8 +50,20 @@ def _bases() -> dict[str, Bodies]:
         "curved": Bodies(primitives),
         "moved": Bodies([b.transformed(T) for b, T in zip(primitives, random_poses(rng, 6), strict=True)]),
         "mixed": Bodies([Body.union([Body.sphere(1), Body.box([1, 1, 1])]), Body.cone(1, 2)]),
+        "surfaces": Bodies(_surfaces(rng)),
         "mapped": Bodies.from_points([sphere / np.linalg.norm(sphere, axis=1, keepdims=True)]),
     }
+
+
+def _surfaces(rng: np.random.Generator) -> list[Body]:
+    """Solids and skins, with a radius and without, flat ones, and some among other pieces."""
+    box, ring = trimesh.creation.box((1, 2, 3)), trimesh.creation.torus(1.0, 0.3, 8, 5)
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]], process=False)
+    made = [Body.from_surface(box), Body.from_surface(ring, solid=False, radius=0.1), Body.from_surface(flat)]
+    made += [Body.from_surface(flat, radius=0.02), Body.from_surface(box, radius=1e-9)]
+    cube = Body.box([1, 1, 1])
+    made += [Body.union([cube, made[0], Body.cone(1, 2), made[3], Body.from_points(pieces("ball 20", 1)[0])])]
+    return [*made, *(body.transformed(T) for body, T in zip(made, random_poses(rng, 6), strict=True))]
 
 
 def stored(save: Callable[[Path], None], folder: Path) -> Arrays:
@@ -103,7 +116,10 @@ def judged(bodies: Bodies) -> str | None:
         return "pieces belong to no body"
     frames = bodies._packed.frames
     for i, piece in enumerate(bodies.pieces):
-        said = _polytope(piece) if piece.kind == "polytope" else _curved(piece, frames[i])
+        if piece.kind in ("surface", "solid"):
+            said = _surface(piece, frames[i])
+        else:
+            said = _polytope(piece) if piece.kind == "polytope" else _curved(piece, frames[i])
         if said is None and not (np.isfinite([piece.inner_gap, piece.outer_gap]).all() and piece.inner_gap > -1e-6):
             said = "gap"
         if said is not None:
@@ -131,6 +147,31 @@ def _polytope(piece: Any) -> str | None:
         return "normals not of unit length"
     off = (piece.normals @ V.T).max(axis=1) - piece.offsets
     return "planes off the piece" if np.abs(off).max() > TOLERANCE * np.abs(V).max() else None
+
+
+def _surface(piece: Any, frame: np.ndarray) -> str | None:
+    """Supports along many directions; edges counted."""
+    V, radius, G = piece.vertices, frame[0], piece.outer.factor.reshape(3, 3)
+    if not radius >= 0 or frame[1:].any():
+        return "no radius"
+    if piece.triangles.min() < 0 or piece.triangles.max() >= len(V):
+        return "triangles of vertices that are none"
+    ways = np.concatenate([SPREAD / np.linalg.norm(SPREAD, axis=1, keepdims=True), np.linalg.svd(G)[0].T])
+    ways = np.concatenate([ways, -ways])
+    past = (ways @ (V - piece.outer.center.reshape(3)).T).max(axis=1) + radius - np.linalg.norm(ways @ G, axis=1)
+    if past.max() > 0.06 * np.linalg.norm(G, 2) * (TOLERANCE + 1e-10 * _aspect(piece.outer)) + 1e-6 * radius:
+        return "outside the outer ellipsoid"
+    off = np.linalg.norm(V - piece.inner.center.reshape(3), axis=1).min()
+    if off + np.linalg.norm(piece.inner.factor.reshape(3, 3), 2) > radius + TOLERANCE * np.abs(V).max():
+        return "the inner ellipsoid sticks out"
+    if piece.kind == "solid":
+        points, edges = np.unique(V, axis=0, return_inverse=True)[1].reshape(-1)[piece.triangles], Counter()
+        for a, b in np.concatenate([points[:, [0, 1]], points[:, [1, 2]], points[:, [2, 0]]]).tolist():
+            edges[a, b] += 1
+            edges[b, a] -= 1
+        if any(edges.values()):
+            return "open"
+    return None
 
 
 SPREAD = np.random.default_rng(1).normal(size=(4000, 3))
@@ -436,17 +477,21 @@ REFUSED = {
     "no start": (_set("piece_start", np.zeros(0, dtype=np.int64)), "piece_start"),
     "points that are NaN": (_put("points", (0, 0), np.nan), "points: expected finite"),
     "kind -1": (_put("layout", (0, 0), -1), "layout: expected kinds"),
+    "kind -4": (_put("layout", (0, 0), -4), "layout: expected kinds"),
+    "a polytope called a surface": (_put("layout", (0, 0), -2), "layout: expected no planes of a surface"),
     "kind 6": (_put("layout", (0, 0), 6), "layout: expected kinds"),
     "points from -1": (_put("layout", (0, 1), -1), "layout, points"),
     "points to 10**12": (_put("layout", (0, 2), 10**12), "layout, points"),
     "planes from the end": (_put("layout", (0, 3), 6), "layout, planes"),
     "triangles of other points": (_put("triangles", (0, 0), 8), "triangles"),
     "negative triangles": (_put("triangles", (0, 0), -1), "triangles"),
-    "version 1.5": (_set("version", 1.5), "format version 1"),
-    "two versions": (_set("version", [1, 1]), "format version 1"),
+    "version 1.5": (_set("version", 1.5), "format version 2 or older"),
+    "two versions": (_set("version", [1, 1]), "format version 2 or older"),
+    "version 0": (_set("version", 0), "format version 2 or older"),
+    "version 3": (_set("version", 3), "newer loewner"),
     "a flat layout": (lambda a: a.update(layout=a["layout"].ravel()), "layout: expected shape"),
     "four frames": (lambda a: a.update(frames=np.zeros((4, 13))), "frames: expected shape"),
-    "covering of three": (_set("covering", ["hull", "True", "0"]), "covering: expected five"),
+    "covering of three": (_set("covering", ["hull", "True", "0"]), "covering: expected six"),
     "covering of no kind": (_set("covering", ["cover", "True", "0.0", "nan", "8"]), "covering: expected a kind"),
     "covering without a number": (_set("covering", ["hull", "True", "x", "nan", "8"]), "covering: expected numbers"),
     "negative covering": (_set("covering", ["hull", "True", "-1.0", "nan", "8"]), "covering: expected a length"),

@@ -26,22 +26,26 @@ from loewner.polytopes import Hulls, box_hull, hulls
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One convex piece of a body.
+    """One piece of a body: convex, or a surface.
 
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere".
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; or, of `Body.from_surface`, "surface" for
+        triangles alone and "solid" for triangles with what they enclose.
     vertices : ndarray, shape (v, 3), or None
-        Extreme points; None for curved pieces.
+        Extreme points, or the vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
-        Faces: unit outward normals and offsets, normals @ x <= offsets.
+        Faces of a polytope: unit outward normals and offsets, normals @ x <= offsets.
     triangles : ndarray of int, shape (t, 3), or None
-        Hull surface as indices into `vertices`, counter-clockwise from outside.
+        Indices into `vertices`: a polytope's surface, counter-clockwise from outside, or the triangles of a surface as
+        the mesh has them.
     inner, outer : Ellipsoids
-        Largest ellipsoid inside, smallest around.
+        Largest ellipsoid inside, smallest around. Of a surface the inner one is any that is inside: without a radius it
+        is a point, with semi-axes of zero.
     inner_gap, outer_gap : float
-        Certified bounds on the log-volume distance from the optimum.
+        Certified bounds on the log-volume distance from the optimum; for the inner ellipsoid of a surface there is
+        none, and `inner_gap` is 0.
 
     Examples
     --------
@@ -72,7 +76,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece."""
+        """Inner ellipsoids, one row per piece; that of a surface without a radius is a point, with axes of no length."""
         return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
@@ -124,9 +128,9 @@ class _Bodies:
 
 @guarded
 class Body(_Bodies):
-    """A union of convex pieces, each with its inner and outer ellipsoid.
+    """A union of convex pieces and surfaces, each with its inner and outer ellipsoid.
 
-    Make one by `from_points`, `from_pieces`, `from_mesh`, `box`, `sphere`, `cylinder`, `capsule`,
+    Make one by `from_points`, `from_pieces`, `from_mesh`, `from_surface`, `box`, `sphere`, `cylinder`, `capsule`,
     `cone`, `ellipsoid`, `union` or `load`. Lengths are metres, in the body's own frame.
 
     Examples
@@ -332,7 +336,7 @@ class Body(_Bodies):
 
         Examples
         --------
-        >>> import trimesh
+        >>> import loewner, trimesh
         >>> mug = trimesh.creation.annulus(0.036, 0.04, 0.1)
         >>> body = Body.from_surface(mug)
         >>> body, body.pieces[0].kind
@@ -527,7 +531,7 @@ class Body(_Bodies):
             raise GeometryError("bodies: expected at least one body, found none")
         packed = join([_expect_body(b, "bodies")._packed for b in listed])
         start = np.array([0, len(packed.layout)])
-        return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps))
+        return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps, packed.trees))
 
     def transformed(self, T: ArrayLike) -> Body:
         """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.

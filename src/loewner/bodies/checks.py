@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from loewner._kernels import columns, tolerances
 from loewner._native import entries
 from loewner._validate import Floats, Ints
+from loewner.bodies import surfaces
 from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps
 from loewner.bodies.pack import KIND_NAMES, Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
@@ -94,6 +95,7 @@ def checked(arrays: dict[str, Any]) -> Packed:
         _check_numbers(arrays)
         _check_ranges(arrays)
         _check_curved(arrays)
+        _check_surfaces(arrays)
         maps = _check_polytopes(arrays)
         return Packed.of(PieceArrays(**arrays), maps)
 
@@ -134,7 +136,7 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
     """Every index leads where it should: nothing overlaps, nothing is left over, nothing is outside."""
     layout, triangles, triangle_start = arrays["layout"], arrays["triangles"], arrays["triangle_start"]
     kind = layout[:, columns.KIND]
-    _refuse((kind < 0) | (kind >= len(KIND_NAMES)), f"layout: expected kinds 0 to {len(KIND_NAMES) - 1}", kind)
+    _refuse(~np.isin(kind, list(KIND_NAMES)), f"layout: expected kinds among {sorted(KIND_NAMES)}", kind)
     _rises("piece_start", arrays["piece_start"], len(layout), 1)
     _rises("triangle_start", triangle_start, len(triangles), 0)
     counts = {"triangles": np.diff(triangle_start)}
@@ -144,10 +146,13 @@ def _check_ranges(arrays: dict[str, Any]) -> None:
         _rises(f"layout, {what}", ends, len(arrays[what]), 0)
         _refuse(start[1:] != stop[:-1], f"layout, {what}: expected each piece's where the last one's end", start[1:])
         counts[what] = stop - start
-    polytope = kind == columns.POLYTOPE
+    polytope, surface = kind == columns.POLYTOPE, kind <= columns.SURFACE
     for what, count in counts.items():
         _refuse(polytope & (count < 4), f"layout: expected at least four {what} of a polytope", count)
-        _refuse(~polytope & (count != 0), f"layout: expected no {what} of a curved piece", count)
+        _refuse((kind > columns.POLYTOPE) & (count != 0), f"layout: expected no {what} of a curved piece", count)
+    for what in ("points", "triangles"):
+        _refuse(surface & (counts[what] < 1), f"layout: expected {what} of a surface", counts[what])
+    _refuse(surface & (counts["planes"] != 0), "layout: expected no planes of a surface", counts["planes"])
     points = np.repeat(counts["points"], counts["triangles"])[:, None]
     _refuse(
         ((triangles < 0) | (triangles >= points)).any(axis=1), "triangles: expected the piece's own points", triangles
@@ -181,7 +186,11 @@ def _check_polytopes(arrays: dict[str, Any]) -> Maps:
         return {}
     # Block by block: what is formed on the way stays in the processor's caches.
     size = layout[rows, columns.POINTS_TO] + layout[rows, columns.PLANES_TO]
-    blocks = np.split(rows, np.flatnonzero(np.diff(size // BLOCK)) + 1)
+    # Those of a block follow one another in the arrays: no points of a surface are between.
+    ends = (layout[rows[1:], columns.POINTS_FROM] != layout[rows[:-1], columns.POINTS_TO]) | (
+        size[1:] // BLOCK != size[:-1] // BLOCK
+    )
+    blocks = np.split(rows, np.flatnonzero(ends) + 1)
     doubt = np.concatenate([_check_ellipsoids(arrays, block) for block in blocks])
     _check_planes(arrays, rows, doubt)
     return direction_maps(layout, points)
@@ -304,7 +313,8 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
         farthest[faces] = most + normals[faces] @ centers[i]
         left -= looked
     x, y, z = np.abs(points.T)
-    reach = np.maximum.reduceat(np.maximum(np.maximum(x, y), z), from_point)
+    largest = np.append(np.maximum(np.maximum(x, y), z), 0.0)
+    reach = np.maximum.reduceat(largest, np.column_stack([from_point, from_point + counts[:, 0]]).ravel())[::2]
     allowed = np.repeat(np.where(counts[:, 0] > columns.LARGE, doubt, DOUBT) * reach, counts[:, 1])
     off = np.abs(planes[:, 3] - farthest)
     _refuse(~(off <= allowed), "planes: expected each to touch its piece", off)
@@ -349,13 +359,77 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
     return 2 * axis + (major < 0), cells[0], cells[1]
 
 
+# -- surfaces ---------------------------------------------------------------------------------
+
+
+def _check_surfaces(arrays: dict[str, Any]) -> None:
+    """Surfaces have all their points in triangles and are in their outer ellipsoids; solids are closed."""
+    layout, frames, gaps = arrays["layout"], arrays["frames"], arrays["gaps"]
+    rows = np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE)
+    _refuse(frames[rows, 0] < 0, "frames: expected a radius >= 0", frames[rows, 0], rows)
+    _refuse(frames[rows, 1:].any(axis=1), "frames: expected a radius alone of a surface", rows=rows)
+    _refuse(~(gaps[rows] < np.inf).all(axis=1), "gaps: expected finite numbers", gaps[rows], rows)
+    for i in rows.tolist():
+        points = arrays["points"][layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
+        triangles = arrays["triangles"][arrays["triangle_start"][i] : arrays["triangle_start"][i + 1]]
+        try:
+            _check_one_surface(arrays, i, points.copy(), triangles)
+        except InputError as error:
+            raise InputError(f"{error}, in piece {i}") from None
+
+
+def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles: Ints) -> None:
+    """The part of `_check_surfaces` about a single one."""
+    radius, factor = arrays["frames"][i, 0], arrays["outer_factor"][i]
+    used = np.zeros(len(points), dtype=bool)
+    used[triangles.ravel()] = True
+    _refuse(~used, "triangles: expected every point in one", used)
+    _refuse((np.signbit(points) & (points == 0)).any(axis=1), "points: expected no negative zeros", points)
+    surfaces.expect_sizes(points)
+    if arrays["layout"][i, columns.KIND] == columns.SOLID:
+        surfaces.expect_closed(points, triangles)
+    core, doubt = _core(factor, radius, np.array([i]))
+    away = (points - arrays["outer_center"][i]) @ np.linalg.inv(core).T
+    farthest = np.sqrt((away * away).sum(axis=1).max())
+    _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
+    # The inner one is a ball about a point of the surface, or within one.
+    center, inner = arrays["inner_center"][i], arrays["inner_factor"][i]
+    to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())
+    size = np.linalg.norm(inner, axis=(0, 1), ord=2)
+    inside = to_vertex + size <= radius * (1 + DOUBT) + DOUBT * np.abs(points).max()
+    inside = inside and (np.linalg.det(inner / radius) != 0 if radius > 0 else not inner.any())
+    _refuse(np.array([not inside]), "inner ellipsoid: expected it inside the surface", rows=np.array([i]))
+
+
+def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
+    """An ellipsoid whose sum with the ball is inside of the one with this factor, and the doubt that rounding leaves.
+
+    Whatever the numbers are, it is proven that way: the sum is inside of the shape (1 + 1/p) Q + (1 + p) r² (see
+    `surfaces`), which is here solved for Q, p being the same.
+    """
+    _, doubt = _inverses(factor[None], "outer_factor", rows)
+    if radius == 0:
+        return factor, float(doubt[0])
+    shape = (1 + 2 * DOUBT) * factor @ factor.T
+    p = np.sqrt(np.trace(shape) / 3) / radius - 1
+    if not p > 0:
+        raise InputError("outer ellipsoid: expected the surface inside, found one smaller than the radius")
+    core = (shape - (1 + p) * radius**2 * np.eye(3)) * (p / (1 + p))
+    try:
+        root = np.linalg.cholesky(core)
+    except np.linalg.LinAlgError:
+        raise InputError("outer ellipsoid: expected the surface inside, found a thinner one") from None
+    aspect = np.linalg.cond(root)
+    return root, float(min(DOUBT + ROUNDINGS * aspect**2, MOST_DOUBT))
+
+
 # -- curved pieces ----------------------------------------------------------------------------
 
 
 def _check_curved(arrays: dict[str, Any]) -> None:
     """Curved pieces are what their kind says, and their ellipsoids are the closed forms or on the safe side of them."""
     kind = arrays["layout"][:, columns.KIND]
-    rows = np.flatnonzero(kind != columns.POLYTOPE)
+    rows = np.flatnonzero(kind > columns.POLYTOPE)
     if len(rows) == 0:
         return
     kind, frames = kind[rows], arrays["frames"][rows]

@@ -20,7 +20,7 @@ from loewner.errors import InputError
 
 BODIES = Format(
     "loewner-bodies",
-    1,
+    2,
     what="a body",
     else_use="for a mesh use loewner.Body.from_mesh",
     arrays=ARRAYS,
@@ -30,6 +30,9 @@ BODIES = Format(
     optional=frozenset(("covering",)),
 )
 
+# Version 2 has surfaces; what has none is written as version 1, so that an older loewner reads it.
+WITH_SURFACES, WITHOUT = 2, 1
+
 COVERINGS = ("convex", "hull", "decomposition")
 
 
@@ -38,7 +41,7 @@ def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None
     arrays = arrays_of(packed)
     if covering is not None:
         arrays["covering"] = np.array([str(value) for value in astuple(covering)])
-    _archives.write(path, BODIES, arrays)
+    _archives.write(path, BODIES, arrays, WITH_SURFACES if packed.trees else WITHOUT)
 
 
 def load(path: str | os.PathLike[str]) -> tuple[Packed, Covering | None]:

@@ -163,7 +163,7 @@ def take(p: Packed, bodies: Ints) -> Packed:
 def moved(p: Packed, T: Floats) -> Packed:
     """Move all pieces by one rigid motion, keeping containment through the rounding."""
     R, t = T[:3, :3], T[:3, 3]
-    points = p.points @ R.T + t
+    points = p.points @ R.T + t + 0.0  # without negative zeros
     normals = p.planes[:, :3] @ R.T
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offsets = np.empty(len(normals))

@@ -41,15 +41,12 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     GeometryError
         If the mesh is too small or too large, or is to be solid and is open.
     """
-    used, numbers = np.unique(triangles, return_inverse=True)
-    vertices = vertices[used] + 0.0  # without negative zeros
-    triangles = np.ascontiguousarray(numbers.reshape(-1, 3), dtype=np.int64)
-    _expect_sizes(vertices)
-    if solid is None or solid:
-        open_edges = _open_edges(vertices, triangles)
-        if solid and len(open_edges):
-            raise _not_closed(vertices, open_edges)
-        solid = len(open_edges) == 0
+    vertices, triangles = _merged(vertices, triangles)
+    expect_sizes(vertices)
+    if solid:
+        expect_closed(vertices, triangles)
+    elif solid is None:
+        solid = len(_open_edges(vertices, triangles)) == 0
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
         center, factor, gap = _with_radius(center, factor, gap, radius)
@@ -73,7 +70,18 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     )
 
 
-def _expect_sizes(vertices: Floats) -> None:
+def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """The vertices that triangles have, each point once: wherever they are moved, they stay what they share."""
+    used, numbers = np.unique(triangles, return_inverse=True)
+    vertices = vertices[used] + 0.0  # without negative zeros
+    count, number = entries.equal_vertices(vertices)
+    points = np.empty((count, 3))
+    points[number] = vertices
+    return points, np.ascontiguousarray(number[numbers.reshape(-1, 3)], dtype=np.int64)
+
+
+def expect_sizes(vertices: Floats) -> None:
+    """Refuse what is too small or too large for kernels."""
     size = float(np.abs(vertices).max())
     across = float(np.ptp(vertices, axis=0).max())
     if not size <= LARGEST or 0 < across < SMALLEST:
@@ -81,6 +89,18 @@ def _expect_sizes(vertices: Floats) -> None:
             f"mesh: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {across:g} m across, "
             f"coordinates up to {size:g} m"
         )
+
+
+def expect_closed(vertices: Floats, triangles: Ints) -> None:
+    """Refuse a mesh that is open, or whose triangles are not turned alike: it winds around nothing."""
+    edges = _open_edges(vertices, triangles)
+    if len(edges) == 0:
+        return
+    a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
+    raise GeometryError(
+        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more "
+        f"often one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
+    )
 
 
 def _open_edges(vertices: Floats, triangles: Ints) -> Ints:
@@ -103,15 +123,6 @@ def _open_edges(vertices: Floats, triangles: Ints) -> Ints:
     vertex = np.empty(number.max() + 1, dtype=np.int64)
     vertex[number] = np.arange(len(number))
     return np.asarray(vertex[odd], dtype=np.int64)
-
-
-def _not_closed(vertices: Floats, edges: Ints) -> GeometryError:
-    """Make the error that says where a mesh is open."""
-    a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
-    return GeometryError(
-        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more often "
-        f"one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
-    )
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:

@@ -10,12 +10,14 @@ from typing import Any
 import loewner
 from loewner._validate import Floats
 from loewner.cli import inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, covering_text, is_surface, model_text
 
 # By how much of the mesh's volume pieces may exceed it without a word.
 WORTH_TELLING = 0.01
 
 EXAMPLES = """examples:
+  loewner check cup.stl spoon.stl --pose-b "0 0 0.02"            the meshes themselves
+  loewner check cup.stl spoon.stl --model pieces                 convex pieces of both
   loewner check arm.npz table.stl --pose-b "0.5 0 0"
   loewner check arm.npz table.npz --pose-b "0.5 0 0 0.924 0 0 0.383" --margin 0.01
   loewner check arm.npz table.npz --pose-a pose.npy --method certified --json
@@ -36,7 +38,7 @@ def add(commands: Any) -> None:
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
     check.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres to keep (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
-    inputs.add_mesh_options(check)
+    inputs.add_mesh_options(check, "surface")
     check.set_defaults(run=_run)
 
 
@@ -71,7 +73,10 @@ def _answer(
     if found.distance is not None:
         answer["distance"] = found.distance
         answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
-    answer |= {f"{name}_exact": None if c is None else c.exact for name, c in (("a", a.covering), ("b", b.covering))}
+    for name, body in (("a", a), ("b", b)):
+        known = None if body.covering is None else body.covering.exact
+        answer[f"{name}_exact"] = True if is_surface(body) else known
+        answer[f"{name}_model"] = model_text(body)
     return answer
 
 
@@ -95,6 +100,8 @@ def _print_answer(
     if verdict == loewner.Verdict.AMBIGUOUS:
         print("            --method exact decides it")
     for name, body in ((options.a, a), (options.b, b)):
+        if is_surface(body):
+            print(f"model       {name}: {model_text(body)}")
         # NaN, of a mesh that is not closed, is told as well.
         if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")

@@ -9,7 +9,7 @@ from typing import Any
 import loewner
 from loewner import _validate
 from loewner.cli import inputs
-from loewner.cli.output import covering_text, new_table, print_table, progress_bar
+from loewner.cli.output import model_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
 
 EXAMPLES = """examples:
@@ -17,6 +17,7 @@ EXAMPLES = """examples:
   loewner fit gripper.obj -o bodies --threshold 0.02    more pieces, a closer fit
   loewner fit mug.stl -o bodies --tolerance 0.002       pieces that stick out by at most 2 mm
   loewner fit table.glb -o bodies --hull                one piece: the convex hull
+  loewner fit cup.stl -o bodies --model surface         the triangles as they are, no fit of pieces
 """
 
 
@@ -27,7 +28,7 @@ def add(commands: Any) -> None:
         "meshes", nargs="+", type=Path, metavar="MESH", help="STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres"
     )
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
-    inputs.add_mesh_options(fit)
+    inputs.add_mesh_options(fit, "pieces")
     fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")
     fit.set_defaults(run=_run)
 
@@ -63,7 +64,7 @@ def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:
     inner, outer = body.inner.volume.sum() * 1e3, body.outer.volume.sum() * 1e3
     return (
         str(target), str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
-        f"{body.gaps.max():.1e}", covering_text(body.covering),
+        f"{body.gaps.max():.1e}", model_text(body),
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,34 @@ def command(commands: Any, name: str, what: str, examples: str) -> argparse.Argu
     return added
 
 
-def add_mesh_options(command: argparse.ArgumentParser) -> None:
-    """Options of commands that take meshes."""
-    command.add_argument("--hull", action="store_true", help="take the convex hull of a mesh; do not decompose it")
+# What a mesh becomes: its triangles as they are, convex pieces, or its convex hull.
+MODELS = ("surface", "pieces", "hull")
+
+# Options of pieces and of surfaces, by the names that the library has for them.
+OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
+OF_SURFACES = ("radius", "solid")
+
+
+def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
+    """Options of commands that take meshes; `default` is the model that they become."""
+    command.add_argument(
+        "--model",
+        choices=MODELS,
+        help=f"the triangles as they are, convex pieces, or the convex hull ({default}; pieces with their options)",
+    )
+    command.add_argument("--hull", action="store_true", help="the same as --model hull")
     command.add_argument("--scale", type=float, default=1.0, help="factor for all lengths: 0.001 for millimetres (1)")
+    command.add_argument("--radius", type=float, metavar="M", help="of surfaces: a ball around each point [m] (0)")
+    command.add_argument(
+        "--solid",
+        action=argparse.BooleanOptionalAction,
+        help="of surfaces: with what they enclose, or without (with, if closed)",
+    )
     command.add_argument("--tolerance", type=float, metavar="M", help="the pieces stick out by no more [m]")
-    command.add_argument("--threshold", type=float, default=0.05, help="concavity of a piece, 0.01 to 1 (0.05)")
+    command.add_argument("--threshold", type=float, help="concavity of a piece, 0.01 to 1 (0.05)")
     command.add_argument("--max-pieces", type=int, metavar="N", help="at most this many pieces")
-    command.add_argument("--seed", type=int, default=0, help="seed of the decomposition (0)")
+    command.add_argument("--seed", type=int, help="seed of the decomposition (0)")
+    command.set_defaults(usual_model=default)
 
 
 def add_robot_options(command: argparse.ArgumentParser) -> None:
@@ -45,7 +66,8 @@ def add_robot_options(command: argparse.ArgumentParser) -> None:
         default=[],
         help="folder of packages; repeatable",
     )
-    command.add_argument("--decompose", action="store_true", help="split meshes that are not convex")
+    command.add_argument("--model", choices=MODELS, help="what meshes become (hull)")
+    command.add_argument("--decompose", action="store_true", help="the same as --model pieces")
 
 
 def body(path: Path, options: argparse.Namespace) -> loewner.Body:
@@ -57,6 +79,9 @@ def from_mesh(
     path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
     """Body of a mesh, with a bar of its own unless the caller shows progress."""
+    chosen = model(options)
+    if chosen == "surface":
+        return loewner.Body.from_surface(path, scale=options.scale, **_given(options, OF_SURFACES))
     if progress is None:
         with progress_bar() as bar:
             task = bar.add_task(path.name, total=None)
@@ -65,15 +90,32 @@ def from_mesh(
             )
     return loewner.Body.from_mesh(
         path,
-        decompose=not options.hull,
+        decompose=chosen == "pieces",
         scale=options.scale,
-        tolerance=options.tolerance,
-        threshold=options.threshold,
-        max_pieces=options.max_pieces,
-        seed=options.seed,
         tol=tol,
         progress=progress,
+        **_given(options, OF_PIECES),
     )
+
+
+def model(options: argparse.Namespace) -> str:
+    """What a mesh becomes, by all options that say so."""
+    if options.hull and options.model not in (None, "hull"):
+        raise InputError(f"--hull: expected no other model with it, found --model {options.model}")
+    of_pieces, of_surfaces = _given(options, OF_PIECES), _given(options, OF_SURFACES)
+    chosen = "hull" if options.hull else options.model
+    if chosen is None:
+        chosen = "surface" if of_surfaces else "pieces" if of_pieces else options.usual_model
+    alien = of_pieces if chosen == "surface" else of_surfaces
+    for name in alien:
+        only = "--model pieces" if chosen == "surface" else "--model surface"
+        raise InputError(f"--{name.replace('_', '-')}: expected it with {only} only, found it with --model {chosen}")
+    return str(chosen)
+
+
+def _given(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
+    """Those of some options that were given, by their names."""
+    return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
 def pose(text: str | None, name: str) -> Floats | None:
@@ -115,13 +157,15 @@ def _pose_file(path: Path) -> Floats:
 
 def robot(options: argparse.Namespace) -> loewner.Robot:
     """Read the robot, with progress."""
+    if options.decompose and options.model not in (None, "pieces"):
+        raise InputError(f"--decompose: expected no other model with it, found --model {options.model}")
     with progress_bar() as progress:
         task = progress.add_task(options.urdf.name, total=None)
         robot = loewner.Robot.from_urdf(
             options.urdf,
             srdf=options.srdf,
             package_dirs=options.package_dir,
-            decompose=options.decompose,
+            meshes="pieces" if options.decompose else options.model or "hull",
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     return robot

@@ -81,6 +81,20 @@ def print_table(table: Table | PlainTable) -> None:
     Console(width=None if console.is_terminal else 200).print(table)
 
 
+def is_surface(body: loewner.Body) -> bool:
+    """Whether it is the triangles of a mesh as they are."""
+    return all(piece.kind in ("surface", "solid") for piece in body.pieces)
+
+
+def model_text(body: loewner.Body) -> str:
+    """Which model of a mesh a body is, in a few words."""
+    if not is_surface(body):
+        return covering_text(body.covering)
+    count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
+    kinds = " and ".join(sorted({piece.kind for piece in body.pieces}))
+    return f"{kinds} of the mesh's {count:,} triangles"
+
+
 def covering_text(covering: loewner.Covering | None) -> str:
     """Which model of a mesh the pieces are, what they hold of it and how far they stick out, in a few words."""
     if covering is None:

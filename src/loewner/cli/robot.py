@@ -16,7 +16,7 @@ import loewner
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.cli import configurations, inputs
-from loewner.cli.output import COLLIDING, FREE, covering_text, new_table, print_table, progress_bar
+from loewner.cli.output import COLLIDING, FREE, model_text, new_table, print_table, progress_bar
 from loewner.errors import InputError
 
 # Configurations between two steps of the progress bar, and pairs that a table lists at most.
@@ -93,7 +93,7 @@ def _info(options: argparse.Namespace) -> int:
 
 def _link_row(body: loewner.Body) -> tuple[str, ...]:
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
-    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", covering_text(body.covering)
+    return str(len(body.pieces)), str(vertices), f"{body.gaps.max():.1e}", model_text(body)
 
 
 def _check(options: argparse.Namespace) -> int:

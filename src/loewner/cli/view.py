@@ -31,15 +31,21 @@ def add(commands: Any) -> None:
     view.add_argument("--pose-a", metavar="POSE", help="where A is at first (the origin); as in loewner check")
     view.add_argument("--pose-b", metavar="POSE", help="where B is at first (next to A)")
     view.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres that A and B keep (0)")
-    view.add_argument("--robot", dest="urdf", metavar="URDF", type=Path, help="a robot instead of two bodies")
+    view.add_argument(
+        "--robot",
+        dest="urdf",
+        metavar="URDF",
+        type=Path,
+        help="a robot instead of two bodies; its meshes become hulls, or --model",
+    )
     view.add_argument("--srdf", metavar="SRDF", type=Path, help="its states and disabled pairs")
     view.add_argument("--scene", metavar="YAML", type=Path, help="what stands around it (docs/scenes.md)")
     view.add_argument("--trajectory", metavar="FILE", type=Path, help="of the robot, to play: .csv or .json")
     view.add_argument("--package-dir", metavar="DIR", type=Path, action="append", default=[], help="for package://")
-    view.add_argument("--decompose", action="store_true", help="split meshes of the robot that are not convex")
+    view.add_argument("--decompose", action="store_true", help="of the robot: the same as --model pieces")
     view.add_argument("--port", type=int, default=0, help="default: any that is free")
     view.add_argument("--no-browser", action="store_true", help="only print the address")
-    inputs.add_mesh_options(view)
+    inputs.add_mesh_options(view, "pieces")
     view.set_defaults(run=_run, default=view.get_default)
 
 
@@ -77,7 +83,9 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
     if options.a is not None:
         raise InputError(f"view: expected no A and B with --robot, found {options.a}")
-    _refuse(options, ("pose_a", "pose_b", "hull", "threshold", "max_pieces", "seed"), "with A and B only, not --robot")
+    _refuse(
+        options, ("pose_a", "pose_b", "hull", *inputs.OF_SURFACES, *inputs.OF_PIECES), "with A and B only, not --robot"
+    )
     _refuse(options, ("margin",), "with A and B only, not --robot: margins of a robot are the scene's")
     scene = None if options.scene is None else loewner.load_scene(options.scene)
     if scene is not None and len(scene) == 0:

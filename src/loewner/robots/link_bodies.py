@@ -26,6 +26,9 @@ from loewner.robots.urdf import Description, Shape
 # glTF files may keep their points in other files, so that their own bytes do not tell their content.
 NOT_CACHED = (".gltf", ".glb")
 
+# What a mesh of a link can become: its convex hull, convex pieces, or the triangles themselves.
+MODELS = ("hull", "pieces", "surface")
+
 # What makes a body of a mesh file, apart from the kernels.
 _MAKERS = (
     "mesh_files",
@@ -61,7 +64,7 @@ def link_bodies(
     robot: Description,
     package_dirs: Iterable[str | os.PathLike[str]],
     *,
-    decompose: bool,
+    model: str,
     tol: float,
     cache: bool,
     progress: Progress | None,
@@ -73,8 +76,10 @@ def link_bodies(
     robot : Description
     package_dirs : iterable of path
         Folders of packages, or packages themselves.
-    decompose, tol
-        As `Body.from_mesh`.
+    model : str
+        What a mesh becomes, one of `MODELS`.
+    tol : float
+        As of `Body.from_mesh`.
     cache : bool
         Whether to keep the fits of meshes on disk, and to use those kept there.
     progress : callable, optional
@@ -101,7 +106,7 @@ def link_bodies(
     for link, shapes in robot.shapes.items():
         parts = []
         for shape in shapes:
-            parts.append(_body(shape, link, robot.path, folders, decompose=decompose, tol=tol, cache=cache))
+            parts.append(_body(shape, link, robot.path, folders, model=model, tol=tol, cache=cache))
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -128,7 +133,7 @@ def _body(
     urdf: Path,
     folders: list[str | os.PathLike[str]],
     *,
-    decompose: bool,
+    model: str,
     tol: float,
     cache: bool,
 ) -> Body:
@@ -140,11 +145,11 @@ def _body(
     file = mesh_file(shape, link, urdf, folders)
     try:
         if not cache or file.suffix.lower() in NOT_CACHED or not _sources.source_hash():
-            return _mesh_body(file, shape, decompose, tol)
-        kept = _sources.cache_folder() / "bodies" / f"{_key(file, shape, decompose, tol)}.npz"
+            return _mesh_body(file, shape, model, tol)
+        kept = _sources.cache_folder() / "bodies" / f"{_key(file, shape, model, tol)}.npz"
         with suppress(FileError):  # none there yet, or a damaged one
             return Body.load(kept)
-        body = _mesh_body(file, shape, decompose, tol)
+        body = _mesh_body(file, shape, model, tol)
         with suppress(OSError):  # no place for a cache is no error
             kept.parent.mkdir(parents=True, exist_ok=True)
             body.save(kept)
@@ -168,8 +173,9 @@ def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
     return (vertices * shape.scale) @ shape.origin[:3, :3].T + shape.origin[:3, 3], triangles
 
 
-def _mesh_body(file: Path, shape: Shape, decompose: bool, tol: float) -> Body:
-    return Body.from_mesh(_Mesh(*placed_mesh(file, shape)), decompose=decompose, tol=tol)
+def _mesh_body(file: Path, shape: Shape, model: str, tol: float) -> Body:
+    mesh = _Mesh(*placed_mesh(file, shape))
+    return Body.from_surface(mesh) if model == "surface" else Body.from_mesh(mesh, decompose=model == "pieces", tol=tol)
 
 
 @cache
@@ -185,11 +191,11 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def _key(file: Path, shape: Shape, decompose: bool, tol: float) -> str:
+def _key(file: Path, shape: Shape, model: str, tol: float) -> str:
     """Hash of all that decides a fit: what is in the file, where it stands, how it is fitted, and by which code."""
     import hashlib
 
-    digest = hashlib.sha256(repr((_code(), file.suffix.lower(), decompose, tol)).encode())
+    digest = hashlib.sha256(repr((_code(), file.suffix.lower(), model, tol)).encode())
     digest.update(np.concatenate([shape.scale, shape.origin.ravel()]).tobytes())
     digest.update(read_regular(file, "a mesh file", mesh_files.LIMIT))
     return digest.hexdigest()[:32]

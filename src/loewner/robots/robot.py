@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +24,7 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
-from loewner.robots.link_bodies import link_bodies
+from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, read_urdf
@@ -33,6 +34,16 @@ QUATERNION_TOLERANCE = 1e-6
 
 # Configurations a thread takes at a time, at least: about 0.1 ms of work.
 LEAST_SHARE = 1024
+
+
+def _model(meshes: str, decompose: bool) -> str:
+    """What meshes become, of both arguments that say so."""
+    _validate.choice(meshes, "meshes", MODELS)
+    if not _validate.flag(decompose, "decompose"):
+        return meshes
+    if meshes == "surface":
+        raise InputError("decompose: expected False with meshes='surface', found True; surfaces are not split")
+    return "pieces"
 
 
 class _LinkBodies(dict[str, Body]):
@@ -124,6 +135,7 @@ class Robot:
         *,
         srdf: str | os.PathLike[str] | None = None,
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
+        meshes: Literal["hull", "pieces", "surface"] = "hull",
         decompose: bool = False,
         tol: float = 1e-4,
         cache: bool = True,
@@ -140,9 +152,12 @@ class Robot:
         package_dirs : path or iterable of paths
             Folders of packages (or packages) for ``package://`` and ``model://``. Also searched are those that ROS
             names in the environment, and the folders above the URDF.
+        meshes : {"hull", "pieces", "surface"}
+            What each collision mesh becomes: its convex hull, which contains it; convex pieces, into which those that
+            are not convex are split (`Body.from_mesh`), once: see `cache`; or its triangles as they are
+            (`Body.from_surface`), with what they enclose if the mesh is closed.
         decompose : bool
-            False: each collision mesh is its convex hull, which contains it. True: meshes that are not convex are
-            split into convex pieces (`Body.from_mesh`), once: see `cache`.
+            True: the same as ``meshes="pieces"``.
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
@@ -179,18 +194,14 @@ class Robot:
         >>> Robot.from_urdf("arm.urdf")
         Robot('arm', 3 links, 3 with bodies, 2 joints, dof 2)
         """
-        tol, cache, decompose = (
-            checked_tolerance(tol),
-            _validate.flag(cache, "cache"),
-            _validate.flag(decompose, "decompose"),
-        )
+        tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
         _validate.callback(progress, "progress")
         robot = read_urdf(path)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
-        bodies = link_bodies(robot, places, decompose=decompose, tol=tol, cache=cache, progress=progress)
+        bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)

@@ -33,7 +33,9 @@ MOST_ENTRIES = 2_000_000
 TOP_KEYS = ("margin", "bodies", "allow", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 BODY_KEYS = (*POSE_KEYS, "attach", "margin")
-MESH_KEYS = ("scale", "decompose")
+SURFACE_KEYS = ("radius", "solid")
+MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
+MODELS = ("hull", "pieces", "surface")
 
 # Shapes given by lengths along the axes, and shapes given by named lengths.
 AXIS_SHAPES: dict[str, Maker] = {"box": Body.box, "ellipsoid": Body.ellipsoid}
@@ -317,9 +319,29 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
     if shape == "saved":
         return (shape, file), functools.partial(Body.load, file)
     scale = _scale(keys["scale"]) if "scale" in keys else [1.0, 1.0, 1.0]
-    decompose = keys["decompose"].flag() if "decompose" in keys else True
-    make_mesh = functools.partial(Body.from_mesh, file, scale=scale, decompose=decompose)
-    return (shape, file, *scale, decompose), make_mesh
+    model = _model(keys)
+    if model != "surface":
+        make_mesh = functools.partial(Body.from_mesh, file, scale=scale, decompose=model == "pieces")
+        return (shape, file, *scale, model), make_mesh
+    radius = keys["radius"].length() if "radius" in keys else 0.0
+    solid = keys["solid"].flag() if "solid" in keys else None
+    make_surface = functools.partial(Body.from_surface, file, scale=scale, radius=radius, solid=solid)
+    return (shape, file, *scale, model, radius, solid), make_surface
+
+
+def _model(keys: dict[str, YamlNode]) -> str:
+    """What a mesh becomes; of what says so, and of what goes with a surface only."""
+    if "decompose" in keys and "model" in keys:
+        raise keys["model"].error("expected either model or decompose, found both")
+    model = "pieces" if "decompose" not in keys or keys["decompose"].flag() else "hull"
+    if "model" in keys:
+        model = keys["model"].text()
+        if model not in MODELS:
+            raise keys["model"].error(f"expected one of {', '.join(MODELS)}, found {keys['model'].described()}")
+    for key in SURFACE_KEYS:
+        if key in keys and model != "surface":
+            raise keys[key].error(f"expected it with model: surface only, found model: {model}")
+    return model
 
 
 def _scale(entry: YamlNode) -> list[float]:

@@ -32,7 +32,8 @@ PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
 
 # Layers in the colour that tells what touches, and how each layer is drawn. Where triangles face outward only those
 # that face the camera are drawn: half as many. Of an outer ellipsoid it is those that do not, for the near side would
-# hide what is drawn after it, though it can be seen through. The triangles of a file face anywhere.
+# hide what is drawn after it, though it can be seen through. The triangles of a file face anywhere, and so do those of
+# surfaces.
 COLOURED = ("meshes", "pieces")
 LOOKS: dict[str, dict[str, Any]] = {
     "meshes": {"flat_shading": True, "side": "double"},
@@ -81,6 +82,7 @@ class Drawing:
     ) -> None:
         self._scene, self._parent = scene, parent
         self._colour = colour
+        self._any_surface = any(piece.kind in ("surface", "solid") for piece in body.pieces)
         self._makers: dict[str, Callable[[], Mesh | None]] = {
             "meshes": mesh,
             "pieces": lambda: pieces(body),
@@ -129,8 +131,10 @@ class Drawing:
             made = self._makers[layer]()
             self._nodes[layer] = None
             if made is not None and len(made[1]):
-                colour = {"color": self._colour} if layer in COLOURED else {}
-                self._nodes[layer] = add_mesh(self._scene, f"{self._parent}/{layer}", made, **LOOKS[layer], **colour)
+                look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
+                if layer == "pieces" and self._any_surface:
+                    look = {**look, "side": "double"}
+                self._nodes[layer] = add_mesh(self._scene, f"{self._parent}/{layer}", made, **look)
                 if self._callback is not None:
                     self._nodes[layer].on_click(self._callback)
         return self._nodes[layer]
@@ -156,10 +160,10 @@ def pieces(body: Body) -> Mesh:
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
-    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame."""
+    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; none of inner ones that are points."""
     fitted = body.inner if which == "inner" else body.outer
     unit, triangles = ball(3 if len(fitted.center) <= MANY_PIECES else 2)
-    return joined((unit @ F.T + c, triangles) for c, F in zip(fitted.center, fitted.factor, strict=True))
+    return joined((unit @ F.T + c, triangles) for c, F in zip(fitted.center, fitted.factor, strict=True) if F.any())
 
 
 def joined(meshes: Any) -> Mesh:
