@@ -106,14 +106,9 @@ def placed(points: list[tuple[Floats, Floats]]) -> tuple[list[Vector], Fraction]
     made = []
     for T, p in points:
         x, y, z = (_whole(float(c), place) for c in p)
-        made.append(
-            tuple(
-                ((_whole(float(T[r, 0]), turn) * x + _whole(float(T[r, 1]), turn) * y + _whole(float(T[r, 2]), turn) * z)
-                 << (all_digits - turn - place))
-                + _whole(float(T[r, 3]), all_digits)
-                for r in range(3)
-            )
-        )  # fmt: skip
+        rows = [[_whole(float(entry), turn) for entry in row[:3]] for row in T[:3]]
+        turned = [(a * x + b * y + c * z) << (all_digits - turn - place) for a, b, c in rows]
+        made.append(tuple(u + _whole(float(t), all_digits) for u, t in zip(turned, T[:3, 3], strict=True)))
     return made, Fraction(1, 1 << all_digits)  # type: ignore[return-value]
 
 

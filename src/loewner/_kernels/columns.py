@@ -25,6 +25,9 @@ COLUMNS = 37
 KIND, POINTS_FROM, POINTS_TO, SURFACE_AT, LAYOUT = 0, 1, 2, 3, 4
 PLANES_FROM, PLANES_TO = 3, 4  # of the layout as it is stored; no kernel needs the planes
 
+# Of each piece in `part_start`, if there are surfaces: rows of `parts`.
+PART_OUTER, PART_INNER, PART_STOP, PARTS = 0, 1, 2, 3
+
 BLOCK = 8  # points in a block, see `simd.support`
 CACHE_LINE = 64  # bytes
 

@@ -30,6 +30,8 @@ class Pieces(NamedTuple):
     children: Any
     roots: Any
     vertices: Any
+    parts: Any
+    part_start: Any
 
 
 class Placed(NamedTuple):

@@ -116,7 +116,9 @@ class KernelArrays:
         single = _single(hot)
         vertices = _aligned(len(points) if len(single) else 0, np.float32)
         vertices[:] = points[: len(vertices)]
-        arrays = records.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices)
+        arrays = records.Pieces(
+            table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees)
+        )
         addresses = records.table_of(arrays)
         return cls(arrays, addresses, addresses.ctypes.data)
 
@@ -171,6 +173,25 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
     return np.column_stack([kind, begin[:-1], begin[:-1] + width, table_at]), points
 
 
+def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
+    """Rows of the ellipsoids of parts of surfaces, and which belong to each piece; nothing if there is no surface."""
+    start = np.zeros((len(p.layout) if trees else 0, columns.PARTS), dtype=np.int64)
+    rows = [np.zeros((0, columns.HOT))]
+    total = 0
+    for i, tree in trees.items():
+        center, factor = tree.outer_ellipsoids(p.frames[i, 0])
+        outer, inner = len(center), len(tree.inner_center)
+        # What a row has no use for: inner ellipsoids without size prove nothing, and the outer one of all is not apart.
+        inner_center, inner_factor = np.concatenate([center, tree.inner_center]), np.zeros((outer + inner, 3, 3))
+        inner_factor[outer:] = tree.inner_factor
+        center = np.concatenate([center, np.repeat(p.outer_center[i : i + 1], inner, axis=0)])
+        factor = np.concatenate([factor, np.repeat(p.outer_factor[i : i + 1], inner, axis=0)])
+        rows.append(_ellipsoid_columns(center, factor, inner_center, inner_factor)[:, : columns.HOT])
+        start[i] = total, total + outer, total + outer + inner
+        total += outer + inner
+    return np.ascontiguousarray(np.concatenate(rows)), start.ravel()
+
+
 def _box_corners(points: Floats) -> Floats:
     """Corners of the box around points."""
     ends = np.stack([points.min(axis=0), points.max(axis=0)])
@@ -185,33 +206,41 @@ def _aligned(count: int, kind: Any = np.float64) -> NDArray[Any]:
 
 
 def _table(p: PieceArrays) -> Floats:
-    """Form the kernels' table: shape matrices and one-sided bounds of sizes."""
-    table = np.zeros((len(p.layout), columns.COLUMNS))
+    """Form the kernels' table of pieces."""
+    table = _ellipsoid_columns(p.outer_center, p.outer_factor, p.inner_center, p.inner_factor)
+    table[:, columns.ROUNDING] = p.frames[:, 0]
+    table[:, columns.FRAME_CENTER : columns.FRAME_CENTER + 12] = p.frames[:, 1:]
+    return table
+
+
+def _ellipsoid_columns(
+    outer_center: Floats, outer_factor: Floats, inner_center: Floats, inner_factor: Floats
+) -> Floats:
+    """A table with the columns of ellipsoids: shape matrices and one-sided bounds of sizes."""
+    table = np.zeros((len(outer_center), columns.COLUMNS))
     # Before anything overflows. A factor's entries are no larger than the longest semi-axis.
-    largest = np.abs(p.outer_factor).max(axis=(1, 2), initial=0.0)
+    largest = np.abs(outer_factor).max(axis=(1, 2), initial=0.0)
     if not (largest < LARGEST).all():
         raise _wrong_sizes(largest, largest)
     upper = np.triu_indices(3)
     for center, factor, at_center, at_shape in (
-        (p.outer_center, p.outer_factor, columns.OUTER_CENTER, columns.OUTER_SHAPE),
-        (p.inner_center, p.inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
+        (outer_center, outer_factor, columns.OUTER_CENTER, columns.OUTER_SHAPE),
+        (inner_center, inner_factor, columns.INNER_CENTER, columns.INNER_SHAPE),
     ):
         table[:, at_center : at_center + 3] = center
         Q = factor @ factor.transpose(0, 2, 1)
         table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
-    table[:, columns.ROUNDING] = p.frames[:, 0]
-    table[:, columns.FRAME_CENTER : columns.FRAME_CENTER + 12] = p.frames[:, 1:]
     if len(table) == 0:
         return table
-    outer = np.linalg.svd(p.outer_factor, compute_uv=False)
-    inner = np.linalg.svd(p.inner_factor, compute_uv=False)
+    outer = np.linalg.svd(outer_factor, compute_uv=False)
+    inner = np.linalg.svd(inner_factor, compute_uv=False)
     slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
     table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
     table[:, columns.OUTER_SIGMA] = np.maximum(outer[:, -1] - slack * outer[:, 0], 1e-300) * (1 - bend)
     table[:, columns.OUTER_RADIUS] = outer[:, 0] * (1 + slack) * (1 + bend)
     # The inner ellipsoid lies in the piece and the piece in the outer one.
-    table[:, columns.REACH] = (np.linalg.norm(p.outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
+    table[:, columns.REACH] = (np.linalg.norm(outer_center, axis=1) + outer[:, 0]) * (1 + slack) * (1 + bend)
     reach = table[:, columns.REACH]
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
         raise _wrong_sizes(outer[:, 0], reach)

@@ -64,6 +64,7 @@ class Packed(PieceArrays):
             maps = direction_maps(pieces.layout, pieces.points)
         if trees is None:
             trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
+        pieces = _with_inner_of_solids(pieces, trees)
         made = KernelArrays.of(pieces, maps, trees)
         return cls(
             **arrays_of(pieces), maps=maps, trees=trees, kernel_arrays=made, kernel=made.arrays, handle=made.handle
@@ -79,6 +80,20 @@ class Packed(PieceArrays):
         maps = [array for made in self.maps.values() for array in made]
         arrays = (*arrays_of(self).values(), *maps, *self.kernel)
         return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
+
+
+def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
+    """The pieces, each solid with the largest ellipsoid inside that is proven; whatever they had there before."""
+    found = [i for i, tree in trees.items() if len(tree.inner_center)]
+    if not found:
+        return pieces
+    arrays = arrays_of(pieces)
+    for name in ("inner_center", "inner_factor", "gaps"):
+        arrays[name] = arrays[name].copy()
+    arrays["inner_center"][found] = [trees[i].inner_center[0] for i in found]
+    arrays["inner_factor"][found] = [trees[i].inner_factor[0] for i in found]
+    arrays["gaps"][found, 0] = np.inf  # nothing is known of how large one could be
+    return PieceArrays(**arrays)
 
 
 def empty() -> Packed:

@@ -11,6 +11,18 @@ from numpy.typing import NDArray
 from loewner._kernels import columns, records
 from loewner._native import entries
 from loewner._validate import Floats, Ints
+from loewner.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
+
+WIDE = 16  # boxes of a node, see `loewner._kernels.trees.triangle_tree`
+
+# Ellipsoids that are kept inside a solid; more prove little more and take as long again to find.
+MOST_INSIDE = 8
+
+# What the root of a shape matrix in single precision may be off by, in roundoffs of it.
+SINGLE_ROUNDINGS = 8.0
+
+# What rounding takes of the containment of a sum, relative to its size.
+SUM_ROUNDING = 2.0**-44
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +39,10 @@ class SurfaceTree:
         A vertex of each connected part.
     ellipsoids : ndarray of float32
         Of the nodes, described there, too.
+    inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
+        Ellipsoids inside a solid, largest first; none of a surface that is not one.
     table : ndarray of int64
-        Where these are; kernels get its address.
+        Where all but these are; kernels get its address.
     """
 
     boxes: NDArray[np.float32]
@@ -36,21 +50,24 @@ class SurfaceTree:
     blocks: Floats
     parts: Floats
     ellipsoids: NDArray[np.float32]
+    inner_center: Floats
+    inner_factor: Floats
     table: Ints
 
     @classmethod
-    def of(cls, vertices: Floats, triangles: Ints) -> SurfaceTree:
+    def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
         """Build the tree over some triangles, at least one."""
-        vertices, triangles = vertices.copy(), triangles.copy()  # kernels take no arrays that are read-only
         boxes, children, blocks, ellipsoids = entries.triangle_tree(vertices, triangles)
         _, number = entries.equal_vertices(vertices)
         parts = vertices[_first(number)[entries.part_vertices(len(vertices), number[triangles])]].ravel()
-        return cls._at(boxes.astype(np.float32), children, blocks, parts, ellipsoids.astype(np.float32))
+        inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
+        if solid and len(triangles) >= FEWEST_TRIANGLES:
+            inside = inscribed_ellipsoids(vertices, triangles, MOST_INSIDE)
+        return cls._at(boxes.astype(np.float32), children, blocks, parts, ellipsoids.astype(np.float32), *inside)
 
     @classmethod
-    def _at(cls, boxes: Any, children: Ints, blocks: Floats, parts: Floats, ellipsoids: Any) -> SurfaceTree:
-        table = records.table_of((boxes, children, blocks, parts, ellipsoids))
-        return cls(boxes, children, blocks, parts, ellipsoids, table)
+    def _at(cls, *arrays: Any) -> SurfaceTree:
+        return cls(*arrays, records.table_of(arrays[:5]))
 
     def __reduce__(self) -> Any:
         """Copies are made anew: the table is of addresses."""
@@ -58,12 +75,39 @@ class SurfaceTree:
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
-        return self.boxes, self.children, self.blocks, self.parts, self.ellipsoids
+        return (
+            self.boxes, self.children, self.blocks, self.parts, self.ellipsoids, self.inner_center, self.inner_factor
+        )  # fmt: skip
 
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays."""
         return sum(int(a.nbytes) for a in (*self._arrays, self.table))
+
+    def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
+        """Ellipsoids around the parts below the root, with a radius: centers and factors.
+
+        They are kept in single precision; what that hides is added to the radius.
+        """
+        node = int(self.children[0])
+        slots = np.arange(max(node, 0) * WIDE, (max(node, 0) + 1) * WIDE)
+        slots = slots[self.boxes.reshape(-1, 6, WIDE)[slots // WIDE, 3, slots % WIDE] >= 0]
+        rows = self.ellipsoids.reshape(-1, 9, WIDE)[slots // WIDE, :, slots % WIDE].astype(float)
+        root = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+        sizes = np.sqrt((root**2).sum(axis=(1, 2)))
+        reach = radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes
+        return rows[:, :3], around_sums(root @ root, reach)
+
+
+def around_sums(shape: Floats, radius: Floats) -> Floats:
+    """Factors of ellipsoids around the sums of ellipsoids, given by shape matrices, and balls.
+
+    Shape (1 + 1/p) Q + (1 + p) r² 1 holds the sum for all p > 0; with this one its trace is least. Kurzhanski and Valyi
+    (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
+    """
+    p = np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3) / radius
+    joint = (1 + 1 / p)[:, None, None] * shape + ((1 + p) * radius**2)[:, None, None] * np.eye(3)
+    return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
 
 
 Trees = dict[int, SurfaceTree]
@@ -74,7 +118,8 @@ def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start:
     made = {}
     for i in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
         vertices = points[layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
-        made[int(i)] = SurfaceTree.of(vertices, triangles[triangle_start[i] : triangle_start[i + 1]])
+        solid = layout[i, columns.KIND] == columns.SOLID
+        made[int(i)] = SurfaceTree.of(vertices, triangles[triangle_start[i] : triangle_start[i + 1]], solid)
     return made
 
 

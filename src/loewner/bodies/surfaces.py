@@ -9,6 +9,7 @@ from loewner._kernels import columns
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import PieceArrays
+from loewner.bodies.surface_trees import around_sums
 from loewner.errors import GeometryError
 from loewner.polytopes import FLATNESS
 
@@ -149,13 +150,7 @@ def _thickened(vertices: Floats) -> Floats:
 
 
 def _with_radius(center: Floats, factor: Floats, gap: float, radius: float) -> tuple[Floats, Floats, float]:
-    """Ellipsoid around the sum of an ellipsoid and a ball: shape (1 + 1/p) Q + (1 + p) r², least trace.
-
-    Kurzhanski and Valyi (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
-    """
-    Q = factor @ factor.T
-    p = np.sqrt(np.trace(Q) / 3) / radius
-    joint = (1 + 1 / p) * Q + (1 + p) * radius**2 * np.eye(3)
-    grown = np.linalg.cholesky(joint) * (1 + _ROUNDING)
+    """Ellipsoid around the sum of an ellipsoid and a ball, with a bound on how much larger it is than the least."""
+    grown = around_sums((factor @ factor.T)[None], np.array([radius]))[0]
     volumes = np.linalg.slogdet(grown)[1] - np.linalg.slogdet(factor)[1]
     return center, grown, gap + float(volumes)

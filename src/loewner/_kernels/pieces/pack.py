@@ -8,7 +8,7 @@ from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
 @inline
 def pieces_of(handle):
     """The arrays of a packed set from its handle."""
-    t = integers_at(handle, (10, ENTRIES))
+    t = integers_at(handle, (12, ENTRIES))
     return Pieces(
         table=floats_at(t[0, 0], (t[0, 1], t[0, 2])),
         layout=integers_at(t[1, 0], (t[1, 1], t[1, 2])),
@@ -20,6 +20,8 @@ def pieces_of(handle):
         children=integers_at(t[7, 0], (t[7, 1],)),
         roots=integers_at(t[8, 0], (t[8, 1],)),
         vertices=singles_at(t[9, 0], (t[9, 1],)),
+        parts=floats_at(t[10, 0], (t[10, 1], t[10, 2])),
+        part_start=integers_at(t[11, 0], (t[11, 1],)),
     )
 
 

@@ -1,6 +1,6 @@
 """Convex pieces as kernels see them: rows of three arrays, and what a row can answer.
 
-A packed set of pieces is a tuple of ten arrays:
+A packed set of pieces is a tuple of twelve arrays:
 
 ``table`` (P, COLUMNS) float64
     One row per piece; the columns are named below. Lengths in metres, body frame.
@@ -20,6 +20,9 @@ A packed set of pieces is a tuple of ten arrays:
     Trees over the pieces of bodies that have many, see `trees`.
 ``vertices`` (3 V,) float32
     ``points`` in single precision, if there are rows of ``single``; otherwise nothing.
+``parts`` (R, HOT) float64, ``part_start`` (3 P,) int64
+    If there are surfaces: ellipsoids around parts of them and inside solids, in rows like those of ``hot``; and where
+    the outer ones and the inner ones of each piece start, and end. Otherwise nothing.
 
 Every piece is a core plus a ball: a polytope (its vertices), a surface (triangles; what its points say is true of a box
 around it, and proves no contact), or the image c + F·C of a unit shape

@@ -18,6 +18,7 @@ from loewner._kernels.narrow.surfaces import surface_pair
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import core_support, radius
 from loewner._kernels.pipeline.verdicts import rows_of
+from loewner._kernels.simd.memory import held
 from loewner._kernels.trees import piece_tree
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
@@ -66,14 +67,17 @@ def _with_surface(A, B, margin, work):
     listed = np.empty((ROOM, 2), np.int64)
     near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
     verdict, count = surface_pair(A, B, near, far, memory.ctypes.data, listed.ctypes.data, ROOM)
+    held(memory)
     if verdict != AMBIGUOUS:
         return verdict
     if is_surface(A) and is_surface(B):
         return INEXACT
     if not is_surface(A):
         A, B = B, A
+    own = np.empty(PIECE // 8)
     for n in range(min(count, ROOM)):
-        verdict = _piece_pair(triangle_piece(A, listed[n, 0], np.empty(PIECE // 8).ctypes.data), B, margin, work)
+        verdict = _piece_pair(triangle_piece(A, listed[n, 0], own.ctypes.data), B, margin, work)
+        held(own)
         if verdict != FREE:
             return verdict
     return INEXACT if count <= ROOM else AMBIGUOUS
@@ -115,6 +119,7 @@ def open_triangles(margin, k, plan, rows, pack_a, Ta, pack_b, Tb, listed):
                 continue
             near, far = margin + (radius(A) + radius(B)), margin + swollen_radii(A, B)
             verdict, more = surface_pair(A, B, near, far, memory.ctypes.data, pairs.ctypes.data, len(pairs))
+            held(memory)
             if verdict != AMBIGUOUS:
                 continue
             for n in range(-1, more if is_surface(A) and is_surface(B) else 0):

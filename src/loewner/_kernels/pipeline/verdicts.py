@@ -16,6 +16,7 @@ from loewner._kernels.codes import (
     BY_PLANE,
     BY_SEARCH,
     BY_SPHERE,
+    CERTIFY,
     COLLIDING,
     EXACT,
     FREE,
@@ -28,6 +29,7 @@ from loewner._kernels.narrow import certificate, gjk_batch, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.pair_list import fill
+from loewner._kernels.narrow.surface_parts import has_parts, parts_tier
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.rigid import fault
 from loewner._kernels.pieces.shapes import prefetch_vertices, prefetch_vertices_far
@@ -319,6 +321,13 @@ def _flush(query, flags, count, work, out, tally):
         elif unsure > 0 and not _improved(query, count, work):
             return FAULTY
 
+    if query.mode == CERTIFY and (has_parts(a) or has_parts(b)):
+        for lane in range(count):
+            if tier[lane] == OPEN:
+                tier[lane] = parts_tier(
+                    a, listed.piece_a[lane], Ta, listed.pose_a[lane], b, listed.piece_b[lane], Tb, listed.pose_b[lane],
+                    query.margin,
+                )  # fmt: skip
     # Without branches: nobody can predict how the next pair comes out.
     far, outer, inner, left = total - count, 0, 0, 0
     for lane in range(count):

@@ -21,13 +21,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, EXACT, FREE, OPEN, UNSURE
+from loewner._kernels.codes import (
+    AMBIGUOUS,
+    BY_INNER,
+    BY_OUTER,
+    BY_SPHERE,
+    CERTIFY,
+    COLLIDING,
+    EXACT,
+    FREE,
+    OPEN,
+    UNSURE,
+)
 from loewner._kernels.columns import BOUNDS, CACHE_LINE
 from loewner._kernels.narrow import certificate, exact, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.narrow.pair_list import fill, pair_list_at
+from loewner._kernels.narrow.surface_parts import has_parts, parts_tier
 from loewner._kernels.pieces.pack import pieces_of, placed, problem_of, shift_between
 from loewner._kernels.pieces.shapes import reach
 from loewner._kernels.robots.placement import (
@@ -242,7 +254,8 @@ def _ended(query):
 def _improve(query, held):
     """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
     work = query.work
-    hot, poses = pieces_of(query.pack).hot, _placement_of(work, query.counts).poses
+    pieces = pieces_of(query.pack)
+    hot, poses = pieces.hot, _placement_of(work, query.counts).poses
     listed, waiting, tier, normals = _listed_of(work), _waiting_of(work), _tier_of(work), _normals_of(work)
     verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for first in range(0, held, BLOCK):
@@ -257,6 +270,11 @@ def _improve(query, held):
             s = _configuration(code)
             if verdicts[s] == COLLIDING:
                 continue
+            if tier[lane] == OPEN and has_parts(pieces):
+                i, j = waiting.piece_a[first + lane], waiting.piece_b[first + lane]
+                tier[lane] = parts_tier(
+                    pieces, i, poses, waiting.pose_a[first + lane], pieces, j, poses, waiting.pose_b[first + lane], 0.0
+                )
             if tier[lane] == BY_INNER:
                 _hit(query, s, _pair(code), BY_INNER)
             elif tier[lane] == OPEN:
@@ -330,11 +348,17 @@ def _certify(query, keep, count, held):
             count, keep, pieces.hot, poses, True, pieces.hot, poses, True, listed, tier, normals
         ):
             tier[:count] = OPEN  # a link that is bent by overflow: nothing is proven about it
+    refined = query.mode == CERTIFY and has_parts(pieces)
     for lane in range(count):
         code = listed.pair[lane]
         s = _configuration(code)
         if verdicts[s] == COLLIDING:
             continue
+        if refined and tier[lane] == OPEN:
+            tier[lane] = parts_tier(
+                pieces, pieces_a[lane], poses, listed.pose_a[lane], pieces, pieces_b[lane], poses, listed.pose_b[lane],
+                problem_of(query.problem).margins[_pair(code)],
+            )  # fmt: skip
         if tier[lane] == BY_INNER:
             _hit(query, s, _pair(code), BY_INNER)
         elif tier[lane] == BY_OUTER:

@@ -57,6 +57,12 @@ def bytes_at(address, shape):
     return carray(_bytes(address), shape)
 
 
+@inline
+def held(array):
+    """Keep an array alive up to here, for what was given its address: Numba frees it after its last use."""
+    return array.size
+
+
 def whole_lines(size: int) -> int:
     """Bytes of whole cache lines that hold `size` bytes; for Python, and as `lines` for kernels."""
     return (size + (CACHE_LINE - 1)) // CACHE_LINE * CACHE_LINE

@@ -1,0 +1,81 @@
+"""What ellipsoids of parts of surfaces prove: outer ones around what is below the root, inner ones in a solid."""
+
+import numpy as np
+
+from loewner._kernels._jit import apart, inline
+from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
+from loewner._kernels.columns import PART_INNER, PART_OUTER, PART_STOP, PARTS
+from loewner._kernels.narrow import certificate
+from loewner._kernels.narrow.certificate import BLOCK
+from loewner._kernels.narrow.pair_list import fill, pair_list_at, put, size
+from loewner._kernels.simd.memory import held
+
+CHUNK = 16  # pairs at a time: one of the first mostly tells
+
+_LISTED = size(CHUNK) // 8
+
+
+@inline
+def has_parts(pieces):
+    """Whether there is a surface among packed pieces."""
+    return len(pieces.part_start) > 0
+
+
+@apart
+def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
+    """Who settles a piece pair that the ellipsoids of whole pieces left: BY_OUTER, BY_INNER, or OPEN.
+
+    Parameters
+    ----------
+    a, b : Pieces
+    i, ka, j, kb : int
+        Pieces, and rows of poses.
+    margin : float
+    """
+    outer_a, inner_a, of_surface_a = _rows(a, i)
+    outer_b, inner_b, of_surface_b = _rows(b, j)
+    if not (of_surface_a or of_surface_b):
+        return OPEN
+    rows_a, rows_b = a.parts if of_surface_a else a.hot, b.parts if of_surface_b else b.hot
+    memory, tier, normals = np.empty(_LISTED), np.empty(CHUNK, np.int8), np.empty(3 * BLOCK)
+    listed = pair_list_at(memory.ctypes.data, CHUNK)
+    found = OPEN
+    for turn in range(2):
+        # First all pairs of inner ellipsoids, any of which may overlap; then of outer ones, all of which must be apart.
+        first_a, end_a = inner_a if turn == 0 else outer_a
+        first_b, end_b = inner_b if turn == 0 else outer_b
+        wide, total = end_b - first_b, (end_a - first_a) * (end_b - first_b)
+        apart_all = turn == 1
+        for begin in range(0, total, CHUNK):
+            count = min(CHUNK, total - begin)
+            for n in range(count):
+                put(listed, n, 0, first_a + (begin + n) // wide, first_b + (begin + n) % wide, ka, kb)
+            fill(listed, count)
+            if not certificate.certify_best(count, margin, rows_a, Ta, True, rows_b, Tb, True, listed, tier, normals):
+                apart_all = False
+                break
+            for n in range(count):
+                apart_all = apart_all and (tier[n] == BY_OUTER or tier[n] == BY_SPHERE)
+                if turn == 0 and tier[n] == BY_INNER:
+                    found = BY_INNER
+            if found == BY_INNER or (turn == 1 and not apart_all):
+                break
+        if found == BY_INNER:
+            break
+        if apart_all:
+            found = BY_OUTER
+    held(memory)
+    return found
+
+
+@inline
+def _rows(pieces, i):
+    """Rows of outer and of inner ellipsoids, from and to, and whether they are of parts of a surface."""
+    if has_parts(pieces):
+        at = PARTS * i
+        outer, inner, stop = (
+            pieces.part_start[at + PART_OUTER], pieces.part_start[at + PART_INNER], pieces.part_start[at + PART_STOP],
+        )  # fmt: skip
+        if stop > 0:
+            return (outer, inner), (inner, stop), True
+    return (i, i + 1), (i, i + 1), False
