@@ -76,7 +76,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; a surface without inside and radius has a point, with axes of no length."""
+        """Inner ellipsoids, one row per piece; a surface that is not solid and has no radius has a point instead."""
         return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property

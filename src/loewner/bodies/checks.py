@@ -392,8 +392,8 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
     away = (points - arrays["outer_center"][i]) @ np.linalg.inv(core).T
     farthest = np.sqrt((away * away).sum(axis=1).max())
     _refuse(np.array([not farthest <= 1 + doubt]), "outer ellipsoid: expected the surface inside", rows=np.array([i]))
-    if arrays["layout"][i, columns.KIND] == columns.SOLID and np.isinf(arrays["gaps"][i, 0]):
-        return  # the inner one is found anew, and this not looked at
+    if arrays["layout"][i, columns.KIND] == columns.SOLID:
+        return  # the inner one is found anew, whatever the file says
     # The inner one is a ball about a point of the surface, or within one.
     center, inner = arrays["inner_center"][i], arrays["inner_factor"][i]
     to_vertex = np.sqrt(((points - center) ** 2).sum(axis=1).min())

@@ -11,7 +11,7 @@ from loewner import _memory, _validate
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, starts
-from loewner.bodies.surface_trees import Trees, surface_trees
+from loewner.bodies.surface_trees import Trees, around_point, surface_trees
 from loewner.errors import GeometryError
 
 KIND_NAMES = {
@@ -84,15 +84,24 @@ class Packed(PieceArrays):
 
 def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
     """The pieces, each solid with the largest ellipsoid inside that is proven; whatever they had there before."""
-    found = [i for i, tree in trees.items() if len(tree.inner_center)]
-    if not found:
+    solids = [i for i in trees if pieces.layout[i, columns.KIND] == columns.SOLID]
+    if not solids:
         return pieces
     arrays = arrays_of(pieces)
     for name in ("inner_center", "inner_factor", "gaps"):
         arrays[name] = arrays[name].copy()
-    arrays["inner_center"][found] = [trees[i].inner_center[0] for i in found]
-    arrays["inner_factor"][found] = [trees[i].inner_factor[0] for i in found]
-    arrays["gaps"][found, 0] = np.inf  # nothing is known of how large one could be
+    for i in solids:
+        center, factor = trees[i].inner_center, trees[i].inner_factor
+        if len(center):
+            arrays["inner_center"][i], arrays["inner_factor"][i] = center[0], factor[0]
+        else:
+            corner = pieces.points[
+                pieces.layout[i, columns.POINTS_FROM] + pieces.triangles[pieces.triangle_start[i], 0]
+            ]
+            arrays["inner_center"][i], arrays["inner_factor"][i] = corner, around_point(pieces.frames[i, 0])
+        # The largest one inside is no larger than the one around.
+        volumes = np.linalg.slogdet(np.stack([pieces.outer_factor[i], arrays["inner_factor"][i]]))[1]
+        arrays["gaps"][i, 0] = volumes[0] - volumes[1] if np.isfinite(volumes).all() else 0.0
     return PieceArrays(**arrays)
 
 

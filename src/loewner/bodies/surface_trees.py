@@ -67,7 +67,8 @@ class SurfaceTree:
 
     @classmethod
     def _at(cls, *arrays: Any) -> SurfaceTree:
-        return cls(*arrays, records.table_of(arrays[:5]))
+        table: Ints = records.table_of(arrays[:5])
+        return cls(*arrays, table)  # type: ignore[call-arg]  # seven arrays
 
     def __reduce__(self) -> Any:
         """Copies are made anew: the table is of addresses."""
@@ -97,6 +98,11 @@ class SurfaceTree:
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
         reach = radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes
         return rows[:, :3], around_sums(root @ root, reach)
+
+
+def around_point(radius: float) -> Floats:
+    """Factor of the inner ellipsoid of a surface without inside: a ball about a point of it, or the point."""
+    return np.eye(3) * radius * (1 - SUM_ROUNDING)
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:

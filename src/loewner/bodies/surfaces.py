@@ -9,7 +9,7 @@ from loewner._kernels import columns
 from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import PieceArrays
-from loewner.bodies.surface_trees import around_sums
+from loewner.bodies.surface_trees import around_point, around_sums
 from loewner.errors import GeometryError
 from loewner.polytopes import FLATNESS
 
@@ -18,9 +18,6 @@ SMALLEST, LARGEST = 1e-12, 1e12
 
 # A flat surface's outer ellipsoid is as thick as this, relative to its size: more than rounding, less than matters.
 THICKNESS = 1e-6
-
-# What rounding takes of containment, relative to the size of an ellipsoid; as `primitives.CLOSED_FORM_ROUNDING`.
-_ROUNDING = 2.0**-44
 
 
 def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float) -> PieceArrays:
@@ -54,7 +51,6 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     layout = np.array([[columns.SOLID if solid else columns.SURFACE, 0, len(vertices), 0, 0]], dtype=np.int64)
     frames = np.zeros((1, 13))
     frames[0, 0] = radius
-    inner = np.eye(3) * radius * (1 - _ROUNDING)
     return PieceArrays(
         layout=layout,
         points=vertices,
@@ -64,7 +60,7 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
         triangles=triangles,
         triangle_start=np.array([0, len(triangles)], dtype=np.int64),
         inner_center=vertices[triangles[:1, 0]],
-        inner_factor=inner[None],
+        inner_factor=around_point(radius)[None],
         outer_center=center[None],
         outer_factor=factor[None],
         gaps=np.array([[0.0, gap]]),

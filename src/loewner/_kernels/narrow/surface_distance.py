@@ -211,7 +211,6 @@ def _nearest_triangles(A, B, shift, limit, memory):
     """
     a, b = surface_of(A), surface_of(B)
     size = lengths(A, B, shift)
-    error = CORNER_ERROR * size
     about = relation(A, B, shift, size, 0.0)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
     lanes, placed = floats_at(memory + _LANES, (2 * WIDE,)), floats_at(memory + PLACED, (2 * BLOCK,))
@@ -251,7 +250,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
                     bits &= movemask(_middle_gaps(corners, others) <= best)
                 if bits == 0:
                     continue
-                store(lanes, 0, squared_distances(corners, others, error))
+                store(lanes, 0, squared_distances(corners, others))
                 while bits != 0:
                     other = lowest_bit(bits)
                     bits &= bits - 1
@@ -439,9 +438,13 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             if not dot(n, n) > 0.0:
                 n = (1.0, 0.0, 0.0)
             status, _, above = measure(A, B, shift, W, ends, n, error, -np.inf, best, result)
-            if status != APART and (above < best or status != NEAREST):
-                best = above if status == NEAREST else min(best, max(above, 0.0))
-                found = leaf * LEAF + lane
+            if status == APART:
+                continue
+            if status != NEAREST:  # so near to contact that it takes more care
+                piece = triangle_piece(A, leaf * LEAF + lane, memory + _PIECES)
+                above, _ = _between_pieces(piece, B, shift, n, memory, result)
+            if above <= best:
+                best, found = max(above, 0.0), leaf * LEAF + lane
     return found
 
 

@@ -213,7 +213,7 @@ def _leaves(A, B, child_a, child_b, shift, size, near, far, memory, listed_at, r
                 continue
         else:
             # What rounds more than the corners themselves are off by is left to the search.
-            squared = squared_distances(a, b, error)
+            squared = squared_distances(a, b)
             within = max(near - 8.0 * error, 0.0)
             beyond = far + 8.0 * error
             if movemask(squared < within * within) & bits != 0:

@@ -21,9 +21,6 @@ CORNER_ERRORS = 8.0  # derived 6, certified.md B36
 PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B37
 _LEAST = 1e-290  # no product that underflows is above it
 
-# A triangle is narrow if its normal is no longer than so many errors of a corner times its longest edge.
-NARROW = 64.0
-
 
 @inline
 def length1(v):
@@ -165,28 +162,59 @@ def _between_edges(start_a, edge_a, over_a, start_b, edge_b, over_b):
 
 
 @inline
-def _foot_inside(x, corners, edges, normal):
-    """Where the foot of a point on the plane of a triangle lies in the triangle."""
+def _pick(second, third, values):
+    """One of three vectors: the second, the third, or else the first."""
+    a, b, c = values
     return (
-        (dot(cross(edges[0], minus(x, corners[0])), normal) >= 0.0)
-        & (dot(cross(edges[1], minus(x, corners[1])), normal) >= 0.0)
-        & (dot(cross(edges[2], minus(x, corners[2])), normal) >= 0.0)
+        select(third, c[0], select(second, b[0], a[0])),
+        select(third, c[1], select(second, b[1], a[1])),
+        select(third, c[2], select(second, b[2], a[2])),
     )
 
 
 @inline
-def squared_distances(a, b, error):
+def _upright(corners, edges):
+    """A triangle on its longest edge: start, edge, where the foot of the apex is on it, and the altitude.
+
+    Besides, the reciprocals of the squared lengths of both.
+    """
+    first, other, last = dot(edges[0], edges[0]), dot(edges[1], edges[1]), dot(edges[2], edges[2])
+    second, third = other > first, last > maximum(first, other)
+    start, edge = _pick(second, third, corners), _pick(second, third, edges)
+    apex = minus(_pick(second, third, (corners[2], corners[0], corners[1])), start)
+    over = 1.0 / maximum(maximum(first, other), last)
+    share = dot(apex, edge) * over
+    altitude = along(apex, -share, edge)
+    return start, edge, share, altitude, over, 1.0 / dot(altitude, altitude)
+
+
+@inline
+def _to_face(x, upright, least):
+    """The squared distance of a point from a face if its foot lies inside and that is less, else `least`.
+
+    First the foot on the longest edge, then the step from there along the altitude: what is left is short, so that the
+    error of the altitude's direction, which for a sliver is large, is multiplied by little.
+    """
+    start, edge, share, altitude, over, over_altitude = upright
+    r = minus(x, start)
+    t = dot(r, edge) * over
+    r = along(r, -t, edge)
+    s = dot(r, altitude) * over_altitude
+    inside = (s >= 0.0) & (t >= s * share) & (t <= 1.0 - s * (1.0 - share))
+    d = along(r, -s, altitude)
+    return select(inside, minimum(dot(d, d), least), least)
+
+
+@inline
+def squared_distances(a, b):
     """Squared distances of triangle `a` from the eight `b`, as if they did not pierce each other.
 
-    Each is that of two points of the triangles. What it is more than the true one is as little as what the corners are
-    off by: a triangle narrower than that, whose normal is noise, counts as its edges.
+    Each is that of two points of the triangles, which are the nearest but for rounding.
 
     Parameters
     ----------
     a : tuple of 3 corners, floats
     b : tuple of 3 corners, vectors
-    error : float
-        What a coordinate of a corner may be off by.
     """
     edge_a = minus(a[1], a[0]), minus(a[2], a[1]), minus(a[0], a[2])
     edge_b = minus(b[1], b[0]), minus(b[2], b[1]), minus(b[0], b[2])
@@ -202,21 +230,8 @@ def squared_distances(a, b, error):
     least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[1], edge_b[1], over_b[1]), least)
     least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[2], edge_b[2], over_b[2]), least)
 
-    normal = cross(edge_a[0], edge_a[1])
-    squared = dot(normal, normal)
-    noise = NARROW * error * longest_edge(a[0], a[1], a[2])
-    if squared > noise * noise:
-        over = 1.0 / squared
-        for k in range(3):
-            height = dot(normal, minus(b[k], a[0]))
-            least = select(_foot_inside(b[k], a, edge_a, normal), minimum(height * height * over, least), least)
-    normals = cross(edge_b[0], edge_b[1])
-    squares = dot(normals, normals)
-    noises = NARROW * error * longest_edge(b[0], b[1], b[2])
-    broad = squares > noises * noises
-    overs = 1.0 / squares
+    upright_a, upright_b = _upright(a, edge_a), _upright(b, edge_b)
     for k in range(3):
-        height = dot(normals, minus(a[k], b[0]))
-        inside = broad & _foot_inside(a[k], b, edge_b, normals)
-        least = select(inside, minimum(height * height * overs, least), least)
+        least = _to_face(b[k], upright_a, least)
+        least = _to_face(a[k], upright_b, least)
     return least
