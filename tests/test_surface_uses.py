@@ -1,4 +1,4 @@
-"""Surfaces wherever bodies go: files, robots, motions, scene files, the command line, pictures, the paper's detectors."""
+"""Surfaces wherever bodies go: files, robots, motions, scene files, the command line, pictures, the paper."""
 
 import io
 import json
@@ -350,7 +350,7 @@ def shelf() -> Scene:
 
 
 def test_panda_of_surfaces(panda):
-    """A real arm: what the checker says is what the queries say, and what it says with hulls but for what hulls fill."""
+    """A real arm: what the checker says is what the queries say; its hulls collide wherever its surfaces do."""
     kinds = {link: [piece.kind for piece in body.pieces] for link, body in panda.bodies.items()}
     assert all(kinds[f"panda_link{k}"] == ["solid"] for k in range(8))
     checker = CollisionChecker(panda, shelf())

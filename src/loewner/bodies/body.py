@@ -76,7 +76,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; that of a surface without a radius is a point, with axes of no length."""
+        """Inner ellipsoids, one row per piece; that of a surface without a radius is a point, its axes have no length."""
         return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property

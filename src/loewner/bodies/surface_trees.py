@@ -41,7 +41,6 @@ class SurfaceTree:
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints) -> SurfaceTree:
         """Build the tree over some triangles, at least one."""
-        vertices, triangles = vertices.copy(), triangles.copy()  # kernels take no arrays that are read-only
         boxes, children, blocks, ellipsoids = entries.triangle_tree(vertices, triangles)
         _, number = entries.equal_vertices(vertices)
         parts = vertices[_first(number)[entries.part_vertices(len(vertices), number[triangles])]].ravel()
