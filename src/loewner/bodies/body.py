@@ -76,7 +76,7 @@ class _Bodies:
 
     @property
     def inner(self) -> Ellipsoids:
-        """Inner ellipsoids, one row per piece; that of a surface without a radius is a point, its axes have no length."""
+        """Inner ellipsoids, one row per piece; that of a surface without a radius is a point."""
         return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
