@@ -545,6 +545,45 @@ def test_fit_makes_surfaces(files, capsys):
     assert Body.load("made/ball.npz").pieces[0].kind == "polytope"
 
 
+def test_a_tolerance_of_fits_is_not_passed_over(files, capsys):
+    """A surface has no fit of pieces that --tol could be about."""
+    status, _, err = run(capsys, "fit", "cup.stl", "-o", "made", "--model", "surface", "--tol", "1e-6")
+    assert status == 2
+    assert "--tol: expected it with pieces or hulls only" in err
+
+
+def test_view_takes_the_model(barista, files, capsys, monkeypatch):
+    """Two meshes, or a robot, are shown as what `--model` says; pieces and hulls without it."""
+    pytest.importorskip("viser")
+    from loewner import viewer
+
+    shown = []
+
+    class Page:
+        url = "http://here"
+
+        def wait(self):
+            """Closed at once."""
+
+    def show(first, *others, **options):
+        bodies = first.robot.bodies.values() if isinstance(first, CollisionChecker) else (first, others[1])
+        shown.append({piece.kind for body in bodies for piece in body.pieces})
+        return Page()
+
+    monkeypatch.setattr(viewer, "show_pair", show)
+    monkeypatch.setattr(viewer, "show_robot", show)
+    ball = ("view", "ball.stl", "ball.stl", "--no-browser")
+    robot = ("view", "--robot", barista, "--no-browser")
+    for arguments, kinds in (
+        (ball, {"polytope"}),
+        ((*ball, "--model", "surface"), {"solid"}),
+        (robot, {"polytope", "sphere"}),
+        ((*robot, "--model", "surface"), {"polytope", "solid", "sphere"}),
+    ):
+        assert run(capsys, *arguments)[0] == 0
+        assert shown.pop() == kinds
+
+
 def test_robots_of_surfaces_on_the_command_line(barista, capsys):
     """`loewner robot` takes the model; its tables say which it is."""
     status, out, _ = run(capsys, "robot", "info", barista, "--model", "surface")
