@@ -1,4 +1,4 @@
-"""Surfaces wherever bodies go: files, robots, motions, scene files, the command line, pictures, the paper's detectors."""
+"""Surfaces wherever bodies go: files, robots, motions, scene files, the command line, pictures, the paper."""
 
 import io
 import json
@@ -264,6 +264,9 @@ def barista(tmp_path, monkeypatch):
 
 def test_meshes_of_a_robot(barista):
     """Hulls by default, pieces and surfaces on request; the kept ones are not mistaken for one another."""
+    boxes = [trimesh.creation.box((0.4, 0.1, 0.1)), trimesh.creation.box((0.1, 0.4, 0.1))]
+    boxes[1].apply_translation([0.3, 0.2, 0])
+    trimesh.util.concatenate(boxes).export(barista.parent / "cup.stl")
     kinds = {}
     for _ in range(2):
         for model in ("hull", "pieces", "surface"):
@@ -272,7 +275,7 @@ def test_meshes_of_a_robot(barista):
             assert kinds.setdefault(model, found) == found
             assert robot.bodies["lid"].pieces[-1].kind == "sphere"
     assert (kinds["hull"], kinds["surface"]) == (["polytope"], ["solid"])
-    assert len(kinds["pieces"]) > 1
+    assert kinds["pieces"] == ["polytope"] * 2
     assert len(Robot.from_urdf(barista).bodies["tray"].pieces) == 1
     assert len(Robot.from_urdf(barista, decompose=True).bodies["tray"].pieces) == len(kinds["pieces"])
 
@@ -351,7 +354,7 @@ def shelf() -> Scene:
 
 
 def test_panda_of_surfaces(panda):
-    """A real arm: what the checker says is what the queries say, and what it says with hulls but for what hulls fill."""
+    """A real arm: what the checker says is what the queries say; its hulls collide wherever its surfaces do."""
     kinds = {link: [piece.kind for piece in body.pieces] for link, body in panda.bodies.items()}
     assert all(kinds[f"panda_link{k}"] == ["solid"] for k in range(8))
     checker = CollisionChecker(panda, shelf())
@@ -541,6 +544,45 @@ def test_fit_makes_surfaces(files, capsys):
     assert run(capsys, "check", "made/cup.npz", "ball.stl", "--pose-b", "0 0 0.5")[0] == 0
     assert run(capsys, "fit", "ball.stl", "-o", "made")[0] == 0
     assert Body.load("made/ball.npz").pieces[0].kind == "polytope"
+
+
+def test_a_tolerance_of_fits_is_not_passed_over(files, capsys):
+    """A surface has no fit of pieces that --tol could be about."""
+    status, _, err = run(capsys, "fit", "cup.stl", "-o", "made", "--model", "surface", "--tol", "1e-6")
+    assert status == 2
+    assert "--tol: expected it with pieces or hulls only" in err
+
+
+def test_view_takes_the_model(barista, files, capsys, monkeypatch):
+    """Two meshes, or a robot, are shown as what `--model` says; pieces and hulls without it."""
+    pytest.importorskip("viser")
+    from loewner import viewer
+
+    shown = []
+
+    class Page:
+        url = "http://here"
+
+        def wait(self):
+            """Closed at once."""
+
+    def show(first, *others, **options):
+        bodies = first.robot.bodies.values() if isinstance(first, CollisionChecker) else (first, others[1])
+        shown.append({piece.kind for body in bodies for piece in body.pieces})
+        return Page()
+
+    monkeypatch.setattr(viewer, "show_pair", show)
+    monkeypatch.setattr(viewer, "show_robot", show)
+    ball = ("view", "ball.stl", "ball.stl", "--no-browser")
+    robot = ("view", "--robot", barista, "--no-browser")
+    for arguments, kinds in (
+        (ball, {"polytope"}),
+        ((*ball, "--model", "surface"), {"solid"}),
+        (robot, {"polytope", "sphere"}),
+        ((*robot, "--model", "surface"), {"polytope", "solid", "sphere"}),
+    ):
+        assert run(capsys, *arguments)[0] == 0
+        assert shown.pop() == kinds
 
 
 def test_robots_of_surfaces_on_the_command_line(barista, capsys):

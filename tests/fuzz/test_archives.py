@@ -348,7 +348,7 @@ def _consistent(rng: np.random.Generator, arrays: Arrays, name: str) -> None:
         else:
             arrays["frames"][row, rng.integers(13)] *= by
     elif change == 4:
-        arrays["layout"][row, 0] = rng.integers(-1, 7)
+        arrays["layout"][row, 0] = rng.integers(-4, 7)
     elif change == 5 and len(arrays["triangles"]):
         t = rng.integers(len(arrays["triangles"]))
         arrays["triangles"][t] = rng.permutation(arrays["triangles"][t]) if by > 1 else arrays["triangles"][t - 1]

@@ -336,13 +336,14 @@ class Body(_Bodies):
 
         Examples
         --------
-        >>> import loewner, trimesh
+        >>> import trimesh
+        >>> from loewner import Body, distance
         >>> mug = trimesh.creation.annulus(0.036, 0.04, 0.1)
         >>> body = Body.from_surface(mug)
         >>> body, body.pieces[0].kind
         (Body(solid, 256 triangles), 'solid')
         >>> ball = Body.sphere(0.01)
-        >>> float(np.round(loewner.distance(body, None, ball, None, exact=True).distance, 4))
+        >>> float(np.round(distance(body, None, ball, None, exact=True).distance, 4))
         0.0259
         """
         length = _validate.positive_scalar(radius, "radius", zero=True)

@@ -373,7 +373,7 @@ def _check_surfaces(arrays: dict[str, Any]) -> None:
         points = arrays["points"][layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]
         triangles = arrays["triangles"][arrays["triangle_start"][i] : arrays["triangle_start"][i + 1]]
         try:
-            _check_one_surface(arrays, i, points.copy(), triangles)
+            _check_one_surface(arrays, i, points, triangles)
         except InputError as error:
             raise InputError(f"{error}, in piece {i}") from None
 

@@ -11,6 +11,7 @@ from loewner import _validate
 from loewner.cli import inputs
 from loewner.cli.output import model_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
+from loewner.fits import DEFAULT_TOLERANCE
 
 EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies
@@ -29,7 +30,7 @@ def add(commands: Any) -> None:
     )
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
-    fit.add_argument("--tol", type=float, default=1e-4, help="certified log-volume gap of the fits (1e-4)")
+    fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
     fit.set_defaults(run=_run)
 
 
@@ -38,6 +39,9 @@ def _run(options: argparse.Namespace) -> int:
     twice = {t.name for t in targets if targets.count(t) > 1}
     if twice:
         raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
+    if options.tol is not None and inputs.model(options) == "surface":
+        raise InputError("--tol: expected it with pieces or hulls only, found it with --model surface")
+    tol = DEFAULT_TOLERANCE if options.tol is None else options.tol
     table = new_table(
         "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
     )
@@ -50,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
 
         for mesh, target in zip(options.meshes, targets, strict=True):
             progress.update(part, description=mesh.name, completed=0, total=None)
-            body = inputs.from_mesh(mesh, options, tol=options.tol, progress=report)
+            body = inputs.from_mesh(mesh, options, tol=tol, progress=report)
             _make_folder(options.out)
             body.save(target)
             table.add_row(*_fit_row(target, body))
