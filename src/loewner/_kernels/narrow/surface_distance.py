@@ -9,7 +9,7 @@ within the other says more: it has to come out.
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import COLLIDING
+from loewner._kernels.codes import COLLIDING, FREE
 from loewner._kernels.columns import (
     CACHE_LINE,
     COLUMNS,
@@ -63,7 +63,16 @@ from loewner._kernels.narrow.surfaces import (
     write_triangle,
 )
 from loewner._kernels.narrow.surfaces import SIZE as WALK
-from loewner._kernels.narrow.triangles import doubt, length1, longest_edge, same_side, sides, squared_distances
+from loewner._kernels.narrow.triangles import (
+    doubt,
+    from_face,
+    length1,
+    longest_edge,
+    same_side,
+    sides,
+    squared_distances,
+    upright,
+)
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius, reach, rotation_of
 from loewner._kernels.records import Placed
@@ -81,7 +90,7 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
 
 # Poses may stretch lengths by 1e-6, and bounds are squared and rounded: so much of a squared lower bound is believed.
-BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B39
+BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
 
 # Bytes that a triangle takes as a piece of its own: layout, table, points.
 PIECE = 8 * (LAYOUT + COLUMNS + 3 * LEAF) + CACHE_LINE // 8 * 7
@@ -91,6 +100,9 @@ _BOUNDS = WALK
 _LANES = _BOUNDS + 8 * STACK
 _PIECES = _LANES + 8 * 2 * WIDE
 SIZE = _PIECES + 2 * PIECE  # bytes
+
+# Sums of lengths [m] from which on squares of their single precision overflow.
+FARTHEST = 1e18
 
 # Points of connected parts that are looked at for depth.
 MOST_PARTS = 8
@@ -122,9 +134,14 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
         How far bounds on it are apart.
     """
     shift = shift_between(A, B)
+    if not lengths(A, B, shift) < FARTHEST:
+        return 0.0, np.inf
     verdict, _ = surface_pair(A, B, 0.0, 0.0, memory, memory, 0)
-    if verdict == COLLIDING:
-        return -_depth(A, B, shift, n, faces, edges, memory, result), 0.0
+    if verdict != FREE:
+        # Faces in one plane are open where all that is not flat is in each other for sure.
+        depth = _depth(A, B, shift, n, faces, edges, memory, result)
+        if verdict == COLLIDING or depth > 0.0:
+            return -depth, 0.0
     if is_surface(A) and is_surface(B):
         triangle_a, triangle_b = _nearest_triangles(A, B, shift, limit, memory)
         if triangle_a < 0:
@@ -474,11 +491,35 @@ def _depth(A, B, shift, n, faces, edges, memory, result):
         found = _deepest_to_piece(
             B, A, (-shift[0], -shift[1], -shift[2]), found, -1.0, faces, edges, memory, own, result
         )
+    found = _depth_of_balls(A, B, shift, found, result)
     if is_solid(A):
         found = _deepest_point(A, B, shift, found, 1.0, memory, result)
     if is_solid(B):
         found = _deepest_point(B, A, (-shift[0], -shift[1], -shift[2]), found, -1.0, memory, result)
     return found
+
+
+@njit()
+def _depth_of_balls(A, B, shift, found, result):
+    """Depth of the balls about the middles of the inner ellipsoids, if they overlap by more than what was found."""
+    a, ball_a = _inner_ball(A, (0.0, 0.0, 0.0))
+    b, ball_b = _inner_ball(B, shift)
+    way = minus(b, a)
+    apart_by = np.sqrt(dot(way, way))
+    if not ball_a + ball_b - apart_by > found:
+        return found
+    n = _unit(way)
+    for c in range(3):
+        result[c], result[3 + c], result[6 + c] = n[c], a[c] + ball_a * n[c], b[c] - ball_b * n[c]
+    return ball_a + ball_b - apart_by
+
+
+@inline
+def _inner_ball(P, shift):
+    """Center and radius of a ball inside the core of a piece; the radius is 0 if the piece has no inside."""
+    t, c = P.table, INNER_CENTER
+    center = image(rotation_of(P), shift, (t[P.piece, c], t[P.piece, c + 1], t[P.piece, c + 2]))
+    return center, max(t[P.piece, INNER_SIGMA] * (1.0 - 1e-9) - radius(P), 0.0)
 
 
 @inline
@@ -642,9 +683,7 @@ def _deepest_point(A, B, shift, found, sign, memory, result):
     """Depth of a ball of B, or of points of its parts, that lies within the solid A."""
     size = lengths(A, B, shift)
     R, own = rotation_of(B), np.empty(9)
-    t, c = B.table, INNER_CENTER
-    center = plus(image(R, (0.0, 0.0, 0.0), (t[B.piece, c], t[B.piece, c + 1], t[B.piece, c + 2])), shift)
-    ball = max(t[B.piece, INNER_SIGMA] * (1.0 - 1e-9) - radius(B), 0.0)
+    center, ball = _inner_ball(B, shift)
     found = _deeper_point(A, center, ball, size, found, shift, sign, memory, own, result)
     if is_surface(B):
         parts = surface_of(B).parts
@@ -735,19 +774,9 @@ def _nearest_on(corners, x):
     p, squared = _nearer(p, squared, other, less)
     other, less = _nearest_on_edge(c, edges[2], x)
     p, squared = _nearer(p, squared, other, less)
-    normal = cross(edges[0], edges[1])
-    long = longest_edge(a, b, c)
-    square = dot(normal, normal)
-    h = minus(x, a)
-    inside = (
-        (dot(cross(edges[0], h), normal) >= 0.0)
-        & (dot(cross(edges[1], minus(x, b)), normal) >= 0.0)
-        & (dot(cross(edges[2], minus(x, c)), normal) >= 0.0)
-        & (square > (long * long) * (long * long) * 1e-24)
-    )
-    t = dot(normal, h) / square
-    foot = x[0] - t * normal[0], x[1] - t * normal[1], x[2] - t * normal[2]
-    return select(inside, foot[0], p[0]), select(inside, foot[1], p[1]), select(inside, foot[2], p[2])
+    inside, d = from_face(x, upright(corners, edges))
+    nearer = inside & (dot(d, d) < squared)
+    return select(nearer, x[0] - d[0], p[0]), select(nearer, x[1] - d[1], p[1]), select(nearer, x[2] - d[2], p[2])
 
 
 @inline

@@ -36,7 +36,8 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, ROWS, WIDE, leaf_of, size_of
 
 # What a coordinate of a placed corner may be off by, in roundoffs of the lengths that it is made of.
-CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B35
+CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 5, certified.md B36
+# derived 16, certified.md B42
 
 # Memory: the stack of the walk (two entries a level, of both trees), triangles placed, and what GJK writes to.
 STACK = 2 * 2 * LEVELS * WIDE
@@ -260,7 +261,8 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed
             status, _, _ = decide(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
             status, _, _ = measure(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
-        if status in (TOUCHING, INSIDE):
+        # What the search finds in contact is so but for rounding: that has to be less than the distance allowed.
+        if status in (TOUCHING, INSIDE) and near > error:
             return MEETING
         if status != APART:
             if open_pairs < room:

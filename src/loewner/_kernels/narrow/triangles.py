@@ -17,8 +17,8 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Error of a determinant of three differences of corners: so many times what a corner may be off by, times the products
 # of two lengths; and so many roundoffs of the product of all three. Lengths are sums of coordinates.
-CORNER_ERRORS = 8.0  # derived 6, certified.md B36
-PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B37
+CORNER_ERRORS = 8.0  # derived 3, certified.md B37
+PRODUCT_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 9, certified.md B38
 _LEAST = 1e-290  # no product that underflows is above it
 
 
@@ -173,7 +173,7 @@ def _pick(second, third, values):
 
 
 @inline
-def _upright(corners, edges):
+def upright(corners, edges):
     """A triangle on its longest edge: start, edge, where the foot of the apex is on it, and the altitude.
 
     Besides, the reciprocals of the squared lengths of both.
@@ -189,19 +189,25 @@ def _upright(corners, edges):
 
 
 @inline
-def _to_face(x, upright, least):
-    """The squared distance of a point from a face if its foot lies inside and that is less, else `least`.
+def from_face(x, face):
+    """Where the foot of a point on the plane of a triangle lies inside, and the way from there to the point.
 
     First the foot on the longest edge, then the step from there along the altitude: what is left is short, so that the
     error of the altitude's direction, which for a sliver is large, is multiplied by little.
     """
-    start, edge, share, altitude, over, over_altitude = upright
+    start, edge, share, altitude, over, over_altitude = face
     r = minus(x, start)
     t = dot(r, edge) * over
     r = along(r, -t, edge)
     s = dot(r, altitude) * over_altitude
     inside = (s >= 0.0) & (t >= s * share) & (t <= 1.0 - s * (1.0 - share))
-    d = along(r, -s, altitude)
+    return inside, along(r, -s, altitude)
+
+
+@inline
+def _to_face(x, face, least):
+    """The squared distance of a point from a face if its foot lies inside and that is less, else `least`."""
+    inside, d = from_face(x, face)
     return select(inside, minimum(dot(d, d), least), least)
 
 
@@ -230,7 +236,7 @@ def squared_distances(a, b):
     least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[1], edge_b[1], over_b[1]), least)
     least = minimum(_between_edges(a[2], edge_a[2], over_a[2], b[2], edge_b[2], over_b[2]), least)
 
-    upright_a, upright_b = _upright(a, edge_a), _upright(b, edge_b)
+    upright_a, upright_b = upright(a, edge_a), upright(b, edge_b)
     for k in range(3):
         least = _to_face(b[k], upright_a, least)
         least = _to_face(a[k], upright_b, least)

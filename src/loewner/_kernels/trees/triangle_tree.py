@@ -38,6 +38,9 @@ FULL = 80  # triangles below a node whose boxes are all leaves, or nearly
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
+# No semi-axis is longer than this many times the radius of a ball around the same corners.
+MOST_WIDE = 2.0
+
 SWEEPS = 5  # of Jacobi's rotations, which converge quadratically
 
 UP = 1.0 + 2.0**-22  # more than what rounding to single precision takes
@@ -223,6 +226,13 @@ def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
             v = triangles[order[n], corner]
             p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
             xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
+    radius = 0.0
+    for n in range(first, last):
+        for corner in range(3):
+            v = triangles[order[n], corner]
+            p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
+            radius = max(radius, p * p + q * q + r * r)
+    radius = np.sqrt(radius) + _LEAST
     U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count)
     # Half widths along the axes found, however well: directions with none still get what rounding may hide there.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
@@ -240,6 +250,9 @@ def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
             farthest = max(farthest, s * s + t * t + u * u)
     scale = np.sqrt(farthest) * WIDER
     a, b, c = a * scale, b * scale, c * scale
+    if not max(a, max(b, c)) <= MOST_WIDE * radius:
+        # A few corners far from all others; bounds of rounding count on what is no larger than the triangles.
+        a = b = c = radius * WIDER
     ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
     row = 3
     for i in range(3):
