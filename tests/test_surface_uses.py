@@ -207,6 +207,17 @@ def test_radii_of_any_size_are_loaded(seed, tmp_path):
         Body.load(tmp_path / "one.npz")
 
 
+@pytest.mark.parametrize("radius", [1e-320, 1e-200, 1e-100, 1e-30, 1e-15, 1e6, 1e11])
+def test_radii_beyond_all_use(radius, tmp_path):
+    """Whatever is taken for a radius makes a body that is saved, loaded and asked; what is larger is refused."""
+    body = Body.from_surface(cup(), radius=radius)
+    body.save(tmp_path / "one.npz")
+    assert collide(Body.load(tmp_path / "one.npz"), None, Body.sphere(0.1), translation(0, 0, 0.5)) == (radius > 1)
+    for far in (1e13, 1e200, 1e308):
+        with pytest.raises(loewner.GeometryError, match="radius: expected at most"):
+            Body.from_surface(cup(), radius=far)
+
+
 # -- inner ellipsoids that are points ----------------------------------------------------------
 
 

@@ -386,6 +386,7 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
     _refuse(~used, "triangles: expected every point in one", used)
     _refuse((np.signbit(points) & (points == 0)).any(axis=1), "points: expected no negative zeros", points)
     surfaces.expect_sizes(points)
+    surfaces.expect_radius(radius)
     if arrays["layout"][i, columns.KIND] == columns.SOLID:
         surfaces.expect_closed(points, triangles)
     core, doubt = _core(factor, radius, np.array([i]))
@@ -406,17 +407,17 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
 def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
     """An ellipsoid whose sum with the ball is inside of the one with this factor, and the doubt that rounding leaves.
 
-    Whatever the numbers are, it is proven that way: the sum is inside of the shape (1 + 1/p) Q + (1 + p) r² (see
-    `surfaces`), which is here solved for Q, p being the same.
+    Whatever the numbers are, it is proven that way: the sum is inside of the shape (1 + 1/p) Q + (1 + p) r² for any p
+    (see `surfaces`), which is here solved for Q.
     """
     _, doubt = _inverses(factor[None], "outer_factor", rows)
     if radius == 0:
         return factor, float(doubt[0])
     shape = (1 + 2 * DOUBT) * factor @ factor.T
-    p = np.sqrt(np.trace(shape) / 3) / radius - 1
-    if not p > 0:
+    size = np.sqrt(np.trace(shape) / 3) - radius
+    if not size > 0:
         raise InputError("outer ellipsoid: expected the surface inside, found one smaller than the radius")
-    core = (shape - (1 + p) * radius**2 * np.eye(3)) * (p / (1 + p))
+    core = (shape - (radius + size) * radius * np.eye(3)) * (size / (radius + size))
     try:
         root = np.linalg.cholesky(core)
     except np.linalg.LinAlgError:

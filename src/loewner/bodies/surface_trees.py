@@ -111,8 +111,8 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     Shape (1 + 1/p) Q + (1 + p) r² 1 holds the sum for all p > 0; with this one its trace is least. Kurzhanski and Valyi
     (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
     """
-    p = np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3) / radius
-    joint = (1 + 1 / p)[:, None, None] * shape + ((1 + p) * radius**2)[:, None, None] * np.eye(3)
+    size = np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3)  # p times the radius, which may be much smaller or larger
+    joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
 
 

@@ -37,10 +37,11 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     Raises
     ------
     GeometryError
-        If the mesh is too small or too large, or is to be solid and is open.
+        If the mesh is too small or too large, the radius is too large, or the mesh is to be solid and is open.
     """
     vertices, triangles = _merged(vertices, triangles)
     expect_sizes(vertices)
+    expect_radius(radius)
     if solid:
         expect_closed(vertices, triangles)
     elif solid is None:
@@ -86,6 +87,12 @@ def expect_sizes(vertices: Floats) -> None:
             f"mesh: expected sizes between {SMALLEST:g} and {LARGEST:g} m, found {across:g} m across, "
             f"coordinates up to {size:g} m"
         )
+
+
+def expect_radius(radius: float) -> None:
+    """Refuse what is too large for kernels."""
+    if radius > LARGEST:
+        raise GeometryError(f"radius: expected at most {LARGEST:g} m, found {radius:g}")
 
 
 def expect_closed(vertices: Floats, triangles: Ints) -> None:
