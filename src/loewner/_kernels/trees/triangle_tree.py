@@ -41,7 +41,8 @@ WIDER = 1.0 + 1e-5
 # No semi-axis is longer than this many times the radius of a ball around the same corners.
 MOST_WIDE = 2.0
 
-SWEEPS = 5  # of Jacobi's rotations, which converge quadratically
+# Of Jacobi's rotations, which converge quadratically; and entries not worth one. The axes need not be exact.
+SWEEPS, SMALL = 3, 1e-13
 
 UP = 1.0 + 2.0**-22  # more than what rounding to single precision takes
 _LEAST = 1e-37  # the same for numbers near zero
@@ -111,7 +112,8 @@ def triangle_tree(vertices, triangles):
     _clear(boxes, 0)
     _hull(box, 0, count, hull, 0)
     _write(boxes, 0, hull, 0)
-    _enclose(vertices, triangles, order, 0, count, ellipsoids, 0)
+    turns = np.empty((2, 3, 3))
+    _enclose(vertices, triangles, order, 0, count, turns, ellipsoids, 0)
     waiting[0] = (0, count, 0, 0)
     left = 1
     while left > 0:
@@ -149,7 +151,7 @@ def triangle_tree(vertices, triangles):
         _clear(boxes, nodes)
         for k in range(used):
             _write(boxes, nodes * ROWS + k, hull, k)
-            _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], ellipsoids, nodes * OVAL + k)
+            _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], turns, ellipsoids, nodes * OVAL + k)
             waiting[left] = (ranges[k, 0], ranges[k, 1], ranges[k, 2], nodes * WIDE + k)
             left += 1
         nodes += 1
@@ -210,7 +212,7 @@ def _write(boxes, at, hull, k):
 
 
 @njit()
-def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
+def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
     """Write the ellipsoid of the covariance of the corners of some triangles, scaled to hold them all."""
     count = 3.0 * (last - first)
     x = y = z = 0.0
@@ -220,20 +222,15 @@ def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
             x, y, z = x + vertices[v, 0], y + vertices[v, 1], z + vertices[v, 2]
     # The center as it is kept, so that nothing is off by its rounding.
     x, y, z = float(np.float32(x / count)), float(np.float32(y / count)), float(np.float32(z / count))
-    xx = xy = xz = yy = yz = zz = 0.0
-    for n in range(first, last):
-        for corner in range(3):
-            v = triangles[order[n], corner]
-            p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
-            xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
-    radius = 0.0
+    xx = xy = xz = yy = yz = zz = radius = 0.0
     for n in range(first, last):
         for corner in range(3):
             v = triangles[order[n], corner]
             p, q, r = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
             radius = max(radius, p * p + q * q + r * r)
+            xx, xy, xz, yy, yz, zz = xx + p * p, xy + p * q, xz + p * r, yy + q * q, yz + q * r, zz + r * r
     radius = np.sqrt(radius) + _LEAST
-    U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count)
+    U, spread = _principal(xx / count, xy / count, xz / count, yy / count, yz / count, zz / count, turns)
     # Half widths along the axes found, however well: directions with none still get what rounding may hide there.
     least = FLATTEST * np.sqrt(max(spread[0], max(spread[1], spread[2]))) + _LEAST
     a, b, c = (
@@ -263,20 +260,22 @@ def _enclose(vertices, triangles, order, first, last, ellipsoids, at):
 
 
 @njit()
-def _principal(xx, xy, xz, yy, yz, zz):
+def _principal(xx, xy, xz, yy, yz, zz, turns):
     """Principal axes of a symmetric matrix, as the columns of nine numbers in row order, and its values along them.
 
     Jacobi's rotations; Golub and Van Loan, Matrix Computations (2013), section 8.5.
     """
-    A, U = np.empty((3, 3)), np.zeros((3, 3))
+    A, U = turns[0], turns[1]
     A[0, 0], A[1, 1], A[2, 2] = xx, yy, zz
     A[0, 1], A[0, 2], A[1, 2] = xy, xz, yz
     A[1, 0], A[2, 0], A[2, 1] = xy, xz, yz
-    U[0, 0] = U[1, 1] = U[2, 2] = 1.0
+    for i in range(3):
+        for j in range(3):
+            U[i, j] = 1.0 if i == j else 0.0
     for _ in range(SWEEPS):
         for turn in range(3):
             i, j = (0, 1) if turn == 0 else (0, 2) if turn == 1 else (1, 2)
-            if A[i, j] == 0.0:
+            if abs(A[i, j]) <= SMALL * (A[i, i] + A[j, j]):
                 continue
             slope = (A[j, j] - A[i, i]) / (2.0 * A[i, j])
             t = np.copysign(1.0, slope) / (abs(slope) + np.sqrt(1.0 + slope * slope))
