@@ -236,16 +236,18 @@ def _nearest_triangles(A, B, shift, limit, memory):
     first = _between_middles(A, B, shift)
     n, n_a, n_b, offset = _direction(A, B, shift, first)
     stack[0], stack[1], bounds[0] = 0, 0, 0.0
-    height = 1
+    height, old = 1, 1  # entries below `old` are from before the direction changed
     while height > 0:
         height -= 1
         if bounds[2 * height] * BELIEVED > best:
             continue
         slot_a, slot_b = stack[2 * height], stack[2 * height + 1]
         oval_a, oval_b = ellipsoid_at(a.ellipsoids, slot_a), ellipsoid_at(b.ellipsoids, slot_b)
-        gap = gaps_along(oval_a, oval_b, n_a, n_b, offset - about.slack)
-        if gap > 0.0 and gap * gap * BELIEVED > best:
-            continue
+        if height < old:
+            old = height
+            gap = gaps_along(oval_a, oval_b, n_a, n_b, offset - about.slack)
+            if gap > 0.0 and gap * gap * BELIEVED > best:
+                continue
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
@@ -282,6 +284,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
                 status, _, _ = measure(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
                 if status == NEAREST:
                     n, n_a, n_b, offset = _direction(A, B, shift, (result[0], result[1], result[2]))
+                    old = height
             continue
         middle_a, half_a = box_at(a.boxes, slot_a)
         middle_b, half_b = box_at(b.boxes, slot_b)

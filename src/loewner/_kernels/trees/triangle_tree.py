@@ -27,7 +27,7 @@ LEAF = 8  # triangles of a leaf at most
 BLOCK = 9 * LEAF  # numbers of a leaf
 OVAL = 9 * WIDE  # numbers of a node's ellipsoids
 
-BINS = 16
+BINS, FEW_BINS, MANY = 16, 8, 256  # the fewer for so many triangles or less
 DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 
@@ -338,7 +338,7 @@ def _split(box, order, first, last, halve, scratch):
         return (first + last) // 2
     if halve or last - first <= 2 * LEAF:
         return _split_by_rank(box, order, first, last, longest, halve)
-    bins = scratch[: 3 * BINS]
+    bins, used = scratch[: 3 * BINS], BINS if last - first > MANY else FEW_BINS
     for row in range(3 * BINS):
         for axis in range(3):
             bins[row, axis], bins[row, 3 + axis] = np.float32(np.inf), np.float32(-np.inf)
@@ -346,28 +346,28 @@ def _split(box, order, first, last, halve, scratch):
     for axis in range(3):
         if not wide[axis] > np.float32(0.0):
             continue
-        scale = np.float32(BINS) / wide[axis]
+        scale = np.float32(used) / wide[axis]
         for n in range(first, last):
-            row = axis * BINS + _bin(box, n, axis, low[axis], scale)
+            row = axis * BINS + _bin(box, n, axis, low[axis], scale, used)
             for c in range(3):
                 bins[row, c] = min(bins[row, c], box[n, c])
                 bins[row, 3 + c] = max(bins[row, 3 + c], box[n, 3 + c])
             bins[row, 6] += np.float32(1.0)
     best_cost = np.float32(np.inf)
-    best_axis, best_bin = longest, BINS // 2
+    best_axis, best_bin = longest, used // 2
     sums = scratch[3 * BINS :]
     for axis in range(3):
         if not wide[axis] > np.float32(0.0):
             continue
-        for k in range(BINS - 1, 0, -1):  # what lies in bins k and above
+        for k in range(used - 1, 0, -1):  # what lies in bins k and above
             for c in range(7):
                 sums[k, c] = bins[axis * BINS + k, c]
-            if k < BINS - 1:
+            if k < used - 1:
                 for c in range(3):
                     sums[k, c] = min(sums[k, c], sums[k + 1, c])
                     sums[k, 3 + c] = max(sums[k, 3 + c], sums[k + 1, 3 + c])
                 sums[k, 6] += sums[k + 1, 6]
-        for k in range(1, BINS):
+        for k in range(1, used):
             for c in range(7):
                 value = bins[axis * BINS + k - 1, c]
                 if k == 1:
@@ -383,10 +383,10 @@ def _split(box, order, first, last, halve, scratch):
             cost = _area(sums, 0) * sums[0, 6] + _area(sums, k) * sums[k, 6]
             if cost < best_cost:
                 best_cost, best_axis, best_bin = cost, axis, k
-    scale = np.float32(BINS) / wide[best_axis]
+    scale = np.float32(used) / wide[best_axis]
     i, j = first, last
     while i < j:
-        if _bin(box, i, best_axis, low[best_axis], scale) < best_bin:
+        if _bin(box, i, best_axis, low[best_axis], scale, used) < best_bin:
             i += 1
         else:
             j -= 1
@@ -397,8 +397,8 @@ def _split(box, order, first, last, halve, scratch):
 
 
 @inline
-def _bin(box, n, axis, low, scale):
-    return min(BINS - 1, int((box[n, axis] + box[n, 3 + axis] - low) * scale))
+def _bin(box, n, axis, low, scale, used):
+    return min(used - 1, int((box[n, axis] + box[n, 3 + axis] - low) * scale))
 
 
 @njit()
