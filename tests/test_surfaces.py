@@ -262,6 +262,61 @@ def test_boxes_that_touch():
             assert distance(a, None, other, apart, exact=True).distance == pytest.approx(HAIR, abs=TIGHT)
 
 
+@pytest.mark.parametrize("shift", [(0.9, 0, 0), (0.9, 0.1, 0), (1, 0.1, 0.2), (0, 0, 0), (0.5, 0.5, 0.5)])
+def test_solids_that_share_planes(shift):
+    """Faces in one plane leave nothing open: the depth is at least that of the balls inside, and touching is 0."""
+    cube, T = surface(box()), translation(*shift)
+    apart = float(np.linalg.norm(shift))
+    for other in (cube, Body.box([1, 1, 1])):
+        found = distance(cube, None, other, T, exact=True)
+        assert found.distance <= min(0.0, apart - 1.0) + 1e-5  # two balls of half the edge, or nearly
+        assert collide(cube, None, other, T)
+        along = (np.asarray(found.witness_b) - np.asarray(found.witness_a)) @ np.asarray(found.normal)
+        assert along == pytest.approx(found.distance, abs=TIGHT)
+
+
+@settings(max_examples=60)
+@given(SEEDS)
+def test_margins_of_slivers(seed: int):
+    """A margin decides about a triangle of hardly any height as about others: within rounding of the lengths."""
+    rng = np.random.default_rng(seed)
+    along, across, up = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    height = 10.0 ** rng.uniform(-8, -4)
+    sliver = np.array([0 * along, along, rng.uniform(0.3, 0.7) * along + height * across])[rng.permutation(3)]
+    share, gap = rng.uniform(0.2, 0.8), height * 10.0 ** rng.uniform(-1.5, 2)
+    foot = share * along + height * 0.6 * min(share, 1 - share) * across + gap * up
+    needle = np.array([foot, foot + 0.3 * up + 0.1 * across, foot + 0.4 * up + 0.2 * along])
+    meshes = [Mesh(corners, np.array([[0, 1, 2]]), False) for corners in (sliver, needle)]
+    placed = surface_oracle.Placed(meshes, [EYE, EYE])
+    square = surface_oracle.squared_distance(placed.triangle(0, 0), placed.triangle(1, 0))
+    true = surface_oracle.root(square * Fraction(2) ** (2 * placed.exponent))
+    a, b = map(surface, meshes)
+    for off in (1e-13, 1e-11, 1e-9):
+        assert collide(a, None, b, None, margin=true + off)
+        assert collide(b, None, a, None, margin=true + off)
+        if off < true:
+            assert not collide(a, None, b, None, margin=true - off)
+            assert not collide(b, None, a, None, margin=true - off)
+
+
+@settings(max_examples=40)
+@given(SEEDS)
+def test_contact_far_from_the_own_origin(seed: int):
+    """What is apart by the last bit is free in either order, although coordinates are far larger than the bodies."""
+    rng = np.random.default_rng(seed)
+    far = [10.0 ** rng.uniform(0, 4) * rng.normal(size=3) for _ in range(2)]
+    a, b = (box(tuple(rng.uniform(0.1, 1, 3)), tuple(center)) for center in far)
+    Ta, Tb = EYE.copy(), EYE.copy()
+    for T, center in ((Ta, far[0]), (Tb, far[1])):
+        T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        T[:3, 0] *= np.sign(np.linalg.det(T[:3, :3]))
+        T[:3, 3] = -T[:3, :3] @ center
+    for P in boundary(a, Ta, b, Tb, 4 * rng.normal(size=3), 0.0) or ():
+        true = bool(collides(a, Ta, b, P)[0])
+        assert collide(surface(a), Ta, surface(b), P) == true
+        assert collide(surface(b), P, surface(a), Ta) == true
+
+
 def test_a_box_on_a_grid():
     """Set down on a plane of triangles it touches, wherever its corners are; a hair above it does not."""
     floor = surface(plane(6))

@@ -29,7 +29,7 @@ from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_fast import NEAREST, begin, measure, place_piece
+from loewner._kernels.narrow.gjk_fast import NEAREST, begin, place_piece
 from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run
 from loewner._kernels.narrow.surface_boxes import (
     between,
@@ -55,6 +55,7 @@ from loewner._kernels.narrow.surfaces import (
     box_in_frame,
     corners_at,
     least,
+    measured,
     most,
     placed_corners,
     point_within,
@@ -186,7 +187,7 @@ def _between_pieces(A, B, shift, n, memory, result):
     error = rounding_error(A, B, shift)
     W = floats_at(memory + GJK, (GJK_ENTRIES,))
     ends = begin(A, B, shift, W)
-    status, below, above = measure(A, B, shift, W, ends, n, error, -np.inf, np.inf, result)
+    status, below, above = measured(A, B, shift, W, ends, n, error, -np.inf, np.inf, result)
     if status == NEAREST:
         return above, above - below
     G, weights, d = np.empty((4, 9)), np.empty(4), np.empty(3)
@@ -281,7 +282,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
                 T = triangle_piece(B, found_b, memory + _PIECES + PIECE)
                 result, W = floats_at(memory + RESULT, (9,)), floats_at(memory + GJK, (GJK_ENTRIES,))
                 ends = begin(S, T, shift, W)
-                status, _, _ = measure(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
+                status, _, _ = measured(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
                 if status == NEAREST:
                     n, n_a, n_b, offset = _direction(A, B, shift, (result[0], result[1], result[2]))
                     old = height
@@ -457,7 +458,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             n = minus(center, corners[0])
             if not dot(n, n) > 0.0:
                 n = (1.0, 0.0, 0.0)
-            status, _, above = measure(A, B, shift, W, ends, n, error, -np.inf, best, result)
+            status, _, above = measured(A, B, shift, W, ends, n, error, -np.inf, best, result)
             if status == APART:
                 continue
             if status != NEAREST:  # so near to contact that it takes more care

@@ -84,6 +84,19 @@ def surface_pair(A, B, near, far, memory, listed_at, room):
     return _two_surfaces(A, B, near, far, memory, listed_at, room)
 
 
+# The two searches, which are long, once for all that calls them here.
+@apart
+def decided(A, B, shift, W, ends, n, error):
+    """`gjk_fast.decide`."""
+    return decide(A, B, shift, W, ends, n, error)
+
+
+@apart
+def measured(A, B, shift, W, ends, n, error, near, far, result):
+    """`gjk_fast.measure`."""
+    return measure(A, B, shift, W, ends, n, error, near, far, result)
+
+
 @njit()
 def _two_surfaces(A, B, near, far, memory, listed_at, room):
     """Walk through two trees, the larger box first."""
@@ -258,9 +271,9 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed
         if not dot(n, n) > 0.0:
             n = (1.0, 0.0, 0.0)
         if far == 0.0:
-            status, _, _ = decide(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
+            status, _, _ = decided(A, B, shift, W, (LEAF, 2 * LEAF), n, error)
         else:
-            status, _, _ = measure(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
+            status, _, _ = measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
         # What the search finds in contact is so but for rounding: that has to be less than the distance allowed.
         if status in (TOUCHING, INSIDE) and near > error:
             return MEETING
@@ -472,9 +485,9 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
                 n = (1.0, 0.0, 0.0)
             status = UNSETTLED
             if far == 0.0:
-                status, n, _ = decide(A, B, shift, W, ends, n, error)
+                status, n, _ = decided(A, B, shift, W, ends, n, error)
             if status == UNSETTLED:
-                status, _, _ = measure(A, B, shift, W, ends, n, error, near, far, result)
+                status, _, _ = measured(A, B, shift, W, ends, n, error, near, far, result)
             if status in (TOUCHING, INSIDE):
                 return COLLIDING, open_pairs
             if status != APART:
