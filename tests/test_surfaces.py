@@ -272,7 +272,7 @@ def test_solids_that_share_planes(shift):
         assert found.distance <= min(0.0, apart - 1.0) + 1e-5  # two balls of half the edge, or nearly
         assert collide(cube, None, other, T)
         along = (np.asarray(found.witness_b) - np.asarray(found.witness_a)) @ np.asarray(found.normal)
-        assert along == pytest.approx(found.distance, abs=TIGHT)
+        assert along == pytest.approx(found.distance, abs=1e-5)
 
 
 @settings(max_examples=60)

@@ -29,6 +29,7 @@ import loewner
 from families import FAMILIES, pieces, prism, random_poses
 from loewner import Bodies, Body, _archives
 from loewner.bodies import files
+from loewner.protrusion import Solid
 
 Arrays = dict[str, Any]
 
@@ -161,6 +162,12 @@ def _surface(piece: Any, frame: np.ndarray) -> str | None:
     past = (ways @ (V - piece.outer.center.reshape(3)).T).max(axis=1) + radius - np.linalg.norm(ways @ G, axis=1)
     if past.max() > 0.06 * np.linalg.norm(G, 2) * (TOLERANCE + 1e-10 * _aspect(piece.outer)) + 1e-6 * radius:
         return "outside the outer ellipsoid"
+    if piece.kind == "solid":
+        # Points of the inner ellipsoid lie in the solid, by another module's distances and winding numbers.
+        ball = SPREAD / np.linalg.norm(SPREAD, axis=1, keepdims=True)
+        points = piece.inner.center.reshape(3) + ball @ piece.inner.factor.reshape(3, 3).T
+        outside = Solid(V[piece.triangles], closed=True).signed_distances(points)[0].max()
+        return "the inner ellipsoid sticks out" if outside > radius + TOLERANCE * np.abs(V).max() else None
     off = np.linalg.norm(V - piece.inner.center.reshape(3), axis=1).min()
     if off + np.linalg.norm(piece.inner.factor.reshape(3, 3), 2) > radius + TOLERANCE * np.abs(V).max():
         return "the inner ellipsoid sticks out"
