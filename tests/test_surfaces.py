@@ -317,6 +317,54 @@ def test_contact_far_from_the_own_origin(seed: int):
         assert collide(surface(b), P, surface(a), Ta) == true
 
 
+def test_vertices_and_triangles_as_arrays():
+    """A pair of arrays is a mesh like any other."""
+    cube = box()
+    body = Body.from_surface((cube.vertices, cube.faces))
+    assert repr(body) == repr(surface(cube))
+    assert distance(body, None, surface(cube), translation(2), exact=True).distance == pytest.approx(1, abs=TIGHT)
+
+
+@pytest.mark.parametrize("subdivisions", [1, 2, 3])
+def test_what_lies_in_a_solid_is_never_classified_free(subdivisions):
+    """Ellipsoids around the parts of a skin leave room inside: what is there, however thin, is not proven free."""
+    rng = np.random.default_rng(subdivisions)
+    ball = Body.from_surface(trimesh.creation.icosphere(subdivisions=subdivisions))
+    flat = Mesh(0.05 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]), False)
+    thin = [surface(flat), Body.capsule(1e-10, 0.05), Body.ellipsoid([0.05, 1e-9, 1e-9]), Body.cone(1e-9, 0.05)]
+    poses = random_poses(rng, 300, 0.5)
+    poses[:, :3, 3] *= (0.6 * rng.random(300) / np.linalg.norm(poses[:, :3, 3], axis=1))[:, None]
+    for other in thin:
+        assert collide(ball, None, other, poses).all()
+        for body in (ball, Body.union([ball, Body.box([0.1, 0.1, 0.1])])):
+            assert (classify(body, None, other, poses) != Verdict.FREE).all()
+            assert (classify(other, poses, body, None) != Verdict.FREE).all()
+
+
+def test_depth_of_sheets_with_radii():
+    """Two sheets in one plane are as deep in each other as their radii say, and no deeper."""
+    sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    thick = Body.from_surface(sheet, radius=0.1)
+    for x, y in ((0.2, 0.2), (0.5, 0.5), (0, 0), (0.5, 0), (0.25, 0.5)):
+        for radius in (0.0, 0.1, 0.2):
+            found = distance(thick, None, Body.from_surface(sheet, radius=radius), translation(x, y, 0), exact=True)
+            assert found.distance == pytest.approx(-0.1 - radius, abs=1e-9)
+        found = distance(thick, None, Body.sphere(0.1), translation(x, y, 0), exact=True)
+        assert -0.2 - 1e-9 <= found.distance < 0
+    for x, y in ((0.5, 0.5), (0, 0), (0.5, 0)):  # where its upright axis is at an edge
+        found = distance(thick, None, Body.capsule(0.1, 0.4), translation(x, y, 0), exact=True)
+        assert -0.2 - 1e-9 <= found.distance < 0
+
+
+@pytest.mark.parametrize("point", [(0, 0, 0), (-2, 2, -1), (1e4, 2e4, 3.3e4)])
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+def test_a_mesh_that_is_a_point(point, radius):
+    """Triangles with all corners at one place are a point, or a ball."""
+    body = Body.from_surface(trimesh.Trimesh([point] * 3, [[0, 1, 2]], process=False), radius=radius)
+    T = translation(*(np.array(point) + (1, 0, 0)))
+    assert distance(body, None, Body.sphere(0.5), T, exact=True).distance == pytest.approx(0.5 - radius, abs=1e-9)
+
+
 def test_a_box_on_a_grid():
     """Set down on a plane of triangles it touches, wherever its corners are; a hair above it does not."""
     floor = surface(plane(6))

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -59,7 +60,7 @@ class Loaded(Protocol):
         """Corners of the box around it."""
 
 
-Source = str | PathLike[str] | Surface | Surfaces | Loaded
+Source = str | PathLike[str] | Surface | Surfaces | Loaded | tuple[ArrayLike, ArrayLike]
 
 SUFFIXES = mesh_files.SUFFIXES
 
@@ -80,10 +81,10 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
     Parameters
     ----------
-    source : path, trimesh.Trimesh or trimesh.Scene
+    source : path, trimesh.Trimesh or trimesh.Scene, or a pair of arrays
         A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are
         placed by their transforms and joined. Where a file states its unit of length, it is
-        converted; all others are taken to be in metres.
+        converted; all others are taken to be in metres. Arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
 
     Returns
     -------
@@ -128,7 +129,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
 
 
 def _in_memory(source: Any) -> tuple[Floats, Triangles]:
-    """Vertices in metres and triangles of a trimesh.Trimesh or trimesh.Scene."""
+    """Vertices in metres and triangles of a trimesh.Trimesh or trimesh.Scene, or of both as arrays."""
+    if isinstance(source, tuple) and len(source) == 2:
+        source = SimpleNamespace(vertices=source[0], faces=source[1])
     try:
         mesh = source.to_mesh() if hasattr(source, "to_mesh") else source
     except Exception as error:  # of a scene that somebody put together; trimesh has no errors of its own
@@ -136,7 +139,10 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
             f"mesh: expected a scene that can be joined, found {type(error).__name__}: {error}"
         ) from None
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise InputError(f"mesh: expected a path, a trimesh.Trimesh or a trimesh.Scene, found {type(source).__name__}")
+        raise InputError(
+            f"mesh: expected a path, a trimesh.Trimesh, a trimesh.Scene, or vertices and triangles, "
+            f"found {type(source).__name__}"
+        )
     vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
     triangles = np.asarray(mesh.faces)
     for array, what in ((vertices, "vertices"), (triangles, "faces")):

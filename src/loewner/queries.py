@@ -150,6 +150,11 @@ class _Pairs(NamedTuple):
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
 
+def _of_mesh(source: Any) -> str:
+    """What to do about a mesh where a body is expected, for the message."""
+    return "; Body.from_surface or Body.from_mesh makes one of it" if hasattr(source, "faces") else ""
+
+
 def _prepare(
     a: Body | Bodies,
     T_world_a: ArrayLike | None,
@@ -166,9 +171,9 @@ def _prepare(
     pairs, instead of broadcasting.
     """
     if not isinstance(a, (Body, Bodies)):
-        raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}")
+        raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
     if not isinstance(b, (Body, Bodies)):
-        raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}")
+        raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}{_of_mesh(b)}")
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
     Tb = _validate.poses(T_world_b, "T_world_b", check=check)
     packs = a._packed, b._packed

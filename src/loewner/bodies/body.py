@@ -157,7 +157,9 @@ class Body(_Bodies):
         kinds = [KIND_NAMES[k] for k in self._packed.layout[:, columns.KIND].tolist()]
         text = kinds[0] if len(kinds) == 1 else f"{len(kinds)} pieces"
         if self._packed.layout[0, columns.KIND] <= columns.SURFACE and len(kinds) == 1:
-            return f"Body({text}, {len(self._packed.triangles)} triangles)"
+            radius = self._packed.frames[0, 0]
+            around = f", radius {radius:g}" if radius > 0 else ""
+            return f"Body({text}, {len(self._packed.triangles)} triangles{around})"
         return f"Body({text}, {len(self._packed.points)} vertices)"
 
     @classmethod
@@ -313,8 +315,8 @@ class Body(_Bodies):
 
         Parameters
         ----------
-        source : path, trimesh.Trimesh or trimesh.Scene
-            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
+        source : path, trimesh.Trimesh, trimesh.Scene, or a pair of arrays
+            STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres; or vertices and triangles, shapes (v, 3) and (t, 3).
         radius : float
             Of the ball around each point of the triangles, in metres.
         solid : bool, optional

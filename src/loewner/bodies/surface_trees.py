@@ -96,7 +96,8 @@ class SurfaceTree:
         rows = self.ellipsoids.reshape(-1, 9, WIDE)[slots // WIDE, :, slots % WIDE].astype(float)
         root = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
-        reach = radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes
+        least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # for parts that are a point
+        reach = np.maximum(radius + SINGLE_ROUNDINGS * 2.0**-24 * sizes, least)
         return rows[:, :3], around_sums(root @ root, reach)
 
 
@@ -111,7 +112,8 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     Shape (1 + 1/p) Q + (1 + p) r² 1 holds the sum for all p > 0; with this one its trace is least. Kurzhanski and Valyi
     (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
     """
-    size = np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3)  # p times the radius, which may be much smaller or larger
+    # p times the radius, which may be much smaller or larger; any will do, and that of a point is 0.
+    size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
     joint = (1 + radius / size)[:, None, None] * shape + ((radius + size) * radius)[:, None, None] * np.eye(3)
     return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
 

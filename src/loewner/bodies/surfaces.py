@@ -147,7 +147,7 @@ def _thickened(vertices: Floats) -> Floats:
     middle = vertices.mean(axis=0)
     spread, axes = np.linalg.eigh(np.cov((vertices - middle).T, bias=True))
     lengths = np.sqrt(np.maximum(spread, 0.0))
-    thick = max(THICKNESS * lengths[-1], 1e-14 * float(np.abs(vertices).max()), SMALLEST)
+    thick = max(THICKNESS * lengths[-1], 1e-10 * float(np.abs(vertices).max()), SMALLEST)
     flat = axes.T[lengths < thick] * thick
     return np.concatenate([middle + flat, middle - flat])
 

@@ -72,6 +72,7 @@ def _answer(
     }
     if found.distance is not None:
         answer["distance"] = found.distance
+        answer["depth_is_lower_bound"] = found.distance < 0 and (is_surface(a) or is_surface(b))
         answer |= {name: getattr(found, name).tolist() for name in ("witness_a", "witness_b", "normal")}
     for name, body in (("a", a), ("b", b)):
         known = None if body.covering is None else body.covering.exact
@@ -91,9 +92,7 @@ def _print_answer(
     print(f"{verdict.name}{keep}  ({how})")
     print(f"distance    {found.lower:.6g} .. {found.upper:.6g} m, from the ellipsoids")
     if found.distance is not None:
-        several = len(a.pieces) > 1 or len(b.pieces) > 1
-        depth = f" (penetration depth{' of the deepest two pieces' if several else ''})" if found.distance < 0 else ""
-        print(f"            {found.distance:.9g} m, exact{depth}")
+        print(f"            {found.distance:.9g} m, {_kind_of_distance(a, b, found.distance)}")
         print(f"on A        {_numbers(found.witness_a)}")
         print(f"on B        {_numbers(found.witness_b)}")
         print(f"normal      {_numbers(found.normal)}, from A to B")
@@ -105,6 +104,16 @@ def _print_answer(
         # NaN, of a mesh that is not closed, is told as well.
         if body.covering is not None and not (body.covering.exact and body.covering.excess_volume < WORTH_TELLING):
             print(f"note: {name}: {covering_text(body.covering)}; the answer is about the pieces")
+
+
+def _kind_of_distance(a: Any, b: Any, distance: float) -> str:
+    """What an exact distance is, which for a depth depends on the bodies."""
+    if distance >= 0:
+        return "exact"
+    if is_surface(a) or is_surface(b):
+        return "at least so deep; the way apart may be longer"
+    several = len(a.pieces) > 1 or len(b.pieces) > 1
+    return f"exact (penetration depth{' of the deepest two pieces' if several else ''})"
 
 
 def _numbers(vector: Floats) -> str:

@@ -72,7 +72,12 @@ def add_robot_options(command: argparse.ArgumentParser) -> None:
 
 def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     """A saved body, or one of a mesh."""
-    return loewner.Body.load(path) if path.suffix.lower() == ".npz" else from_mesh(path, options)
+    if path.suffix.lower() != ".npz":
+        return from_mesh(path, options)
+    for name in ("model", "radius", "solid", "tolerance"):
+        if getattr(options, name, None) is not None:
+            raise InputError(f"--{name}: expected a mesh to make a body of, found a saved body, {path.name}")
+    return loewner.Body.load(path)
 
 
 def from_mesh(

@@ -23,7 +23,7 @@ from loewner._kernels.columns import (
     REACH,
     ROUNDING,
 )
-from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, negated, plus, scaled
+from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
@@ -75,7 +75,7 @@ from loewner._kernels.narrow.triangles import (
     upright,
 )
 from loewner._kernels.pieces.pack import shift_between
-from loewner._kernels.pieces.shapes import radius, reach, rotation_of
+from loewner._kernels.pieces.shapes import placed_support, radius, reach, rotation_of
 from loewner._kernels.records import Placed
 from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import (
@@ -104,6 +104,9 @@ SIZE = _PIECES + 2 * PIECE  # bytes
 
 # Sums of lengths [m] from which on squares of their single precision overflow.
 FARTHEST = 1e18
+
+# Inner ellipsoids are larger than this [m], if there is one.
+NO_INSIDE = 1e-100
 
 # Points of connected parts that are looked at for depth.
 MOST_PARTS = 8
@@ -141,30 +144,35 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     if verdict != FREE:
         # Faces in one plane are open where all that is not flat is in each other for sure.
         depth = _depth(A, B, shift, n, faces, edges, memory, result)
-        if verdict == COLLIDING or depth > 0.0:
+        if depth > 0.0:
             return -depth, 0.0
     if is_surface(A) and is_surface(B):
         triangle_a, triangle_b = _nearest_triangles(A, B, shift, limit, memory)
         if triangle_a < 0:
             return np.inf, 0.0
-        A = triangle_piece(A, triangle_a, memory + _PIECES)
-        B = triangle_piece(B, triangle_b, memory + _PIECES + PIECE)
+        A = triangle_piece(A, triangle_a, 0.0, memory + _PIECES)
+        B = triangle_piece(B, triangle_b, 0.0, memory + _PIECES + PIECE)
     elif is_surface(A):
         triangle = _nearest_to_piece(A, B, shift, limit, memory)
         if triangle < 0:
             return np.inf, 0.0
-        A = triangle_piece(A, triangle, memory + _PIECES)
+        A = triangle_piece(A, triangle, 0.0, memory + _PIECES)
     else:
         triangle = _nearest_to_piece(B, A, (-shift[0], -shift[1], -shift[2]), limit, memory)
         if triangle < 0:
             return np.inf, 0.0
-        B = triangle_piece(B, triangle, memory + _PIECES)
-    return _between_pieces(A, B, shift, n, memory, result)
+        B = triangle_piece(B, triangle, 0.0, memory + _PIECES)
+    distance, gap = _between_pieces(A, B, shift, n, memory, result)
+    # Flat cores in one plane have no depth.
+    return (min(distance, 0.0), 0.0) if verdict == COLLIDING else (distance, gap)
 
 
 @inline
-def triangle_piece(P, triangle, memory):
-    """A triangle of a surface, by its block and lane, as a piece of its own, in PIECE bytes of memory."""
+def triangle_piece(P, triangle, rounding, memory):
+    """A triangle of a surface, by its block and lane, as a piece of its own, in PIECE bytes of memory.
+
+    `rounding` is its radius: that of the surface, or 0 for the core alone.
+    """
     layout = integers_at(memory, (1, LAYOUT))
     table = floats_at(memory + 8 * LAYOUT, (1, COLUMNS))
     points = floats_at(memory + 8 * (LAYOUT + COLUMNS), (3 * LEAF,))
@@ -173,7 +181,7 @@ def triangle_piece(P, triangle, memory):
     for c in range(COLUMNS):
         table[0, c] = 0.0
     layout[0, KIND], layout[0, POINTS_TO] = POLYTOPE, LEAF
-    table[0, REACH], table[0, ROUNDING] = reach(P), radius(P)
+    table[0, REACH], table[0, ROUNDING] = reach(P), rounding
     blocks, at = surface_of(P).blocks, triangle // LEAF * BLOCK + triangle % LEAF
     for axis in range(3):
         for lane in range(LEAF):
@@ -278,8 +286,8 @@ def _nearest_triangles(A, B, shift, limit, memory):
                         best = lanes[other]
                         found_a, found_b = leaf_a * LEAF + lane, leaf_b * LEAF + other
             if best < before:
-                S = triangle_piece(A, found_a, memory + _PIECES)
-                T = triangle_piece(B, found_b, memory + _PIECES + PIECE)
+                S = triangle_piece(A, found_a, 0.0, memory + _PIECES)
+                T = triangle_piece(B, found_b, 0.0, memory + _PIECES + PIECE)
                 result, W = floats_at(memory + RESULT, (9,)), floats_at(memory + GJK, (GJK_ENTRIES,))
                 ends = begin(S, T, shift, W)
                 status, _, _ = measured(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
@@ -462,7 +470,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             if status == APART:
                 continue
             if status != NEAREST:  # so near to contact that it takes more care
-                piece = triangle_piece(A, leaf * LEAF + lane, memory + _PIECES)
+                piece = triangle_piece(A, leaf * LEAF + lane, 0.0, memory + _PIECES)
                 above, _ = _between_pieces(piece, B, shift, n, memory, result)
             if above <= best:
                 best, found = max(above, 0.0), leaf * LEAF + lane
@@ -523,7 +531,8 @@ def _inner_ball(P, shift):
     """Center and radius of a ball inside the core of a piece; the radius is 0 if the piece has no inside."""
     t, c = P.table, INNER_CENTER
     center = image(rotation_of(P), shift, (t[P.piece, c], t[P.piece, c + 1], t[P.piece, c + 2]))
-    return center, max(t[P.piece, INNER_SIGMA] * (1.0 - 1e-9) - radius(P), 0.0)
+    size = t[P.piece, INNER_SIGMA] * (1.0 - 1e-9) - radius(P)
+    return center, size if size > NO_INSIDE else 0.0
 
 
 @inline
@@ -568,8 +577,8 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                     bits &= bits - 1
                     if _most_depth(corners, corners_at(placed, BLOCK, other)) <= found:
                         continue
-                    S = triangle_piece(A, leaf_a * LEAF + lane, memory + _PIECES)
-                    T = triangle_piece(B, leaf_b * LEAF + other, memory + _PIECES + PIECE)
+                    S = triangle_piece(A, leaf_a * LEAF + lane, 0.0, memory + _PIECES)
+                    T = triangle_piece(B, leaf_b * LEAF + other, 0.0, memory + _PIECES + PIECE)
                     n = minus(corners_at(placed, BLOCK, other)[0], corners[0])
                     status, _, deep = overlap_depth(S, T, n, faces, edges, own)
                     if status == DEPTH_SETTLED and deep > found:
@@ -651,7 +660,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
         z = _reach_of(a.blocks, leaf * BLOCK + 2 * LEAF, middle[2], half[2])
         bits = movemask(x + y + z <= 0.0) & ((1 << size_of(child)) - 1)
         while bits != 0:
-            S = triangle_piece(A, leaf * LEAF + lowest_bit(bits), memory + _PIECES)
+            S = triangle_piece(A, leaf * LEAF + lowest_bit(bits), 0.0, memory + _PIECES)
             bits &= bits - 1
             deep = 0.0
             if not curved:
@@ -663,12 +672,28 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = penetration(S, B, shift, DEPTH_ACCURACY, work, own)
-                if deep == FLAT:
+                # Of a point or a segment in its plane a triangle is flat, and the search finds a way within the plane.
+                if deep == FLAT or deep > _along_normal(S, B, shift):
                     continue
             if deep > found:
                 found = deep
                 _write_turned(own, shift, sign, result)
     return found
+
+
+@njit()
+def _along_normal(S, B, shift):
+    """Upper bound on the depth of a triangle in a piece: how far it has to go along its normal."""
+    R, p = rotation_of(S), S.points
+    a, b, c = (p[0], p[8], p[16]), (p[1], p[9], p[17]), (p[2], p[10], p[18])
+    n = apply(R, cross(minus(b, a), minus(c, a)))
+    squared = dot(n, n)
+    if not squared > 0.0:
+        return np.inf
+    height, back = dot(n, apply(R, a)), (-n[0], -n[1], -n[2])
+    high = dot(n, plus(placed_support(B, n), shift)) - height
+    low = dot(n, plus(placed_support(B, back), shift)) - height
+    return max(min(high, -low), 0.0) / np.sqrt(squared) * (1.0 + 1e-9)
 
 
 @inline

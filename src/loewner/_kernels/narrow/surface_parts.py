@@ -2,12 +2,17 @@
 
 import numpy as np
 
-from loewner._kernels._jit import apart, inline
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN
 from loewner._kernels.columns import PART_INNER, PART_OUTER, PART_STOP, PARTS
 from loewner._kernels.narrow import certificate
 from loewner._kernels.narrow.certificate import BLOCK
+from loewner._kernels.narrow.gjk_robust import lengths
 from loewner._kernels.narrow.pair_list import fill, pair_list_at, put, size
+from loewner._kernels.narrow.surface_boxes import is_solid
+from loewner._kernels.narrow.surfaces import OUTSIDE, parts_within
+from loewner._kernels.narrow.surfaces import SIZE as WALK
+from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
 CHUNK = 16  # pairs at a time: one of the first mostly tells
@@ -62,10 +67,26 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
                 break
         if found == BY_INNER:
             break
-        if apart_all:
+        # Ellipsoids around triangles need not hold what these enclose.
+        if apart_all and _none_within(placed(a, i, Ta, ka), placed(b, j, Tb, kb)):
             found = BY_OUTER
     held(memory)
     return found
+
+
+@njit()
+def _none_within(A, B):
+    """Whether it is proven that of two pieces whose surfaces do not meet none lies within the other."""
+    memory = np.empty(WALK // 8)
+    address, shift = memory.ctypes.data, shift_between(A, B)
+    size, back = lengths(A, B, shift), (-shift[0], -shift[1], -shift[2])
+    found = OUTSIDE
+    if is_solid(A):
+        found = max(found, parts_within(A, B, shift, size, address))
+    if is_solid(B):
+        found = max(found, parts_within(B, A, back, size, address))
+    held(memory)
+    return found == OUTSIDE
 
 
 @inline

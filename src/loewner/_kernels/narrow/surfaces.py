@@ -137,9 +137,9 @@ def _two_surfaces(A, B, near, far, memory, listed_at, room):
                 bits &= bits - 1
     within = OUTSIDE
     if is_solid(A):
-        within = _parts_within(A, B, shift, size, memory)
+        within = parts_within(A, B, shift, size, memory)
     if is_solid(B) and within != WITHIN:
-        other = _parts_within(B, A, (-shift[0], -shift[1], -shift[2]), size, memory)
+        other = parts_within(B, A, (-shift[0], -shift[1], -shift[2]), size, memory)
         within = max(within, other) if other != WITHIN else WITHIN
     if within == WITHIN:
         return COLLIDING, open_pairs
@@ -298,8 +298,10 @@ def write_triangle(W, at, corners):
 
 
 @njit()
-def _parts_within(A, B, shift, size, memory):
-    """Whether a connected part of surface B lies within the solid A, as far as one point of each tells."""
+def parts_within(A, B, shift, size, memory):
+    """Whether a part of B lies within the solid A, as far as one point of each connected part tells."""
+    if not is_surface(B):
+        return point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
     parts = surface_of(B).parts
     found = OUTSIDE
     R = rotation_of(B)
@@ -496,7 +498,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
                 open_pairs += 1
     within = OUTSIDE
     if is_solid(A):
-        within = point_within(A, plus(placed_support(B, (1.0, 0.0, 0.0)), shift), size, memory)
+        within = parts_within(A, B, shift, size, memory)
     if within == WITHIN:
         return COLLIDING, open_pairs
     return FREE if within == OUTSIDE and open_pairs == 0 else AMBIGUOUS, open_pairs

@@ -76,7 +76,7 @@ def _with_surface(A, B, margin, work):
         A, B = B, A
     own = np.empty(PIECE // 8)
     for n in range(min(count, ROOM)):
-        verdict = _piece_pair(triangle_piece(A, listed[n, 0], own.ctypes.data), B, margin, work)
+        verdict = _piece_pair(triangle_piece(A, listed[n, 0], radius(A), own.ctypes.data), B, margin, work)
         held(own)
         if verdict != FREE:
             return verdict
