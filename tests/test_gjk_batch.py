@@ -59,7 +59,8 @@ class Crowd(NamedTuple):
         """Answers of the walk, and of the plane, to some of the pairs."""
         operands = []
         for bodies, rows, T in ((self.a, self.ia, self.Ta), (self.b, self.ib, self.Tb)):
-            _, layout, _, _, _, single, _, _, _, vertices = bodies._packed.kernel
+            kernel = bodies._packed.kernel
+            layout, single, vertices = kernel.layout, kernel.single, kernel.vertices
             assert (layout[rows, columns.KIND] == columns.POLYTOPE).all()
             assert len(vertices) > 0
             assert (layout[rows, columns.POINTS_TO] - layout[rows, columns.POINTS_FROM]).max() <= gjk_batch.MOST

@@ -74,6 +74,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     """A saved body, or one of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
+    model(options)  # which refuses options that do not go together
     for name in ("model", "radius", "solid", "tolerance"):
         if getattr(options, name, None) is not None:
             raise InputError(f"--{name}: expected a mesh to make a body of, found a saved body, {path.name}")
