@@ -24,22 +24,23 @@ from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
-from loewner._kernels import _parts
+from loewner._kernels import _jit, _parts
 from loewner._native.entries import ENTRIES, Entry
 
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"
 
 
-class _UnoptimisedLibrary(_parts._PartLibrary):
-    """Intermediate code of an entry: it is optimised once, together with all others."""
+class _OwnLibrary(_parts._PartLibrary):
+    """Intermediate code of one function alone: what it calls is linked once, with all others.
 
-    def _optimize_final_module(self):
-        pass
+    Numba links copies of all that a function calls into it, and of what these call.
+    """
 
-
-class _EntryCompiler(_parts.PartCompiler):
-    library_class = _UnoptimisedLibrary
+    def finalize(self):
+        self._raise_if_finalized()
+        self._optimize_final_module()
+        self._finalize_final_module()
 
 
 KINDS = {"F": types.float64, "I": types.int64, "B": types.int8, "U": types.uint8, "T": types.boolean}
@@ -61,7 +62,7 @@ def compiled(entry: Entry):
     """Compile an entry down to intermediate code."""
     kernel = getattr(importlib.import_module(f"loewner._kernels.{entry.module}"), entry.name)
     options = {**kernel.targetoptions, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    dispatcher = CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_EntryCompiler)
+    dispatcher = CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_parts.PartCompiler)
     result = dispatcher._compiler.compile(tuple(types_of(entry.arguments)), None)
     expected = types_of(entry.results)
     found = result.signature.return_type
@@ -192,14 +193,14 @@ def emit(entries: list[Entry]) -> bytes:
     results = [compiled(entry) for entry in entries]
     for entry, result in zip(entries, results, strict=True):
         shim(shims, entry, result)
-        library._final_module.link_in(result.library._final_module, preserve=True)
+    for part in parts_of([result.library for result in results]):
+        library._final_module.link_in(part._final_module, preserve=True)
     library._final_module.link_in(llvm.parse_assembly(str(shims)))
+    hide(library._final_module, "linkonce_odr")
     # The same passes that Numba runs over what Python calls, with everything linked in.
     CPUCodeLibrary._optimize_final_module(library)
     module = library._final_module
-    for function in module.functions:
-        if not function.is_declaration and not function.name.startswith(PREFIX):
-            function.linkage = "internal"
+    hide(module, "internal")
     for variable in module.global_variables:
         if not variable.is_declaration:
             variable.linkage = "internal"
@@ -210,8 +211,28 @@ def emit(entries: list[Entry]) -> bytes:
     return machine.emit_object(module)
 
 
+def hide(module: llvm.ModuleRef, linkage: str) -> None:
+    """Give all functions but those that Python calls a linkage that lets them go if nobody calls them."""
+    for function in module.functions:
+        if not function.is_declaration and not function.name.startswith(PREFIX):
+            function.linkage = linkage
+
+
+def parts_of(libraries: list) -> list:
+    """The libraries, and all that they call, each once."""
+    found, waiting = dict.fromkeys(libraries), list(libraries)
+    while waiting:
+        for part in waiting.pop()._linking_libraries:
+            if part not in found:
+                found[part] = None
+                waiting.append(part)
+    return list(found)
+
+
 def main(to: str, names: list[str]) -> None:
     """Write the object code of entries to a file."""
+    _parts.PartCompiler.library_class = _OwnLibrary
+    _jit._KernelCache.save_overload = lambda *_: None  # nothing is asked for twice
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
     Path(to).write_bytes(emit([ENTRIES[name] for name in names]))
 

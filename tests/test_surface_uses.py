@@ -572,7 +572,7 @@ def test_view_takes_the_model(barista, files, capsys, monkeypatch):
     shown = []
 
     class Page:
-        url = "http://here"
+        url = "a page"
 
         def wait(self):
             """Closed at once."""

@@ -32,6 +32,7 @@ from loewner import (
     distance,
     overlapping_pairs,
 )
+from loewner._native import entries
 from surface_oracle import Mesh, boundary, collides
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -162,6 +163,43 @@ def lengths(T: np.ndarray) -> float:
 
 
 # -- known answers -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 8, 9, 300, 5000])
+def test_boxes_and_diagonals_hold_their_triangles(count: int):
+    """Every box of a tree has the extents of the triangles below it, along the axes and along twenty diagonals."""
+    rng = np.random.default_rng(count)
+    vertices = rng.normal(size=(count + 2, 3))
+    triangles = np.sort(rng.integers(0, count + 2, size=(count, 3)), axis=1)
+    boxes, children, blocks, diagonals, _ = entries.triangle_tree(vertices, triangles)
+    boxes, diagonals, blocks = boxes.reshape(-1, 6, 16), diagonals.reshape(-1, 20, 16), blocks.reshape(-1, 3, 3, 8)
+    two = list(product((1, -1), repeat=2))
+    along = [*((x, y, 0) for x, y in two), *((x, 0, z) for x, z in two), *((0, y, z) for y, z in two)]
+    along = np.array([*along, *product((1, -1), repeat=3)], dtype=float)
+    seen = []
+
+    def corners(slot: int) -> np.ndarray:
+        """Corners below a box, which is looked at on the way."""
+        node, lane, child = slot // 16, slot % 16, children[slot]
+        if child < 0:
+            leaf, size = ~child >> 3, (~child & 7) + 1
+            seen.extend(map(tuple, np.sort(blocks[leaf, :, :, :size].transpose(2, 0, 1).reshape(size, 9))))
+            found = blocks[leaf, :, :, :size].transpose(0, 2, 1).reshape(-1, 3)
+        else:
+            below = [k for k in range(16) if boxes[child, 3, k] >= 0]
+            found = np.concatenate([corners(child * 16 + k) for k in below])
+        middle, half = boxes[node, :3, lane], boxes[node, 3:, lane]
+        assert (np.abs(found - middle) <= half).all()
+        assert np.allclose(
+            half, np.maximum(found.max(axis=0) - middle, middle - found.min(axis=0)), rtol=1e-6, atol=1e-6
+        )
+        extents = (found @ along.T).max(axis=0)
+        assert (diagonals[node, :, lane] >= extents).all()
+        assert np.allclose(diagonals[node, :, lane], extents, rtol=1e-6, atol=1e-6)
+        return np.asarray(found)
+
+    corners(0)
+    assert sorted(seen) == sorted(map(tuple, np.sort(vertices[triangles].reshape(count, 9))))
 
 
 def test_a_box_within_a_box():

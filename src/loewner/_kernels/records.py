@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from loewner._kernels.columns import CACHE_LINE
+
 ENTRIES = 3  # address, rows, columns (1 for a flat array)
 
 
@@ -15,6 +17,13 @@ def table_of(arrays: Any) -> Any:
     """What a handle points to; arrays and table must outlive the handle."""
     rows = [(array.ctypes.data, array.shape[0], array.shape[1] if array.ndim == 2 else 1) for array in arrays]
     return np.array(rows, dtype=np.int64)
+
+
+def aligned(count: int, kind: Any = np.float64) -> Any:
+    """Make an uninitialised flat array that starts at a cache line."""
+    raw = np.empty(count + CACHE_LINE, kind)
+    skip = -raw.ctypes.data % CACHE_LINE // raw.itemsize
+    return raw[skip : skip + count]
 
 
 class Pieces(NamedTuple):

@@ -345,8 +345,8 @@ class Body(_Bodies):
         >>> body, body.pieces[0].kind
         (Body(solid, 256 triangles), 'solid')
         >>> ball = Body.sphere(0.01)
-        >>> float(np.round(distance(body, None, ball, None, exact=True).distance, 3))
-        0.026
+        >>> float(np.round(distance(body, None, ball, None, exact=True).distance, 4))
+        0.0258
         """
         length = _validate.positive_scalar(radius, "radius", zero=True)
         if solid is not None:

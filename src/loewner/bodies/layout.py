@@ -114,7 +114,7 @@ class KernelArrays:
         hot = np.ascontiguousarray(table[:, : columns.HOT])
         start = p.piece_start.copy()
         single = _single(hot)
-        vertices = _aligned(len(points) if len(single) else 0, np.float32)
+        vertices = records.aligned(len(points) if len(single) else 0, np.float32)
         vertices[:] = points[: len(vertices)]
         arrays = records.Pieces(
             table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees)
@@ -162,7 +162,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
     vertex = np.minimum(np.arange(begin[-1]) - np.repeat(begin[:-1], room), np.repeat(lengths, room) - 1)
     for i, (chosen, _) in maps.items():
         vertex[begin[i] : begin[i] + len(chosen)] = chosen
-    points = _aligned(3 * len(vertex))
+    points = records.aligned(3 * len(vertex))
     by_block = vertices[np.repeat(first, room) + vertex].reshape(-1, columns.BLOCK, 3)
     points.reshape(-1, 3, columns.BLOCK)[:] = by_block.transpose(0, 2, 1)
     for i, (chosen, nodes) in maps.items():
@@ -196,13 +196,6 @@ def _box_corners(points: Floats) -> Floats:
     """Corners of the box around points."""
     ends = np.stack([points.min(axis=0), points.max(axis=0)])
     return ends[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]
-
-
-def _aligned(count: int, kind: Any = np.float64) -> NDArray[Any]:
-    """Make an uninitialised flat array that starts at a cache line."""
-    raw = np.empty(count + columns.CACHE_LINE, kind)
-    skip = -raw.ctypes.data % columns.CACHE_LINE // raw.itemsize
-    return raw[skip : skip + count]
 
 
 def _table(p: PieceArrays) -> Floats:

@@ -13,8 +13,6 @@ from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.inscribed import FEWEST_TRIANGLES, inscribed_ellipsoids
 
-WIDE = 16  # boxes of a node, see `loewner._kernels.trees.triangle_tree`
-
 # Ellipsoids that are kept inside a solid; more prove little more and take as long again to find.
 MOST_INSIDE = 8
 
@@ -37,18 +35,19 @@ class SurfaceTree:
         Described in `loewner._kernels.trees.triangle_tree`.
     parts : ndarray, shape (3 parts,)
         A vertex of each connected part.
-    ellipsoids : ndarray of float32
-        Of the nodes, described there, too.
+    diagonals, ellipsoids : ndarray of float32
+        Described there, too.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
         Ellipsoids inside a solid, largest first; none of a surface that is not one.
     table : ndarray of int64
-        Where all but these are; kernels get its address.
+        Where the first five are; kernels get its address.
     """
 
     boxes: NDArray[np.float32]
     children: Ints
     blocks: Floats
     parts: Floats
+    diagonals: NDArray[np.float32]
     ellipsoids: NDArray[np.float32]
     inner_center: Floats
     inner_factor: Floats
@@ -56,19 +55,19 @@ class SurfaceTree:
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
-        """Build the tree over some triangles, at least one."""
-        boxes, children, blocks, ellipsoids = entries.triangle_tree(vertices, triangles)
-        _, number = entries.equal_vertices(vertices)
-        parts = vertices[_first(number)[entries.part_vertices(len(vertices), number[triangles])]].ravel()
+        """Build the tree over some triangles, at least one, that share vertices where they hang together."""
+        boxes, children, blocks, diagonals, ellipsoids = entries.triangle_tree(vertices, triangles)
+        parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
         inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
         if solid and len(triangles) >= FEWEST_TRIANGLES:
             inside = inscribed_ellipsoids(vertices, triangles, MOST_INSIDE)
-        return cls._at(boxes.astype(np.float32), children, blocks, parts, ellipsoids.astype(np.float32), *inside)
+        return cls._at(boxes, children, blocks, parts, diagonals, ellipsoids, *inside)
 
     @classmethod
-    def _at(cls, *arrays: Any) -> SurfaceTree:
-        table: Ints = records.table_of(arrays[:5])
-        return cls(*arrays, table)  # type: ignore[call-arg]  # seven arrays
+    def _at(cls, boxes: Any, children: Any, blocks: Any, parts: Any, diagonals: Any, *others: Any) -> SurfaceTree:
+        f = np.float32
+        arrays = _lines(boxes, f), children, _lines(blocks, float), parts, _lines(diagonals, f)
+        return cls(*arrays, *others, records.table_of(arrays))  # type: ignore[call-arg]  # nine in all
 
     def __reduce__(self) -> Any:
         """Copies are made anew: the table is of addresses."""
@@ -77,7 +76,8 @@ class SurfaceTree:
     @property
     def _arrays(self) -> tuple[Any, ...]:
         return (
-            self.boxes, self.children, self.blocks, self.parts, self.ellipsoids, self.inner_center, self.inner_factor
+            self.boxes, self.children, self.blocks, self.parts, self.diagonals, self.ellipsoids, self.inner_center,
+            self.inner_factor,
         )  # fmt: skip
 
     @property
@@ -90,10 +90,10 @@ class SurfaceTree:
 
         They are kept in single precision; what that hides is added to the radius.
         """
-        node = int(self.children[0])
-        slots = np.arange(max(node, 0) * WIDE, (max(node, 0) + 1) * WIDE)
-        slots = slots[self.boxes.reshape(-1, 6, WIDE)[slots // WIDE, 3, slots % WIDE] >= 0]
-        rows = self.ellipsoids.reshape(-1, 9, WIDE)[slots // WIDE, :, slots % WIDE].astype(float)
+        top = max(int(self.children[0]), 0)
+        wide = self.ellipsoids.size // 9
+        filled = self.boxes.reshape(-1, 6, wide)[top, 3] >= 0
+        rows = self.ellipsoids.reshape(9, wide)[:, filled].T.astype(float)
         root = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
         sizes = np.sqrt((root**2).sum(axis=(1, 2)))
         least = 1e-12 + 1e-14 * np.abs(rows[:, :3]).max()  # for parts that are a point
@@ -118,6 +118,13 @@ def around_sums(shape: Floats, radius: Floats) -> Floats:
     return np.linalg.cholesky(joint) * (1 + SUM_ROUNDING)
 
 
+def _lines(array: NDArray[Any], kind: type[np.floating[Any]] | type[float]) -> NDArray[Any]:
+    """Copy an array to where vectors of it do not lie in two cache lines."""
+    copy: NDArray[Any] = records.aligned(array.size, kind)
+    copy[:] = array
+    return copy
+
+
 Trees = dict[int, SurfaceTree]
 
 
@@ -129,10 +136,3 @@ def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start:
         solid = layout[i, columns.KIND] == columns.SOLID
         made[int(i)] = SurfaceTree.of(vertices, triangles[triangle_start[i] : triangle_start[i + 1]], solid)
     return made
-
-
-def _first(number: Ints) -> Ints:
-    """Where each number appears first."""
-    first = np.empty(len(number), dtype=np.int64)
-    first[number[::-1]] = np.arange(len(number))[::-1]
-    return first

@@ -45,7 +45,7 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     if solid:
         expect_closed(vertices, triangles)
     elif solid is None:
-        solid = len(_open_edges(vertices, triangles)) == 0
+        solid = len(_open_edges(len(vertices), triangles)) == 0
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
         center, factor, gap = _with_radius(center, factor, gap, radius)
@@ -97,7 +97,7 @@ def expect_radius(radius: float) -> None:
 
 def expect_closed(vertices: Floats, triangles: Ints) -> None:
     """Refuse a mesh that is open, or whose triangles are not turned alike: it winds around nothing."""
-    edges = _open_edges(vertices, triangles)
+    edges = _open_edges(len(vertices), triangles)
     if len(edges) == 0:
         return
     a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
@@ -107,26 +107,21 @@ def expect_closed(vertices: Floats, triangles: Ints) -> None:
     )
 
 
-def _open_edges(vertices: Floats, triangles: Ints) -> Ints:
-    """Edges that are not passed as often one way as the other; rows of two vertices.
+def _open_edges(count: int, triangles: Ints) -> Ints:
+    """Edges between `count` vertices that are not passed as often one way as the other; rows of two vertices.
 
-    Where there is none the winding number of the surface is a whole number everywhere off it.
+    Where there is none the winding number of the surface is a whole number everywhere off it. Triangles share vertices.
     """
-    _, number = entries.equal_vertices(vertices)
-    start = number[triangles].ravel()
-    end = number[np.roll(triangles, -1, axis=1)].ravel()
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
-    keys = np.sort((low * (number.max() + 1) + high) * 2 + (start < end))
+    keys = np.sort((low * count + high) * 2 + (start < end))
     edge = keys >> 1
     first = np.flatnonzero(np.concatenate([[True], edge[1:] != edge[:-1]]))
     forth = np.add.reduceat(keys & 1, first)
-    count = np.diff(np.append(first, len(keys)))
-    odd = edge[first[2 * forth != count]]
-    odd = np.column_stack([odd // (number.max() + 1), odd % (number.max() + 1)])
-    odd = odd[odd[:, 0] != odd[:, 1]]  # an edge of no length goes nowhere
-    vertex = np.empty(number.max() + 1, dtype=np.int64)
-    vertex[number] = np.arange(len(number))
-    return np.asarray(vertex[odd], dtype=np.int64)
+    passed = np.diff(np.append(first, len(keys)))
+    odd = edge[first[2 * forth != passed]]
+    odd = np.column_stack([odd // count, odd % count])
+    return np.asarray(odd[odd[:, 0] != odd[:, 1]], dtype=np.int64)  # an edge of no length goes nowhere
 
 
 def _outer(vertices: Floats, tol: float) -> tuple[Floats, Floats, float]:

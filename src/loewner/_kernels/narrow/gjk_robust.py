@@ -18,7 +18,7 @@ from loewner._kernels.columns import ROUNDING
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import dot, minus, negated, plus
 from loewner._kernels.narrow.simplex import closest, direction
-from loewner._kernels.pieces.shapes import placed_support, reach
+from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
 APART, TOUCHING, UNSETTLED = 0, 1, 2
@@ -59,17 +59,21 @@ def lengths(A, B, shift):
     return reach(A) + reach(B) + abs(shift[0]) + abs(shift[1]) + abs(shift[2])
 
 
-@njit()
-def stretch(T, t):
-    """Bound on how much a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
+@inline
+def off_orthonormal(R):
+    """‖RᵀR - 1‖ of nine numbers in row order, by the root of the sum of its squares."""
     squares = 0.0
-    for a in range(3):
-        for b in range(3):
-            entry = (
-                T[t, 0, a] * T[t, 0, b] + T[t, 1, a] * T[t, 1, b] + T[t, 2, a] * T[t, 2, b] - (1.0 if a == b else 0.0)
-            )
+    for i in range(3):
+        for j in range(3):
+            entry = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j] - (1.0 if i == j else 0.0)
             squares += entry * entry
-    return np.sqrt(1.0 + np.sqrt(squares) + 16.0 * UNIT_ROUNDOFF)
+    return np.sqrt(squares)
+
+
+@njit()
+def stretch(P):
+    """Bound on how much a pose accepted as rigid can lengthen a vector: √(1 + ‖RᵀR - 1‖)."""
+    return np.sqrt(1.0 + off_orthonormal(rotation_of(P)) + 16.0 * UNIT_ROUNDOFF)
 
 
 @inline
@@ -77,7 +81,7 @@ def swollen_radii(A, B):
     """Sum of the rounding radii, as large as the two poses can make them."""
     if A.table[A.piece, ROUNDING] == 0.0 and B.table[B.piece, ROUNDING] == 0.0:
         return 0.0
-    return A.table[A.piece, ROUNDING] * stretch(A.poses, A.row) + B.table[B.piece, ROUNDING] * stretch(B.poses, B.row)
+    return A.table[A.piece, ROUNDING] * stretch(A) + B.table[B.piece, ROUNDING] * stretch(B)
 
 
 @njit()
@@ -153,3 +157,14 @@ def run(A, B, shift, n, limit, settle, S, weights, v, d):
     else:
         status = UNSETTLED
     return status, lower - radii, length - radii, k
+
+
+@njit()
+def write_simplex(G, k, weights, d, result):
+    """Normal and witnesses of the simplex that `run` ended with."""
+    for c in range(3):
+        result[c] = -d[c]
+    for c in range(6):
+        result[3 + c] = 0.0
+        for row in range(k):
+            result[3 + c] += weights[row] * G[row, 3 + c]

@@ -14,12 +14,14 @@ import numpy as np
 
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import KIND, SOLID, SURFACE, SURFACE_AT
-from loewner._kernels.linalg3 import apply_symmetric, apply_transposed, dot
+from loewner._kernels.linalg3 import apply_transposed, product
+from loewner._kernels.narrow.gjk_robust import off_orthonormal
+from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.records import ENTRIES
 from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
-from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask, sqrt
+from loewner._kernels.simd.vectors import absolute, load_single, lowest_bit, maximum, movemask
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
-from loewner._kernels.trees.triangle_tree import OVAL, ROWS, WIDE
+from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
 # What fifteen axes may be off by: so many times by how much both rotations fail to be orthonormal, and so many
 # roundoffs of single precision, of the lengths that places are made of.
@@ -34,7 +36,7 @@ class Tree(NamedTuple):
     children: Any
     blocks: Any
     parts: Any
-    ellipsoids: Any
+    diagonals: Any
 
 
 class Relation(NamedTuple):
@@ -83,31 +85,11 @@ def surface_of(P):
 
 
 @inline
-def _off_orthonormal(T, t):
-    """Bound on ‖RᵀR - 1‖ of a pose."""
-    squares = 0.0
-    for a in range(3):
-        for b in range(3):
-            entry = T[t, 0, a] * T[t, 0, b] + T[t, 1, a] * T[t, 1, b] + T[t, 2, a] * T[t, 2, b]
-            entry -= 1.0 if a == b else 0.0
-            squares += entry * entry
-    return np.sqrt(squares) + 1e-15
-
-
-@inline
 def relation(A, B, shift, size, near):
     """How a placed surface lies to another one: what is `near` counts as meeting; `size` is a sum of lengths."""
-    Ta, a, Tb, b = A.poses, A.row, B.poses, B.row
-    bend = _off_orthonormal(Ta, a) + _off_orthonormal(Tb, b)
-    m = (
-        _column_product(Ta, a, Tb, b, 0, 0), _column_product(Ta, a, Tb, b, 0, 1), _column_product(Ta, a, Tb, b, 0, 2),
-        _column_product(Ta, a, Tb, b, 1, 0), _column_product(Ta, a, Tb, b, 1, 1), _column_product(Ta, a, Tb, b, 1, 2),
-        _column_product(Ta, a, Tb, b, 2, 0), _column_product(Ta, a, Tb, b, 2, 1), _column_product(Ta, a, Tb, b, 2, 2),
-    )  # fmt: skip
-    R = (
-        Ta[a, 0, 0], Ta[a, 0, 1], Ta[a, 0, 2], Ta[a, 1, 0], Ta[a, 1, 1], Ta[a, 1, 2], Ta[a, 2, 0], Ta[a, 2, 1],
-        Ta[a, 2, 2],
-    )  # fmt: skip
+    R, S = rotation_of(A), rotation_of(B)
+    bend = off_orthonormal(R) + off_orthonormal(S) + 2e-15
+    m = product((R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]), S)
     s = apply_transposed(R, shift)
     slack = near * (1.0 + bend) + (BENDS * bend + ROUNDINGS) * size
     f = np.float32
@@ -123,14 +105,9 @@ def relation(A, B, shift, size, near):
 
 
 @inline
-def _column_product(Ta, a, Tb, b, i, j):
-    return Ta[a, 0, i] * Tb[b, 0, j] + Ta[a, 1, i] * Tb[b, 1, j] + Ta[a, 2, i] * Tb[b, 2, j]
-
-
-@inline
 def box_at(boxes, slot):
     """Middle and half widths of one box."""
-    at = (slot >> 4) * ROWS + (slot & 15)
+    at = (slot >> WIDE_BITS) * ROWS + (slot & (WIDE - 1))
     return (
         (boxes[at], boxes[at + WIDE], boxes[at + 2 * WIDE]),
         (boxes[at + 3 * WIDE], boxes[at + 4 * WIDE], boxes[at + 5 * WIDE]),
@@ -188,6 +165,50 @@ def meeting(relation, t, g, h):
 
 
 @inline
+def opens_first(a, b, slot_a, slot_b):
+    """Whether of two boxes that of a is to be opened: the larger one, unless it is a leaf. One of them is none."""
+    if a.children[slot_a] < 0 or b.children[slot_b] < 0:
+        return b.children[slot_b] < 0
+    (_, g), (_, h) = box_at(a.boxes, slot_a), box_at(b.boxes, slot_b)
+    return max(g[0], max(g[1], g[2])) >= max(h[0], max(h[1], h[2]))
+
+
+@inline
+def push_meeting(relation, a, b, slot_a, slot_b, stack, height):
+    """Open one of two boxes and put what is in it, if it is not proven apart from the other, on a stack."""
+    if opens_first(a, b, slot_a, slot_b):
+        node = a.children[slot_a]
+        middle, half = box_at(b.boxes, slot_b)
+        middles, halves = boxes_of(a.boxes, node)
+        bits = meeting(relation, between(relation, middles, middle), halves, half)
+        while bits != 0:
+            stack[height], stack[height + 1] = node * WIDE + lowest_bit(bits), slot_b
+            height += 2
+            bits &= bits - 1
+    else:
+        node = b.children[slot_b]
+        middle, half = box_at(a.boxes, slot_a)
+        middles, halves = boxes_of(b.boxes, node)
+        bits = meeting(relation, between(relation, middle, middles), half, halves)
+        while bits != 0:
+            stack[height], stack[height + 1] = slot_a, node * WIDE + lowest_bit(bits)
+            height += 2
+            bits &= bits - 1
+    return height
+
+
+@inline
+def near_box(boxes, node, middle, half):
+    """Bits of the boxes of a node that meet one along the same axes, in single precision."""
+    middles, halves = boxes_of(boxes, node)
+    return movemask(
+        (absolute(middles[0] - middle[0]) <= halves[0] + half[0])
+        & (absolute(middles[1] - middle[1]) <= halves[1] + half[1])
+        & (absolute(middles[2] - middle[2]) <= halves[2] + half[2])
+    )
+
+
+@inline
 def squared_gaps(relation, t, g, h):
     """Lower bounds on the squared distance of boxes, along the axes of a's and along those of b's, whichever says more.
 
@@ -206,61 +227,73 @@ def squared_gaps(relation, t, g, h):
     return maximum(in_a, x * x + y * y + w * w)
 
 
-@inline
-def ellipsoids_of(ellipsoids, node):
-    """Centers of the ellipsoids of a node, and the roots of their shape matrices, as vectors."""
-    at = node * OVAL
-    return (
-        (load_single(ellipsoids, at), load_single(ellipsoids, at + WIDE), load_single(ellipsoids, at + 2 * WIDE)),
-        (
-            load_single(ellipsoids, at + 3 * WIDE),
-            load_single(ellipsoids, at + 4 * WIDE),
-            load_single(ellipsoids, at + 5 * WIDE),
-            load_single(ellipsoids, at + 6 * WIDE),
-            load_single(ellipsoids, at + 7 * WIDE),
-            load_single(ellipsoids, at + 8 * WIDE),
-        ),
-    )
+class Way(NamedTuple):
+    """A direction in the axes of a tree, as an axis and two diagonals: where their rows are, and their shares.
+
+    Attributes
+    ----------
+    n : tuple of 3 float
+        The direction.
+    axis, edge, corner : int
+        Rows of boxes and of diagonals.
+    lean, share, edge_share, corner_share : float32
+        The share of the axis, with its sign and without, and those of the diagonals.
+    """
+
+    n: Any
+    axis: Any
+    edge: Any
+    corner: Any
+    lean: Any
+    share: Any
+    edge_share: Any
+    corner_share: Any
 
 
 @inline
-def ellipsoid_at(ellipsoids, slot):
-    """The same of one ellipsoid."""
-    at = (slot >> 4) * OVAL + (slot & 15)
-    return (
-        (ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE]),
-        (
-            ellipsoids[at + 3 * WIDE],
-            ellipsoids[at + 4 * WIDE],
-            ellipsoids[at + 5 * WIDE],
-            ellipsoids[at + 6 * WIDE],
-            ellipsoids[at + 7 * WIDE],
-            ellipsoids[at + 8 * WIDE],
-        ),
-    )
+def squared_gap(t, halves, half):
+    """Squared distance of boxes along the same axes, in single precision; t between their middles."""
+    x = maximum(absolute(t[0]) - (halves[0] + half[0]), np.float32(0.0))
+    y = maximum(absolute(t[1]) - (halves[1] + half[1]), np.float32(0.0))
+    z = maximum(absolute(t[2]) - (halves[2] + half[2]), np.float32(0.0))
+    return x * x + y * y + z * z
 
 
 @inline
-def _width(root, n):
-    v = apply_symmetric(root, n)
-    return sqrt(dot(v, v))
+def way_along(n):
+    """A direction, three numbers of single precision, by its coordinates in order: see `trees.triangle_tree`."""
+    x, y, z = abs(n[0]), abs(n[1]), abs(n[2])
+    left, behind, below = n[0] < 0.0, n[1] < 0.0, n[2] < 0.0
+    high, low = max(x, max(y, z)), min(x, min(y, z))
+    middle = max(min(x, y), min(max(x, y), z))
+    axis = 0 if x == high else 1 if y == high else 2
+    if axis != 2 and z == low:
+        edge = 2 * left + behind
+    elif axis != 1 and y == low:
+        edge = 4 + 2 * left + below
+    else:
+        edge = 8 + 2 * behind + below
+    corner = CORNERS + 4 * left + 2 * behind + below
+    share = high - middle
+    lean = -share if n[axis] < 0.0 else share
+    n = np.float64(n[0]), np.float64(n[1]), np.float64(n[2])
+    return Way(n, axis * WIDE, edge * WIDE, corner * WIDE, lean, share, middle - low, low)
 
 
 @inline
-def gaps_along(a, b, n_a, n_b, offset):
-    """Lower bounds on the distance of ellipsoids: how far they are apart along a unit vector, in the axes of both."""
-    return (dot(b[0], n_b) - _width(b[1], n_b)) - (dot(a[0], n_a) + _width(a[1], n_a)) + offset
+def reaches_of(tree, node, way):
+    """How far the triangles of the boxes of a node go along a direction at most."""
+    at, more = node * ROWS + way.axis, node * DIAGONALS
+    middle, half = load_single(tree.boxes, at), load_single(tree.boxes, at + 3 * WIDE)
+    edge, corner = load_single(tree.diagonals, more + way.edge), load_single(tree.diagonals, more + way.corner)
+    return (middle * way.lean + half * way.share) + (edge * way.edge_share + corner * way.corner_share)
 
 
 @inline
-def gaps_between_centers(relation, a, b):
-    """Lower bounds on the distance of ellipsoids, along the line of their centers; negative if that says nothing."""
-    t = between(relation, a[0], b[0])
-    m = relation.turn
-    u = (
-        m[0] * t[0] + m[3] * t[1] + m[6] * t[2],
-        m[1] * t[0] + m[4] * t[1] + m[7] * t[2],
-        m[2] * t[0] + m[5] * t[1] + m[8] * t[2],
-    )
-    squared = dot(t, t)
-    return (squared - _width(a[1], t) - _width(b[1], u)) / sqrt(squared + np.float32(1e-35)) - relation.slack
+def reach_at(tree, slot, way):
+    """The same of one box."""
+    lane = slot & (WIDE - 1)
+    at, more = (slot >> WIDE_BITS) * ROWS + way.axis + lane, (slot >> WIDE_BITS) * DIAGONALS + lane
+    middle, half = tree.boxes[at], tree.boxes[at + 3 * WIDE]
+    edge, corner = tree.diagonals[more + way.edge], tree.diagonals[more + way.corner]
+    return (middle * way.lean + half * way.share) + (edge * way.edge_share + corner * way.corner_share)

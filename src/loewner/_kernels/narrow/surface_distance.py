@@ -11,7 +11,6 @@ import numpy as np
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import COLLIDING, FREE
 from loewner._kernels.columns import (
-    CACHE_LINE,
     COLUMNS,
     INNER_CENTER,
     INNER_SIGMA,
@@ -30,20 +29,23 @@ from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import NEAREST, begin, place_piece
-from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run
+from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run, write_simplex
 from loewner._kernels.narrow.surface_boxes import (
     between,
     box_at,
     boxes_of,
-    ellipsoid_at,
-    ellipsoids_of,
-    gaps_along,
     is_solid,
     is_surface,
-    meeting,
+    near_box,
+    opens_first,
+    push_meeting,
+    reach_at,
+    reaches_of,
     relation,
+    squared_gap,
     squared_gaps,
     surface_of,
+    way_along,
 )
 from loewner._kernels.narrow.surfaces import (
     CORNER_ERROR,
@@ -54,6 +56,7 @@ from loewner._kernels.narrow.surfaces import (
     WITHIN,
     box_in_frame,
     corners_at,
+    gap_to_box,
     least,
     measured,
     most,
@@ -79,7 +82,7 @@ from loewner._kernels.pieces.shapes import placed_support, radius, reach, rotati
 from loewner._kernels.records import Placed
 from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import (
-    absolute,
+    highest,
     load,
     lowest_bit,
     maximum,
@@ -94,13 +97,16 @@ from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, siz
 BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
 
 # Bytes that a triangle takes as a piece of its own: layout, table, points.
-PIECE = 8 * (LAYOUT + COLUMNS + 3 * LEAF) + CACHE_LINE // 8 * 7
+PIECE = 8 * (LAYOUT + COLUMNS + 3 * LEAF)
 
 # Memory: that of a walk, a lower bound for each entry of its stack, bounds of a node, and two triangles as pieces.
 _BOUNDS = WALK
 _LANES = _BOUNDS + 8 * STACK
 _PIECES = _LANES + 8 * 2 * WIDE
 SIZE = _PIECES + 2 * PIECE  # bytes
+
+# How much the squared distance of middles counts beside a lower bound, for the order of the search.
+MIDDLES = 0.1
 
 # Sums of lengths [m] from which on squares of their single precision overflow.
 FARTHEST = 1e18
@@ -204,36 +210,18 @@ def _between_pieces(A, B, shift, n, memory, result):
     if k == 4:
         above = -radii
     below = max(below, -radii)  # cores that are in each other for sure do not come here
-    for c in range(3):
-        result[c] = -d[c]
-    for c in range(6):
-        result[3 + c] = 0.0
-        for row in range(k):
-            result[3 + c] += weights[row] * G[row, 3 + c]
+    write_simplex(G, k, weights, d, result)
     return above + radii, above - below
 
 
 # -- the nearest triangles --------------------------------------------------------------------------
 
 
-@inline
-def _push(stack, bounds, height, base, first, second, bound, order):
-    """Put an entry on a stack, below those of the same node that come earlier in `order`."""
-    at = height
-    while at > base and bounds[2 * at - 1] < order:
-        stack[2 * at], stack[2 * at + 1] = stack[2 * at - 2], stack[2 * at - 1]
-        bounds[2 * at], bounds[2 * at + 1] = bounds[2 * at - 2], bounds[2 * at - 1]
-        at -= 1
-    stack[2 * at], stack[2 * at + 1] = first, second
-    bounds[2 * at], bounds[2 * at + 1] = bound, order
-    return height + 1
-
-
 @njit()
 def _nearest_triangles(A, B, shift, limit, memory):
     """Triangles of two surfaces that are nearest to each other, by block and lane; -1 if none comes within `limit`.
 
-    Besides by boxes, what is too far is told by the ellipsoids along the normal of the nearest triangles so far.
+    What is too far is told by boxes, and by how far things go along the normal of the nearest triangles so far.
     """
     a, b = surface_of(A), surface_of(B)
     size = lengths(A, B, shift)
@@ -242,8 +230,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
     lanes, placed = floats_at(memory + _LANES, (2 * WIDE,)), floats_at(memory + PLACED, (2 * BLOCK,))
     best = limit * limit
     found_a = found_b = -1
-    first = _between_middles(A, B, shift)
-    n, n_a, n_b, offset = _direction(A, B, shift, first)
+    n, way_a, way_b, away = _ways(A, B, shift, _between_middles(A, B, shift), about.slack)
     stack[0], stack[1], bounds[0] = 0, 0, 0.0
     height, old = 1, 1  # entries below `old` are from before the direction changed
     while height > 0:
@@ -251,29 +238,29 @@ def _nearest_triangles(A, B, shift, limit, memory):
         if bounds[2 * height] * BELIEVED > best:
             continue
         slot_a, slot_b = stack[2 * height], stack[2 * height + 1]
-        oval_a, oval_b = ellipsoid_at(a.ellipsoids, slot_a), ellipsoid_at(b.ellipsoids, slot_b)
         if height < old:
             old = height
-            gap = gaps_along(oval_a, oval_b, n_a, n_b, offset - about.slack)
+            gap = away - reach_at(a, slot_a, way_a) - reach_at(b, slot_b, way_b)
             if gap > 0.0 and gap * gap * BELIEVED > best:
                 continue
         child_a, child_b = a.children[slot_a], b.children[slot_b]
         if child_a < 0 and child_b < 0:
             leaf_a, leaf_b = leaf_of(child_a), leaf_of(child_b)
-            gap = _least_along(b.blocks, leaf_b, n_b, lanes) + _least_along(a.blocks, leaf_a, negated(n_a), lanes)
-            gap += np.float64(offset - about.slack)
-            if gap > 0.0 and gap * gap * BELIEVED > best:
+            reach_a, reach_b = _reaches(a.blocks, leaf_a, way_a.n), _reaches(b.blocks, leaf_b, way_b.n)
+            rows = movemask(_near_along((away - highest(reach_b)) - reach_a, best)) & ((1 << size_of(child_a)) - 1)
+            columns = movemask(_near_along((away - highest(reach_a)) - reach_b, best)) & ((1 << size_of(child_b)) - 1)
+            if rows == 0 or columns == 0:
                 continue
+            store(lanes, WIDE, reach_a)
             store_corners(placed, 0, placed_corners(A, a.blocks, leaf_a, (0.0, 0.0, 0.0)))
             others = placed_corners(B, b.blocks, leaf_b, shift)
-            near = least(dot(others[0], n), dot(others[1], n), dot(others[2], n))
             before = best
-            for lane in range(size_of(child_a)):
+            while rows != 0:
+                lane = lowest_bit(rows)
+                rows &= rows - 1
                 corners = corners_at(placed, 0, lane)
-                far = max(dot(corners[0], n), max(dot(corners[1], n), dot(corners[2], n)))
-                along = maximum(near - far, 0.0) * BELIEVED
-                bits = movemask((_box_gaps(corners, others) <= best) & (along * along <= best))
-                bits &= (1 << size_of(child_b)) - 1
+                near = _near_along((away - lanes[WIDE + lane]) - reach_b, best)
+                bits = movemask(near & (_box_gaps(corners, others) <= best)) & columns
                 if bits != 0:
                     bits &= movemask(_middle_gaps(corners, others) <= best)
                 if bits == 0:
@@ -292,44 +279,59 @@ def _nearest_triangles(A, B, shift, limit, memory):
                 ends = begin(S, T, shift, W)
                 status, _, _ = measured(S, T, shift, W, ends, n, rounding_error(S, T, shift), -np.inf, np.inf, result)
                 if status == NEAREST:
-                    n, n_a, n_b, offset = _direction(A, B, shift, (result[0], result[1], result[2]))
+                    n, way_a, way_b, away = _ways(A, B, shift, (result[0], result[1], result[2]), about.slack)
                     old = height
             continue
-        middle_a, half_a = box_at(a.boxes, slot_a)
-        middle_b, half_b = box_at(b.boxes, slot_b)
-        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
-        if child_b < 0 or (child_a >= 0 and larger_a):
+        if opens_first(a, b, slot_a, slot_b):
+            along = (away - reach_at(b, slot_b, way_b)) - reaches_of(a, child_a, way_a)
+            if movemask(_single_near(along, best)) == 0:
+                continue
+            middle, half = box_at(b.boxes, slot_b)
             middles, halves = boxes_of(a.boxes, child_a)
-            t = between(about, middles, middle_b)
-            gaps = squared_gaps(about, t, halves, half_b)
-            ovals = ellipsoids_of(a.ellipsoids, child_a)
-            along = gaps_along(ovals, oval_b, n_a, n_b, offset - about.slack)
-            gaps = _larger(gaps, along)
-            height = _push_near(stack, bounds, lanes, height, gaps, dot(t, t), halves, best, child_a, slot_b, True)
+            t = between(about, middles, middle)
+            gaps = _larger(squared_gaps(about, t, halves, half), along)
+            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_a, slot_b, True)
         else:
+            along = (away - reach_at(a, slot_a, way_a)) - reaches_of(b, child_b, way_b)
+            if movemask(_single_near(along, best)) == 0:
+                continue
+            middle, half = box_at(a.boxes, slot_a)
             middles, halves = boxes_of(b.boxes, child_b)
-            t = between(about, middle_a, middles)
-            gaps = squared_gaps(about, t, half_a, halves)
-            ovals = ellipsoids_of(b.ellipsoids, child_b)
-            along = gaps_along(oval_a, ovals, n_a, n_b, offset - about.slack)
-            gaps = _larger(gaps, along)
-            height = _push_near(stack, bounds, lanes, height, gaps, dot(t, t), halves, best, child_b, slot_a, False)
+            t = between(about, middle, middles)
+            gaps = _larger(squared_gaps(about, t, half, halves), along)
+            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_b, slot_a, False)
     return found_a, found_b
 
 
 @inline
-def _least_along(blocks, leaf, n, lanes):
-    """How far back the corners of a leaf go along a direction."""
+def _reaches(blocks, leaf, n):
+    """How far the triangles of a leaf go along a direction."""
     at = leaf * BLOCK
-    x, y, z = np.float64(n[0]), np.float64(n[1]), np.float64(n[2])
-    a = load(blocks, at) * x + load(blocks, at + LEAF) * y + load(blocks, at + 2 * LEAF) * z
-    b = load(blocks, at + 3 * LEAF) * x + load(blocks, at + 4 * LEAF) * y + load(blocks, at + 5 * LEAF) * z
-    c = load(blocks, at + 6 * LEAF) * x + load(blocks, at + 7 * LEAF) * y + load(blocks, at + 8 * LEAF) * z
-    store(lanes, 0, least(a, b, c))
-    found = lanes[0]
-    for lane in range(1, LEAF):
-        found = min(found, lanes[lane])
-    return found
+    return most(
+        dot((load(blocks, at), load(blocks, at + LEAF), load(blocks, at + 2 * LEAF)), n),
+        dot((load(blocks, at + 3 * LEAF), load(blocks, at + 4 * LEAF), load(blocks, at + 5 * LEAF)), n),
+        dot((load(blocks, at + 6 * LEAF), load(blocks, at + 7 * LEAF), load(blocks, at + 8 * LEAF)), n),
+    )
+
+
+@inline
+def _near_along(gap, best):
+    """Where gaps along a direction let distances be among the best."""
+    gap = maximum(gap, 0.0)
+    return gap * gap * BELIEVED <= best
+
+
+@inline
+def _single_near(gap, best):
+    """The same in single precision."""
+    gap = maximum(gap, np.float32(0.0))
+    return gap * gap <= _rounded_up(best)
+
+
+@inline
+def _rounded_up(best):
+    """What a squared lower bound in single precision may be, to be believed and not above the best."""
+    return np.float32(best * (1.0 + 2e-5) + 1e-37)
 
 
 @inline
@@ -342,12 +344,13 @@ def _between_middles(A, B, shift):
 
 
 @inline
-def _direction(A, B, shift, n):
-    """A unit vector, the same in the axes of both frames in single precision, and how far the frames are apart."""
+def _ways(A, B, shift, n, slack):
+    """A unit vector, the same along a's axes and its opposite along b's, and how far the frames are apart along it."""
     n = _unit(n)
-    a, b = apply_transposed(rotation_of(A), n), apply_transposed(rotation_of(B), n)
+    a, b = apply_transposed(rotation_of(A), n), apply_transposed(rotation_of(B), negated(n))
     f = np.float32
-    return n, (f(a[0]), f(a[1]), f(a[2])), (f(b[0]), f(b[1]), f(b[2])), f(dot(n, shift))
+    way_a, way_b = way_along((f(a[0]), f(a[1]), f(a[2]))), way_along((f(b[0]), f(b[1]), f(b[2])))
+    return n, way_a, way_b, f(dot(n, shift)) - slack
 
 
 @inline
@@ -358,24 +361,30 @@ def _larger(squared, gap):
 
 
 @inline
-def _push_near(stack, bounds, lanes, height, gaps, apart, halves, best, child, other, first):
-    """Put the boxes of a node that may be near enough on the stack, that with the nearest middle on top.
+def _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, other, first):
+    """Put the boxes of a node that may be near enough on the stack, the most promising on top.
 
-    Bounds of large boxes are 0 for many at a time; their middles still tell which is the best to begin with.
+    Bounds of large boxes are 0 for many at a time; how far their middles are apart, t, still tells which to begin with.
     """
-    bits = movemask((gaps <= np.float32(best * (1.0 + 2e-5) + 1e-37)) & (halves[0] >= np.float32(0.0)))
+    bits = movemask((gaps <= _rounded_up(best)) & (halves[0] >= np.float32(0.0)))
     if bits == 0:
         return height
     store(lanes, 0, gaps)
-    store(lanes, WIDE, apart)
+    store(lanes, WIDE, gaps + np.float32(MIDDLES) * dot(t, t))
     base = height
     while bits != 0:
         lane = lowest_bit(bits)
         bits &= bits - 1
-        if first:
-            height = _push(stack, bounds, height, base, child * WIDE + lane, other, lanes[lane], lanes[WIDE + lane])
-        else:
-            height = _push(stack, bounds, height, base, other, child * WIDE + lane, lanes[lane], lanes[WIDE + lane])
+        bound, order = lanes[lane], lanes[WIDE + lane]
+        at = height
+        while at > base and bounds[2 * at - 1] < order:
+            stack[2 * at], stack[2 * at + 1] = stack[2 * at - 2], stack[2 * at - 1]
+            bounds[2 * at], bounds[2 * at + 1] = bounds[2 * at - 2], bounds[2 * at - 1]
+            at -= 1
+        slot = child * WIDE + lane
+        stack[2 * at], stack[2 * at + 1] = (slot, other) if first else (other, slot)
+        bounds[2 * at], bounds[2 * at + 1] = bound, order
+        height += 1
     return height
 
 
@@ -391,8 +400,7 @@ def _middle_gaps(a, b):
 @inline
 def _box_gaps(a, b):
     """Squared distances of the box of a triangle from those of eight."""
-    total = _gap(a, b, 0) + _gap(a, b, 1) + _gap(a, b, 2)
-    return total
+    return _gap(a, b, 0) + _gap(a, b, 1) + _gap(a, b, 2)
 
 
 @inline
@@ -412,12 +420,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
     error = rounding_error(A, B, shift)
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
     ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
-    box = floats_at(memory + PLACED, (6,))
-    box_in_frame(A, B, shift, 0.0, size, box)
-    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
-    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
-    f = np.float32
-    single, wide = (f(middle[0]), f(middle[1]), f(middle[2])), (f(half[0]), f(half[1]), f(half[2]))
+    middle, half, single, wide = box_in_frame(A, B, shift, 0.0, size)
     center = image(rotation_of(A), (0.0, 0.0, 0.0), middle)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
     lanes = floats_at(memory + _LANES, (2 * WIDE,))
@@ -433,28 +436,13 @@ def _nearest_to_piece(A, B, shift, limit, memory):
         if child >= 0:
             middles, halves = boxes_of(a.boxes, child)
             t = minus(middles, single)
-            x = maximum(absolute(t[0]) - (halves[0] + wide[0]), f(0.0))
-            y = maximum(absolute(t[1]) - (halves[1] + wide[1]), f(0.0))
-            z = maximum(absolute(t[2]) - (halves[2] + wide[2]), f(0.0))
-            height = _push_near(
-                stack,
-                bounds,
-                lanes,
-                height,
-                x * x + y * y + z * z,
-                dot(t, t),
-                halves,
-                best * best,
-                child,
-                np.int64(0),
-                True,
-            )
+            gaps = squared_gap(t, halves, wide)
+            none = np.int64(0)
+            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best * best, child, none, True)
             continue
         leaf = leaf_of(child)
-        x = _reach_of(a.blocks, leaf * BLOCK, middle[0], half[0])
-        y = _reach_of(a.blocks, leaf * BLOCK + LEAF, middle[1], half[1])
-        z = _reach_of(a.blocks, leaf * BLOCK + 2 * LEAF, middle[2], half[2])
-        bits = movemask((x * x + y * y + z * z) * BELIEVED <= best * best) & ((1 << size_of(child)) - 1)
+        near = gap_to_box(a.blocks, leaf, middle, half) * BELIEVED <= best * best
+        bits = movemask(near) & ((1 << size_of(child)) - 1)
         if bits == 0:
             continue
         store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
@@ -475,13 +463,6 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             if above <= best:
                 best, found = max(above, 0.0), leaf * LEAF + lane
     return found
-
-
-@inline
-def _reach_of(blocks, at, middle, half):
-    """How far eight triangles stay away from an interval, along an axis."""
-    x, y, z = load(blocks, at), load(blocks, at + 3 * LEAF), load(blocks, at + 6 * LEAF)
-    return maximum(maximum(least(x, y, z) - (middle + half), (middle - half) - most(x, y, z)), 0.0)
 
 
 # -- depth ------------------------------------------------------------------------------------------
@@ -586,23 +567,7 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                         for c in range(9):
                             result[c] = own[c]
             continue
-        middle_a, half_a = box_at(a.boxes, slot_a)
-        middle_b, half_b = box_at(b.boxes, slot_b)
-        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
-        if child_b < 0 or (child_a >= 0 and larger_a):
-            middles, halves = boxes_of(a.boxes, child_a)
-            bits = meeting(about, between(about, middles, middle_b), halves, half_b)
-            while bits != 0:
-                stack[height], stack[height + 1] = child_a * WIDE + lowest_bit(bits), slot_b
-                height += 2
-                bits &= bits - 1
-        else:
-            middles, halves = boxes_of(b.boxes, child_b)
-            bits = meeting(about, between(about, middle_a, middles), half_a, halves)
-            while bits != 0:
-                stack[height], stack[height + 1] = slot_a, child_b * WIDE + lowest_bit(bits)
-                height += 2
-                bits &= bits - 1
+        height = push_meeting(about, a, b, slot_a, slot_b, stack, height)
     return found
 
 
@@ -627,12 +592,7 @@ def _overlap(n, a, b):
 def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, result):
     """Depth of the triangle of A that is deepest in the convex piece B; the result is turned round if sign is -1."""
     a = surface_of(A)
-    box = floats_at(memory + PLACED, (6,))
-    box_in_frame(A, B, shift, 0.0, lengths(A, B, shift), box)
-    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
-    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
-    f = np.float32
-    single, wide = (f(middle[0]), f(middle[1]), f(middle[2])), (f(half[0]), f(half[1]), f(half[2]))
+    middle, half, single, wide = box_in_frame(A, B, shift, 0.0, lengths(A, B, shift))
     stack = integers_at(memory, (STACK,))
     curved = B.layout[B.piece, KIND] != POLYTOPE
     work = robust_workspace(curved)
@@ -643,22 +603,14 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
         height -= 1
         child = a.children[stack[height]]
         if child >= 0:
-            middles, halves = boxes_of(a.boxes, child)
-            bits = movemask(
-                (absolute(middles[0] - single[0]) <= halves[0] + wide[0])
-                & (absolute(middles[1] - single[1]) <= halves[1] + wide[1])
-                & (absolute(middles[2] - single[2]) <= halves[2] + wide[2])
-            )
+            bits = near_box(a.boxes, child, single, wide)
             while bits != 0:
                 stack[height] = child * WIDE + lowest_bit(bits)
                 height += 1
                 bits &= bits - 1
             continue
         leaf = leaf_of(child)
-        x = _reach_of(a.blocks, leaf * BLOCK, middle[0], half[0])
-        y = _reach_of(a.blocks, leaf * BLOCK + LEAF, middle[1], half[1])
-        z = _reach_of(a.blocks, leaf * BLOCK + 2 * LEAF, middle[2], half[2])
-        bits = movemask(x + y + z <= 0.0) & ((1 << size_of(child)) - 1)
+        bits = movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0) & ((1 << size_of(child)) - 1)
         while bits != 0:
             S = triangle_piece(A, leaf * LEAF + lowest_bit(bits), 0.0, memory + _PIECES)
             bits &= bits - 1
@@ -767,12 +719,8 @@ def nearest_point(A, x, limit, size, memory):
         if child >= 0:
             middles, halves = boxes_of(a.boxes, child)
             t = minus(middles, single)
-            u = maximum(absolute(t[0]) - (halves[0] + slack), f(0.0))
-            v = maximum(absolute(t[1]) - (halves[1] + slack), f(0.0))
-            w = maximum(absolute(t[2]) - (halves[2] + slack), f(0.0))
-            height = _push_near(
-                stack, bounds, lanes, height, u * u + v * v + w * w, dot(t, t), halves, best, child, np.int64(0), True
-            )
+            gaps, none = squared_gap(t, halves, (slack, slack, slack)), np.int64(0)
+            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
             continue
         corners = placed_corners(A, a.blocks, leaf_of(child), (0.0, 0.0, 0.0))
         u, v, w = _nearest_on(corners, x)

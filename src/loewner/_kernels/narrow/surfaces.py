@@ -12,18 +12,17 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
-from loewner._kernels.linalg3 import apply, cross, dot, image, minus, plus
+from loewner._kernels.linalg3 import apply, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, place_piece
-from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, rounding_error
+from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, off_orthonormal, rounding_error
 from loewner._kernels.narrow.surface_boxes import (
     ROUNDINGS,
-    between,
     box_at,
-    boxes_of,
     is_solid,
     is_surface,
-    meeting,
+    near_box,
+    push_meeting,
     relation,
     surface_of,
 )
@@ -47,7 +46,7 @@ RESULT = GJK + 8 * GJK_ENTRIES
 SIZE = RESULT + 8 * 16  # bytes
 
 # How a walk ended besides: open pairs, or a point that may lie on either side of a surface.
-MEETING, APART_ALL = -1, 0
+MEETING = -1
 OUTSIDE, WITHIN, UNKNOWN = 0, 1, 2
 
 # How much rays lean towards the two other axes: meshes have many edges that a ray along an axis would meet. Six rays
@@ -118,23 +117,7 @@ def _two_surfaces(A, B, near, far, memory, listed_at, room):
                 return COLLIDING, open_pairs
             open_pairs = found
             continue
-        middle_a, half_a = box_at(a.boxes, slot_a)
-        middle_b, half_b = box_at(b.boxes, slot_b)
-        larger_a = max(half_a[0], max(half_a[1], half_a[2])) >= max(half_b[0], max(half_b[1], half_b[2]))
-        if child_b < 0 or (child_a >= 0 and larger_a):
-            middles, halves = boxes_of(a.boxes, child_a)
-            bits = meeting(about, between(about, middles, middle_b), halves, half_b)
-            while bits != 0:
-                stack[height], stack[height + 1] = child_a * WIDE + lowest_bit(bits), slot_b
-                height += 2
-                bits &= bits - 1
-        else:
-            middles, halves = boxes_of(b.boxes, child_b)
-            bits = meeting(about, between(about, middle_a, middles), half_a, halves)
-            while bits != 0:
-                stack[height], stack[height + 1] = slot_a, child_b * WIDE + lowest_bit(bits)
-                height += 2
-                bits &= bits - 1
+        height = push_meeting(about, a, b, slot_a, slot_b, stack, height)
     within = OUTSIDE
     if is_solid(A):
         within = parts_within(A, B, shift, size, memory)
@@ -440,13 +423,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
     listed = integers_at(listed_at, (2 * room,))
     ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
-    box = floats_at(memory + PLACED, (6,))
-    box_in_frame(A, B, shift, far, size, box)
-    middle = 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
-    half = box[3] - middle[0], box[4] - middle[1], box[5] - middle[2]
-    f = np.float32
-    single = f(middle[0]), f(middle[1]), f(middle[2])
-    wide = f(half[0]), f(half[1]), f(half[2])
+    middle, half, single, wide = box_in_frame(A, B, shift, far, size)
     R = rotation_of(A)
     center = apply(R, middle)
     stack = integers_at(memory, (STACK,))
@@ -456,12 +433,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
         height -= 1
         child = a.children[stack[height]]
         if child >= 0:
-            middles, halves = boxes_of(a.boxes, child)
-            bits = movemask(
-                (absolute(middles[0] - single[0]) <= halves[0] + wide[0])
-                & (absolute(middles[1] - single[1]) <= halves[1] + wide[1])
-                & (absolute(middles[2] - single[2]) <= halves[2] + wide[2])
-            )
+            bits = near_box(a.boxes, child, single, wide)
             while bits != 0:
                 stack[height] = child * WIDE + lowest_bit(bits)
                 height += 1
@@ -469,11 +441,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
             continue
         leaf = leaf_of(child)
         placed = floats_at(memory + PLACED, (2 * BLOCK,))
-        at = leaf * BLOCK
-        mask = _within(a.blocks, at, middle[0], half[0])
-        mask = mask & _within(a.blocks, at + LEAF, middle[1], half[1])
-        mask = mask & _within(a.blocks, at + 2 * LEAF, middle[2], half[2])
-        bits = movemask(mask) & ((1 << size_of(child)) - 1)
+        bits = movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0) & ((1 << size_of(child)) - 1)
         if bits == 0:
             continue
         store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
@@ -505,24 +473,40 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
 
 
 @inline
-def _within(blocks, at, middle, half):
-    """Where eight triangles come within `half` of a place along an axis."""
-    x, y, z = load(blocks, at), load(blocks, at + 3 * LEAF), load(blocks, at + 6 * LEAF)
-    return (least(x, y, z) <= middle + half) & (most(x, y, z) >= middle - half)
+def gap_to_box(blocks, leaf, middle, half):
+    """Squared distance of the boxes of eight triangles from a box along the same axes."""
+    x = _gap_along(blocks, leaf, 0, middle, half)
+    y = _gap_along(blocks, leaf, 1, middle, half)
+    z = _gap_along(blocks, leaf, 2, middle, half)
+    return x * x + y * y + z * z
+
+
+@inline
+def _gap_along(blocks, leaf, axis, middle, half):
+    p, q, r = _coordinates(blocks, leaf * BLOCK, axis, middle[axis])
+    return maximum(maximum(least(p, q, r) - half[axis], -half[axis] - most(p, q, r)), 0.0)
 
 
 @njit()
-def box_in_frame(A, B, shift, far, size, box):
-    """Write the box around a piece, in the axes of A's frame: lower corner, then upper, with all that rounds."""
+def box_in_frame(A, B, shift, far, size):
+    """Middle and half widths of the box around a piece in the axes of A's frame, with all that rounds.
+
+    Both twice: in double precision, and in single, where `ROUNDINGS` covers their rounding.
+    """
     R = rotation_of(A)
-    bend = 0.0
-    for i in range(3):
-        for j in range(3):
-            entry = R[i] * R[j] + R[3 + i] * R[3 + j] + R[6 + i] * R[6 + j] - (1.0 if i == j else 0.0)
-            bend += entry * entry
-    bend = np.sqrt(bend) + 1e-15
+    bend = off_orthonormal(R) + 1e-15
     slack = far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
-    for axis in range(3):
-        n = R[axis], R[3 + axis], R[6 + axis]
-        box[axis] = dot(n, plus(placed_support(B, (-n[0], -n[1], -n[2])), shift)) - slack
-        box[3 + axis] = dot(n, plus(placed_support(B, n), shift)) + slack
+    m0, h0 = _extent(B, shift, (R[0], R[3], R[6]), slack)
+    m1, h1 = _extent(B, shift, (R[1], R[4], R[7]), slack)
+    m2, h2 = _extent(B, shift, (R[2], R[5], R[8]), slack)
+    f = np.float32
+    return (m0, m1, m2), (h0, h1, h2), (f(m0), f(m1), f(m2)), (f(h0), f(h1), f(h2))
+
+
+@inline
+def _extent(B, shift, n, slack):
+    """Where the middle of a piece is along a direction, and how far it goes from there."""
+    low = dot(n, plus(placed_support(B, negated(n)), shift)) - slack
+    high = dot(n, plus(placed_support(B, n), shift)) + slack
+    middle = 0.5 * (low + high)
+    return middle, high - middle

@@ -20,7 +20,7 @@ from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES, NEAREST, begin, measure
 from loewner._kernels.narrow.gjk_fast import INSIDE as CORES_OVERLAP
-from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run
+from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run, write_simplex
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surface_distance import surface_distance
@@ -154,7 +154,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     ra, rb = radius(A), radius(B)
     if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
-        _write(G, k, weights, d, result)
+        write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
     # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
@@ -168,7 +168,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
             # its nearest face either; GJK's points may be the better ones.
             before = result.copy()
             missed = _miss(result, -deep)
-            _write(G, k, weights, d, result)
+            write_simplex(G, k, weights, d, result)
             for c in range(3):
                 result[c] = before[c]
             if not _miss(result, -deep) < missed:
@@ -177,13 +177,13 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
         # Cores that are apart after all: what GJK has, with the gap it has.
-        _write(G, k, weights, d, result)
+        write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
         # Impossible but for rounding: a flat simplex that passed for one with the origin inside.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
-    _write(G, k, weights, d, result)
+    write_simplex(G, k, weights, d, result)
     result[0], result[1], result[2] = nx, ny, nz
     return -ra - rb, 0.0
 
@@ -195,17 +195,6 @@ def _miss(result, distance):
     for c in range(3):
         squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
     return np.sqrt(squared)
-
-
-@njit()
-def _write(G, k, weights, d, result):
-    """Normal and witnesses of the simplex that `run` ended with."""
-    for c in range(3):
-        result[c] = -d[c]
-    for c in range(6):
-        result[3 + c] = 0.0
-        for row in range(k):
-            result[3 + c] += weights[row] * G[row, 3 + c]
 
 
 @inline

@@ -244,6 +244,27 @@ def minimum(typingctx, x, y):
     return signature(_result((x, y)), x, y), generate
 
 
+def _reduction(name, comparison, what):
+    @intrinsic
+    def reduction(typingctx, x):
+        def generate(context, builder, sig, args):
+            found = args[0]
+            step = x.llvm.count // 2
+            while step > 0:
+                turned = _indices([lane ^ step for lane in range(x.llvm.count)])
+                other = builder.shuffle_vector(found, ir.Constant(x.llvm, ir.Undefined), turned)
+                found, step = _choice(builder, comparison, found, other), step // 2
+            return builder.extract_element(found, ir.Constant(ir.IntType(32), 0))
+
+        return signature(types.float64 if x == vector else types.float32, x), generate
+
+    reduction.__name__, reduction.__doc__ = name, f"The {what} of the lanes of a vector, none of them NaN."
+    return reduction
+
+
+lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">", "largest")
+
+
 @intrinsic
 def select(typingctx, condition, x, y):
     """x where the condition holds, else y."""

@@ -6,26 +6,40 @@ that is not negative, else a leaf, `leaf_of` of it and how many triangles it has
 A leaf is a block of eight triangles, nine rows of double precision: x, y, z of the first corners, of the second and of
 the third. The last triangle fills up a block.
 
-Each box has an ellipsoid as well, around the same triangles: nine rows of single precision, its center and the root of
-its shape matrix (xx, xy, xz, yy, yz, zz). Patches of a surface are flat and lie askew, where boxes are thick: the
-ellipsoid is that of the corners' covariance, as thin as they are along any direction.
+Each box has twenty rows of single precision more, the diagonals: how far its triangles go along x + y, x - y, -x + y
+and -x - y, the same of x and z and of y and z, and along x + y + z, x + y - z and so on to -x - y - z. With the box
+itself these bound how far they go along any direction: its coordinates, put in order, make it a sum of an axis and two
+diagonals, and a support function of a sum is at most the sum of the support functions.
+
+The boxes of the topmost node have ellipsoids as well, around the same triangles: nine rows of single precision, their
+centers and the roots of their shape matrices (xx, xy, xz, yy, yz, zz). These are of the corners' covariance.
 
 The tree is built from the top by the surface area heuristic.
 
 References
 ----------
-Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007), doi:10.1109/RT.2007.4342588.
+Klosowski and others, "Efficient collision detection using bounding volume hierarchies of k-DOPs" (1998),
+doi:10.1109/2945.675649. Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007),
+doi:10.1109/RT.2007.4342588.
 """
 
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import minus, negated, plus
+from loewner._kernels.simd.vectors import broadcast, highest, load, lowest, maximum, minimum, store
 
-WIDE = 16  # boxes of a node
+WIDE_BITS, LEAF_BITS = 4, 3
+WIDE = 1 << WIDE_BITS  # boxes of a node
 ROWS = 6 * WIDE  # numbers of a node
-LEAF = 8  # triangles of a leaf at most
+LEAF = 1 << LEAF_BITS  # triangles of a leaf at most
 BLOCK = 9 * LEAF  # numbers of a leaf
-OVAL = 9 * WIDE  # numbers of a node's ellipsoids
+DIAGONALS = 20 * WIDE  # numbers of a node's diagonals
+CORNERS = 12  # the row of x + y + z among them
+OVAL = 9 * WIDE  # numbers of the ellipsoids
+
+# Numbers of a box while the tree is built: its lower corner, its upper one negated, and two zeros.
+BOX = 8
 
 BINS, FEW_BINS, MANY = 16, 8, 256  # the fewer for so many triangles or less
 DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
@@ -38,7 +52,7 @@ FULL = 80  # triangles below a node whose boxes are all leaves, or nearly
 FLATTEST = 1e-6
 WIDER = 1.0 + 1e-5
 
-# No semi-axis is longer than this many times the radius of a ball around the same corners.
+# No semi-axis is longer than this many times the radius of a ball around the same corners; else that is taken.
 MOST_WIDE = 2.0
 
 # Of Jacobi's rotations, which converge quadratically; and entries not worth one. The axes need not be exact.
@@ -51,18 +65,13 @@ _LEAST = 1e-37  # the same for numbers near zero
 @inline
 def leaf_of(child):
     """Which block a negative entry of `children` is."""
-    return ~child >> 3
+    return ~child >> LEAF_BITS
 
 
 @inline
 def size_of(child):
     """How many triangles it has."""
-    return (~child & 7) + 1
-
-
-@inline
-def _low(x):
-    return np.float32(x - abs(x) * 2.0**-23 - _LEAST)
+    return (~child & (LEAF - 1)) + 1
 
 
 @inline
@@ -89,23 +98,26 @@ def triangle_tree(vertices, triangles):
         WIDE for each node.
     blocks : ndarray
         BLOCK for each leaf.
+    diagonals : ndarray
+        DIAGONALS for each node, of single precision likewise.
     ellipsoids : ndarray
-        OVAL for each node, of single precision likewise.
+        OVAL, of single precision likewise.
     """
     count = triangles.shape[0]
-    box, order = np.empty((count, 6), np.float32), np.arange(count)
+    box, order = np.empty(BOX * count), np.arange(count)
     for t in range(count):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         for axis in range(3):
             x, y, z = vertices[a, axis], vertices[b, axis], vertices[c, axis]
-            box[t, axis] = _low(min(x, min(y, z)))
-            box[t, 3 + axis] = _high(max(x, max(y, z)))
-    scratch = np.empty((2 * 3 * BINS, 7), np.float32)
-    ranges = np.empty((WIDE, 4), np.int64)  # from, to, splits above, whether the node is done with it
-    hull = np.empty((WIDE, 6), np.float32)
+            box[BOX * t + axis] = min(x, min(y, z))
+            box[BOX * t + 3 + axis] = -max(x, max(y, z))
+        box[BOX * t + 6] = box[BOX * t + 7] = 0.0
+    bins = np.empty(2 * 3 * BINS * BOX), np.empty(3 * BINS, np.int64)
+    ranges = np.empty((WIDE, 3), np.int64)  # from, to, splits above
+    hull = np.empty(WIDE * BOX)
     room = 4 + count // 24
     boxes, children = np.zeros(room * ROWS), np.zeros(room * WIDE, np.int64)
-    ellipsoids = np.zeros(room * OVAL)
+    ellipsoids = np.zeros(OVAL)
     leaf_from = np.empty(4 + count // 4, np.int64)
     nodes, leaves = 1, 0
     waiting = np.empty((LEVELS * WIDE, 4), np.int64)  # from, to, splits above, where the child is to be written
@@ -122,36 +134,37 @@ def triangle_tree(vertices, triangles):
         if last - first <= LEAF:
             if leaves == len(leaf_from):
                 leaf_from = _longer(leaf_from)
-            children[slot] = ~(leaves << 3 | (last - first - 1))
+            children[slot] = ~(leaves << LEAF_BITS | (last - first - 1))
             leaf_from[leaves] = first
             leaves += 1
             continue
         if (nodes + 1) * WIDE > len(children):
-            boxes, children, ellipsoids = _longer(boxes), _longer(children), _longer(ellipsoids)
+            boxes, children = _longer(boxes), _longer(children)
         children[slot] = nodes
         enough = _enough(last - first)
-        ranges[0] = (first, last, splits, 0)
+        ranges[0] = (first, last, splits)
         _hull(box, first, last, hull, 0)
         used = 1
         while used < WIDE:
             widest = -1
-            area = np.float32(-1.0)
+            area = -1.0
             for k in range(used):
                 if ranges[k, 1] - ranges[k, 0] > enough and _area(hull, k) > area:
                     widest, area = k, _area(hull, k)
             if widest < 0:
                 break
             begin, end, above = ranges[widest, 0], ranges[widest, 1], ranges[widest, 2]
-            middle = _split(box, order, begin, end, above >= DEEP, scratch)
-            ranges[widest] = (begin, middle, above + 1, 0)
-            ranges[used] = (middle, end, above + 1, 0)
+            middle = _split(box, order, begin, end, above >= DEEP, bins)
+            ranges[widest] = (begin, middle, above + 1)
+            ranges[used] = (middle, end, above + 1)
             _hull(box, begin, middle, hull, widest)
             _hull(box, middle, end, hull, used)
             used += 1
         _clear(boxes, nodes)
         for k in range(used):
             _write(boxes, nodes * ROWS + k, hull, k)
-            _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], turns, ellipsoids, nodes * OVAL + k)
+            if nodes == 1:
+                _enclose(vertices, triangles, order, ranges[k, 0], ranges[k, 1], turns, ellipsoids, k)
             waiting[left] = (ranges[k, 0], ranges[k, 1], ranges[k, 2], nodes * WIDE + k)
             left += 1
         nodes += 1
@@ -167,7 +180,53 @@ def triangle_tree(vertices, triangles):
                 for axis in range(3):
                     at = leaf * BLOCK + (3 * corner + axis) * LEAF + lane
                     blocks[at] = vertices[triangles[t, corner], axis]
-    return boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy(), blocks, ellipsoids[: nodes * OVAL].copy()
+    boxes, children = boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy()
+    return boxes, children, blocks, _diagonals(boxes, children, blocks), ellipsoids
+
+
+@njit()
+def _diagonals(boxes, children, blocks):
+    """Diagonals of all boxes, from the last node to the first: children come after their parents."""
+    diagonals = np.empty(len(boxes) // ROWS * DIAGONALS)
+    for n in range(len(diagonals)):
+        diagonals[n] = 0.0
+    for slot in range(len(children) - 1, -1, -1):
+        if not boxes[(slot >> WIDE_BITS) * ROWS + 3 * WIDE + (slot & (WIDE - 1))] >= 0.0:
+            continue  # an empty box
+        at, child = (slot >> WIDE_BITS) * DIAGONALS + (slot & (WIDE - 1)), children[slot]
+        if child >= 0:
+            for row in range(0, DIAGONALS, WIDE):
+                most = -np.inf
+                for lane in range(WIDE):
+                    if boxes[child * ROWS + 3 * WIDE + lane] >= 0.0:
+                        most = max(most, diagonals[child * DIAGONALS + row + lane])
+                diagonals[at + row] = most
+            continue
+        leaf = leaf_of(child) * BLOCK
+        x = load(blocks, leaf), load(blocks, leaf + 3 * LEAF), load(blocks, leaf + 6 * LEAF)
+        y = load(blocks, leaf + LEAF), load(blocks, leaf + 4 * LEAF), load(blocks, leaf + 7 * LEAF)
+        z = load(blocks, leaf + 2 * LEAF), load(blocks, leaf + 5 * LEAF), load(blocks, leaf + 8 * LEAF)
+        back = negated(z)
+        sums, differences = plus(x, y), minus(x, y)
+        _write_diagonal(diagonals, at, 0, 3, sums)
+        _write_diagonal(diagonals, at, 1, 2, differences)
+        _write_diagonal(diagonals, at, 4, 7, plus(x, z))
+        _write_diagonal(diagonals, at, 5, 6, plus(x, back))
+        _write_diagonal(diagonals, at, 8, 11, plus(y, z))
+        _write_diagonal(diagonals, at, 9, 10, plus(y, back))
+        _write_diagonal(diagonals, at, 12, 19, plus(sums, z))
+        _write_diagonal(diagonals, at, 13, 18, plus(sums, back))
+        _write_diagonal(diagonals, at, 14, 17, plus(differences, z))
+        _write_diagonal(diagonals, at, 15, 16, plus(differences, back))
+    return diagonals
+
+
+@inline
+def _write_diagonal(diagonals, at, row, opposite, sums):
+    """Write how far three corners of eight triangles go along a diagonal, and against it."""
+    most = highest(maximum(maximum(sums[0], sums[1]), sums[2]))
+    least = lowest(minimum(minimum(sums[0], sums[1]), sums[2]))
+    diagonals[at + row * WIDE], diagonals[at + opposite * WIDE] = float(_high(most)), float(_high(-least))
 
 
 @njit()
@@ -205,7 +264,7 @@ def _clear(boxes, node):
 def _write(boxes, at, hull, k):
     """Write row k of `hull` as the box at an entry of `boxes`, rounded outward."""
     for axis in range(3):
-        low, high = float(hull[k, axis]), float(hull[k, 3 + axis])
+        low, high = hull[BOX * k + axis], -hull[BOX * k + 3 + axis]
         middle = float(np.float32(0.5 * low + 0.5 * high))
         boxes[at + axis * WIDE] = middle
         boxes[at + (3 + axis) * WIDE] = float(np.float32(max(high - middle, middle - low) * UP + _LEAST))
@@ -248,7 +307,7 @@ def _enclose(vertices, triangles, order, first, last, turns, ellipsoids, at):
     scale = np.sqrt(farthest) * WIDER
     a, b, c = a * scale, b * scale, c * scale
     if not max(a, max(b, c)) <= MOST_WIDE * radius:
-        # A few corners far from all others; bounds of rounding count on what is no larger than the triangles.
+        # A few corners far from all others.
         a = b = c = radius * WIDER
     ellipsoids[at], ellipsoids[at + WIDE], ellipsoids[at + 2 * WIDE] = x, y, z
     row = 3
@@ -293,112 +352,114 @@ def _principal(xx, xy, xz, yy, yz, zz, turns):
     )
 
 
-@njit()
+@inline
 def _hull(box, first, last, hull, k):
     """Write the box around boxes first .. last to row k."""
-    for axis in range(3):
-        low, high = np.float32(np.inf), np.float32(-np.inf)
-        for n in range(first, last):
-            low = min(low, box[n, axis])
-            high = max(high, box[n, 3 + axis])
-        hull[k, axis], hull[k, 3 + axis] = low, high
+    around = load(box, BOX * first)
+    for n in range(first + 1, last):
+        around = minimum(around, load(box, BOX * n))
+    store(hull, BOX * k, around)
 
 
 @inline
 def _area(hull, k):
-    x, y, z = hull[k, 3] - hull[k, 0], hull[k, 4] - hull[k, 1], hull[k, 5] - hull[k, 2]
+    """Half the surface area of a box."""
+    at = BOX * k
+    x, y, z = -hull[at + 3] - hull[at], -hull[at + 4] - hull[at + 1], -hull[at + 5] - hull[at + 2]
     return x * y + y * z + z * x
 
 
 @inline
 def _swap(box, order, i, j):
     order[i], order[j] = order[j], order[i]
-    for c in range(6):
-        box[i, c], box[j, c] = box[j, c], box[i, c]
+    one, other = load(box, BOX * i), load(box, BOX * j)
+    store(box, BOX * i, other)
+    store(box, BOX * j, one)
+
+
+@inline
+def _middle(box, n, axis):
+    """Twice a coordinate of the middle of a box."""
+    return box[BOX * n + axis] - box[BOX * n + 3 + axis]
 
 
 @njit()
-def _split(box, order, first, last, halve, scratch):
+def _split(box, order, first, last, halve, bins):
     """Part boxes first .. last in two, at the least cost by the surface area heuristic; where the second part begins.
 
     With `halve` both parts are equally large.
     """
-    low, wide = np.empty(3, np.float32), np.empty(3, np.float32)
+    low, high = np.empty(3), np.empty(3)
     for axis in range(3):
-        least, most = np.float32(np.inf), np.float32(-np.inf)
-        for n in range(first, last):
-            middle = box[n, axis] + box[n, 3 + axis]
-            least, most = min(least, middle), max(most, middle)
-        low[axis], wide[axis] = least, most - least
+        low[axis] = high[axis] = _middle(box, first, axis)
+    for n in range(first + 1, last):
+        for axis in range(3):
+            middle = _middle(box, n, axis)
+            low[axis], high[axis] = min(low[axis], middle), max(high[axis], middle)
     longest = 0
     for axis in range(1, 3):
-        if wide[axis] > wide[longest]:
+        if high[axis] - low[axis] > high[longest] - low[longest]:
             longest = axis
-    if not wide[longest] > np.float32(0.0):
+    if not high[longest] > low[longest]:
         return (first + last) // 2
     if halve or last - first <= 2 * LEAF:
         return _split_by_rank(box, order, first, last, longest, halve)
-    bins, used = scratch[: 3 * BINS], BINS if last - first > MANY else FEW_BINS
-    for row in range(3 * BINS):
-        for axis in range(3):
-            bins[row, axis], bins[row, 3 + axis] = np.float32(np.inf), np.float32(-np.inf)
-        bins[row, 6] = np.float32(0.0)
+    used = BINS if last - first > MANY else FEW_BINS
+    scale = np.empty(3)
     for axis in range(3):
-        if not wide[axis] > np.float32(0.0):
-            continue
-        scale = np.float32(used) / wide[axis]
-        for n in range(first, last):
-            row = axis * BINS + _bin(box, n, axis, low[axis], scale, used)
-            for c in range(3):
-                bins[row, c] = min(bins[row, c], box[n, c])
-                bins[row, 3 + c] = max(bins[row, 3 + c], box[n, 3 + c])
-            bins[row, 6] += np.float32(1.0)
-    best_cost = np.float32(np.inf)
-    best_axis, best_bin = longest, used // 2
-    sums = scratch[3 * BINS :]
-    for axis in range(3):
-        if not wide[axis] > np.float32(0.0):
-            continue
-        for k in range(used - 1, 0, -1):  # what lies in bins k and above
-            for c in range(7):
-                sums[k, c] = bins[axis * BINS + k, c]
-            if k < used - 1:
-                for c in range(3):
-                    sums[k, c] = min(sums[k, c], sums[k + 1, c])
-                    sums[k, 3 + c] = max(sums[k, 3 + c], sums[k + 1, 3 + c])
-                sums[k, 6] += sums[k + 1, 6]
-        for k in range(1, used):
-            for c in range(7):
-                value = bins[axis * BINS + k - 1, c]
-                if k == 1:
-                    sums[0, c] = value
-                elif c < 3:
-                    sums[0, c] = min(sums[0, c], value)
-                elif c < 6:
-                    sums[0, c] = max(sums[0, c], value)
-                else:
-                    sums[0, c] += value
-            if sums[0, 6] == np.float32(0.0) or sums[k, 6] == np.float32(0.0):
-                continue
-            cost = _area(sums, 0) * sums[0, 6] + _area(sums, k) * sums[k, 6]
-            if cost < best_cost:
-                best_cost, best_axis, best_bin = cost, axis, k
-    scale = np.float32(used) / wide[best_axis]
-    i, j = first, last
-    while i < j:
-        if _bin(box, i, best_axis, low[best_axis], scale, used) < best_bin:
-            i += 1
-        else:
-            j -= 1
-            _swap(box, order, i, j)
-    if i in (first, last):  # costs that overflow
+        scale[axis] = used / (high[axis] - low[axis]) if high[axis] > low[axis] else 0.0
+    axis, best = _best_split(box, first, last, low, scale, used, bins)
+    if axis < 0:  # all in one bin, or what overflows
         return _split_by_rank(box, order, first, last, longest, True)
-    return i
+    i, j = first, last
+    while True:
+        while i < j and _bin(box, i, axis, low, scale, used) < best:
+            i += 1
+        while i < j and _bin(box, j - 1, axis, low, scale, used) >= best:
+            j -= 1
+        if i >= j:
+            return i
+        _swap(box, order, i, j - 1)
+
+
+@njit()
+def _best_split(box, first, last, low, scale, used, bins):
+    """Axis and bin at which to part boxes at least cost; -1 if there is none."""
+    boxes, held = bins
+    nothing = broadcast(np.inf)
+    for axis in range(3):
+        for row in range(axis * BINS, axis * BINS + used):
+            store(boxes, BOX * row, nothing)
+            held[row] = 0
+    for n in range(first, last):
+        own = load(box, BOX * n)
+        for axis in range(3):
+            row = axis * BINS + _bin(box, n, axis, low, scale, used)
+            store(boxes, BOX * row, minimum(own, load(boxes, BOX * row)))
+            held[row] += 1
+    best_axis, best_bin, least = -1, 0, np.inf
+    above = 3 * BINS  # rows from here: what lies in bins k and above
+    for axis in range(3):
+        around = nothing
+        for k in range(used - 1, 0, -1):
+            around = minimum(around, load(boxes, BOX * (axis * BINS + k)))
+            store(boxes, BOX * (above + k), around)
+        around, below = nothing, 0
+        for k in range(1, used):
+            row = axis * BINS + k - 1
+            around, below = minimum(around, load(boxes, BOX * row)), below + held[row]
+            store(boxes, BOX * above, around)
+            if below == 0 or below == last - first:
+                continue
+            cost = _area(boxes, above) * below + _area(boxes, above + k) * (last - first - below)
+            if cost < least:
+                best_axis, best_bin, least = axis, k, cost
+    return best_axis, best_bin
 
 
 @inline
 def _bin(box, n, axis, low, scale, used):
-    return min(used - 1, int((box[n, axis] + box[n, 3 + axis] - low) * scale))
+    return min(used - 1, int((_middle(box, n, axis) - low[axis]) * scale[axis]))
 
 
 @njit()
@@ -417,17 +478,12 @@ def _split_by_rank(box, order, first, last, axis, halve):
         gap //= 3
     if halve:
         return (first + last) // 2
-    hull = np.empty((2, 6), np.float32)
-    best, best_cost = (first + last) // 2, np.float32(np.inf)
+    hull = np.empty(2 * BOX)
+    best, least = (first + last) // 2, np.inf
     for middle in range(max(first + 1, last - LEAF), min(last - 1, first + LEAF) + 1):
         _hull(box, first, middle, hull, 0)
         _hull(box, middle, last, hull, 1)
-        cost = _area(hull, 0) * np.float32(middle - first) + _area(hull, 1) * np.float32(last - middle)
-        if cost < best_cost:
-            best, best_cost = middle, cost
+        cost = _area(hull, 0) * (middle - first) + _area(hull, 1) * (last - middle)
+        if cost < least:
+            best, least = middle, cost
     return best
-
-
-@inline
-def _middle(box, n, axis):
-    return box[n, axis] + box[n, 3 + axis]
