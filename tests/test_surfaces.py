@@ -202,6 +202,17 @@ def test_boxes_and_diagonals_hold_their_triangles(count: int):
     assert sorted(seen) == sorted(map(tuple, np.sort(vertices[triangles].reshape(count, 9))))
 
 
+@pytest.mark.parametrize("height", [0.0, 5e-324, 1e-309, 1e-300])
+def test_meshes_that_are_flat_but_for_nothing(height: float):
+    """Heights whose reciprocals overflow put no triangle out of place."""
+    rng = np.random.default_rng(7)
+    vertices = rng.uniform(-1, 1, size=(1500, 3))
+    vertices[:, 2] = rng.choice([0.0, height], size=1500)
+    for count in (40, 1000, 3000):
+        flat = Body.from_surface((vertices, rng.integers(0, 1500, size=(count, 3))))
+        assert distance(flat, None, flat, translation(z=1.0), exact=True).distance == pytest.approx(1.0)
+
+
 def test_a_box_within_a_box():
     """A box within a closed surface collides if that is solid, and not if only its skin is taken; by default it is."""
     small = box(0.2)

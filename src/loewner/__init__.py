@@ -22,7 +22,15 @@ from loewner.errors import (
 from loewner.fits import Fit, mvce, mvie
 from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.robots import CertifiedMotions, CollisionChecker, Robot, Settled, StateDistance, pairs_by_sampling
+from loewner.robots import (
+    CertifiedMotions,
+    CollisionChecker,
+    PairDistances,
+    Robot,
+    Settled,
+    StateDistance,
+    pairs_by_sampling,
+)
 from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, save_scene
 from loewner.scenes import Attachment, Contact, Scene
 
@@ -48,6 +56,7 @@ __all__ = [
     "MemoryLimitError",
     "MissingExtraError",
     "NearPoints",
+    "PairDistances",
     "Piece",
     "PlanningError",
     "Polytope",

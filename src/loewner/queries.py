@@ -118,6 +118,29 @@ class Distance(Generic[Number, Exact, Vector]):
     witness_b: Vector = NOTHING
     normal: Vector = NOTHING
 
+    @property
+    def wrench(self) -> Vector:
+        """Derivative of the distance by the motion of b, shape (..., 6), or None without ``exact=True``.
+
+        A unit force along the normal at the witness and its moment about the world's origin [m]. As b moves by a
+        twist, the velocity of its point at the world's origin and an angular velocity, the distance changes by the
+        product of the two; as a moves, by minus that. Where the witnesses are not the only ones (parallel faces or
+        edges) the distance has a kink, and this is the derivative of one of them.
+
+        Examples
+        --------
+        >>> from loewner import Body, distance
+        >>> T = np.eye(4)
+        >>> T[:3, 3] = 3.0, 0.0, 1.0
+        >>> found = distance(Body.box([1, 1, 4]), None, Body.sphere(0.5), T, exact=True)
+        >>> found.wrench.round(9) + 0.0
+        array([1., 0., 0., 0., 1., 0.])
+        """
+        normal: Any = self.normal
+        witness: Any = self.witness_b
+        found: Any = None if normal is None else np.concatenate([normal, np.cross(witness, normal)], axis=-1)
+        return found  # type: ignore[no-any-return]
+
     def __repr__(self) -> str:
         return _validate.brief(self)
 

@@ -740,6 +740,10 @@ CALLS: dict[str, Call] = {
         },
     ),
     "Robot.forward_kinematics": Call(on(robot, "forward_kinematics"), {"Q": CONFIGURATIONS}),
+    "Robot.jacobian": Call(
+        on(robot, "jacobian"),
+        {"Q": CONFIGURATIONS, "link": arg("rod"), "point": array(np.ones(3), NONE, FINITE)},
+    ),
     "Robot.checked": Call(
         on(robot, "checked"), {"Q": CONFIGURATIONS, "name": arg("Q", LABEL, skips=frozenset({"object that fails"}))}
     ),
@@ -794,7 +798,13 @@ CALLS: dict[str, Call] = {
     ),
     "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
-    "CollisionChecker.distance": Call(on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag()}),
+    "CollisionChecker.distance": Call(
+        on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag(), "gradient": flag()}
+    ),
+    "CollisionChecker.distance_by_pair": Call(
+        on(checker, "distance_by_pair"),
+        {"Q": CONFIGURATIONS, "within": margin(0.5), "gradient": flag()},
+    ),
     "pairs_by_sampling": Call(
         loewner.pairs_by_sampling,
         {
@@ -1145,8 +1155,8 @@ LINES: dict[str, Call] = {
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
-    "CertifiedMotions", "Settled", "StateDistance", "paper.Answers", "paper.Confusion", "paper.DataSet",
-    "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
+    "CertifiedMotions", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "paper.DataSet", "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}

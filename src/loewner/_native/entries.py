@@ -37,6 +37,9 @@ ENTRIES = {
             "i",
         ),
         Entry("robots.shortening", "shorten_path", "i i f f i i i i F2 I1 F2 F2 F1 B1 I1", "i"),
+        Entry("robots.nearest", "memory_of_nearest", "i i i", "i"),
+        Entry("robots.nearest", "nearest_pairs", "b i i F2 i i i F1 F1 F1 F2 F2 F2 I2 B1", ""),
+        Entry("robots.nearest", "near_pairs", "f i i F2 i i i I2 i", "i"),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),

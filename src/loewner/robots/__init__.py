@@ -4,9 +4,17 @@
 motions (prepared by `checked_pairs`, ordered by `edges`), `sampling` finds pairs that need no check.
 """
 
-from loewner.robots.checker import CollisionChecker, Settled, StateDistance
+from loewner.robots.checker import CollisionChecker, PairDistances, Settled, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
 from loewner.robots.sampling import pairs_by_sampling
 
-__all__ = ["CertifiedMotions", "CollisionChecker", "Robot", "Settled", "StateDistance", "pairs_by_sampling"]
+__all__ = [
+    "CertifiedMotions",
+    "CollisionChecker",
+    "PairDistances",
+    "Robot",
+    "Settled",
+    "StateDistance",
+    "pairs_by_sampling",
+]

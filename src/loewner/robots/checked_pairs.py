@@ -149,6 +149,11 @@ class CheckedPairs:
         return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
 
     @cached_property
+    def memory_of_nearest(self) -> int:
+        """Bytes that distances write to."""
+        return int(entries.memory_of_nearest(self.bodies._packed.handle, self.handle, self.robot.dof))
+
+    @cached_property
     def motions(self) -> PreparedMotions:
         """What certifying motions takes besides; made when it is first needed."""
         packed = self.bodies._packed

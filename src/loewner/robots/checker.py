@@ -22,7 +22,6 @@ from loewner._settle import settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
 from loewner._workspaces import workspace
-from loewner.bodies import Bodies
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import NOTHING, VERDICTS, Exact, Vector, Verdict
 from loewner.robots import edges, motions
@@ -43,8 +42,8 @@ BY_PAIR = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Piece pairs of bounds that `distance` works on at a time: 30 MB.
-AT_ONCE = 50_000
+# Configurations that gradients are computed for at a time: of a hundred joints, their twists take 5 MB.
+AT_ONCE = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +60,8 @@ class StateDistance(Generic[Exact, Vector]):
         That pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
         Where it is nearest; see `Distance`.
+    gradient : ndarray, shape (..., dof), or None
+        With ``gradient=True``: the derivative of the distance by the configuration.
 
     Examples
     --------
@@ -79,6 +80,50 @@ class StateDistance(Generic[Exact, Vector]):
     witness_a: Vector = NOTHING
     witness_b: Vector = NOTHING
     normal: Vector = NOTHING
+    gradient: Vector = NOTHING
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+@dataclass(frozen=True, eq=False)
+class PairDistances:
+    """Pairs of bodies that are near each other, one entry each.
+
+    Attributes
+    ----------
+    configuration : ndarray of int64, shape (M,)
+        Which one, counted over all that were asked about.
+    pair : ndarray of int64, shape (M,)
+        Its number in `CollisionChecker.checked_pairs`.
+    names : ndarray of str, shape (M, 2)
+    distance : ndarray, shape (M,)
+        Metres; negative is a depth, see `Distance`.
+    witness_a, witness_b, normal : ndarray, shape (M, 3)
+    gradient : ndarray, shape (M, dof), or None
+        With ``gradient=True``: the derivative of the distance by the configuration.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> near = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance_by_pair([0.5, 0.0], within=0.4)
+    >>> len(near), near.names, near.distance.round(6)
+    (1, array([['rail', 'post']], dtype='<U7'), array([0.35]))
+    """
+
+    configuration: Ints
+    pair: Ints
+    names: NDArray[np.str_]
+    distance: Floats
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+    gradient: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.distance)
 
     def __repr__(self) -> str:
         return _validate.brief(self)
@@ -205,7 +250,6 @@ class CollisionChecker:
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
         self._prepared: CheckedPairs | None = None
-        self._sides: tuple[Bodies, Bodies, Bodies] | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
@@ -490,12 +534,16 @@ class CollisionChecker:
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
-    def distance(self, Q: ArrayLike, *, exact: Literal[False] = ...) -> StateDistance[None, None]: ...
+    def distance(
+        self, Q: ArrayLike, *, exact: Literal[False] = ..., gradient: Literal[False] = ...
+    ) -> StateDistance[None, None]: ...
     @overload
-    def distance(self, Q: ArrayLike, *, exact: Literal[True]) -> StateDistance[OneOrMany, Floats]: ...
+    def distance(
+        self, Q: ArrayLike, *, exact: Literal[True], gradient: bool = ...
+    ) -> StateDistance[OneOrMany, Floats]: ...
     @overload
-    def distance(self, Q: ArrayLike, *, exact: bool) -> StateDistance: ...
-    def distance(self, Q: ArrayLike, *, exact: bool = False) -> StateDistance:
+    def distance(self, Q: ArrayLike, *, exact: bool, gradient: bool = ...) -> StateDistance: ...
+    def distance(self, Q: ArrayLike, *, exact: bool = False, gradient: bool = False) -> StateDistance:
         """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
 
         Parameters
@@ -503,6 +551,8 @@ class CollisionChecker:
         Q : array_like, shape (..., dof)
         exact : bool
             Also compute the distance or depth, the pair, witnesses and normal.
+        gradient : bool
+            Also compute the derivative of the exact distance by the configuration, in metres for each radian or metre.
 
         Returns
         -------
@@ -512,9 +562,25 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            As for `collide`; also if there is no pair to check.
+            As for `collide`; also if there is no pair to check, or a gradient is asked for without the exact distance.
         ConvergenceError
             As for `loewner.distance`.
+
+        Notes
+        -----
+        The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians of the witnesses as
+        points of their links. Where the nearest pair, or its witnesses, are not the only ones the distance has a kink
+        (two pairs tie; faces or edges are parallel): what is returned is the derivative of one of them. The derivative
+        by a quaternion is that of the rotation it stands for, so that its component along the quaternion is 0.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> checker.distance([2.0, 3.0], exact=True, gradient=True).gradient.round(9) + 0.0
+        array([-1.,  0.])
         """
         checked = self.robot.checked(Q)
         ready = self._ready()
@@ -522,18 +588,81 @@ class CollisionChecker:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
         flat = _flat(checked)
         longest = max(map(len, ready.names))
-        exact = _validate.flag(exact, "exact")
-        row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest)  # numbers, vectors, and names of four bytes a letter
+        exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
+        if gradient and not exact:
+            raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
+        row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest) + gradient * 8 * self.robot.dof
         _validate.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
-        each = max(1, min(AT_ONCE // len(ready.pairs), POSES_AT_ONCE // len(ready.names)))
-        parts = [self._distances(ready, flat[k : k + each], exact) for k in range(0, len(flat), each)]
-        columns = [np.concatenate(c) for c in zip(*parts, strict=True)] if parts else _no_distances(exact)
+        columns = self._nearest(ready, flat, exact)
+        if gradient:
+            columns.append(self._gradients(ready, flat, *(columns[k] for k in (3, 4, 6))))
+        if exact:
+            columns[3] = np.array(ready.names)[columns[3]]
         batch = checked.shape[:-1]
         if batch:
             return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
         return StateDistance(
             *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
         )
+
+    def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
+        """Exact distances of all pairs that come within a distance of each other.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+        within : float
+            Metres, >= 0; pairs in contact are always listed. Margins are not looked at.
+        gradient : bool
+            Also compute the derivatives of the distances by the configuration.
+
+        Returns
+        -------
+        PairDistances
+            An entry for each pair at each configuration where it is that near, in the order of the configurations.
+
+        Raises
+        ------
+        InputError
+            As for `collide`, or if `within` is not a number >= 0.
+        ConvergenceError
+            As for `loewner.distance`.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 3.0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> found = checker.distance_by_pair([[2.0, 3.0], [0.0, 3.0]], within=0.75)
+        >>> for k, names, d in zip(found.configuration, found.names, found.distance):
+        ...     print(k, *names, d.round(6))
+        0 rail forearm 0.481002
+        0 cart post 0.7
+        1 rail forearm 0.481015
+        """
+        checked = self.robot.checked(Q)
+        within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
+        ready, flat = self._ready(), _flat(checked)
+        listed = self._near(ready, flat, within)
+        _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
+        distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
+        for p in np.unique(listed[:, 1]):
+            at = np.flatnonzero(listed[:, 1] == p)
+            a, b = (int(body) for body in ready.pairs[p])
+            for k in range(0, len(at), BY_PAIR):
+                rows = at[k : k + BY_PAIR]
+                T = ready.poses(flat[listed[rows, 0]])
+                found = queries.distance(ready.bodies[a], T[:, a], ready.bodies[b], T[:, b], exact=True)
+                distance[rows] = found.distance
+                for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
+                    column[rows] = values
+        near = distance <= within
+        listed, distance, vectors = listed[near], distance[near], [column[near] for column in vectors]
+        bodies = ready.pairs[listed[:, 1]]
+        gradients = self._gradients(ready, flat[listed[:, 0]], bodies, vectors[0], vectors[2]) if gradient else None
+        names = np.array(ready.names)[bodies]
+        return PairDistances(listed[:, 0], listed[:, 1], names, distance, vectors[0], vectors[1], vectors[2], gradients)
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -673,35 +802,64 @@ class CollisionChecker:
         self._prepared = ready
         return ready
 
-    def _distances(self, ready: CheckedPairs, Q: Floats, exact: bool) -> tuple[Any, ...]:
-        """Columns of a `StateDistance` for some configurations."""
-        T = ready.poses(Q)
-        a, b = ready.pairs[:, 0], ready.pairs[:, 1]
-        sides = self._sides
-        if sides is None or sides[0] is not ready.bodies:
-            # Kept, for packing the bodies of all pairs takes longer than asking about them once.
-            self._sides = sides = ready.bodies, ready.bodies[a], ready.bodies[b]
-        bounds = queries.distance(sides[1], T[:, a], sides[2], T[:, b])
-        lower, upper = bounds.lower.min(axis=1), bounds.upper.min(axis=1)
+    def _nearest(self, ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
+        """Columns of a `StateDistance` for some configurations, with numbers of bodies instead of names."""
+        n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
+        lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
+        vectors = [np.empty((m, 3)) for _ in range(3)]
+        pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
+
+        def run(first: int, last: int) -> None:
+            entries.nearest_pairs(
+                exact, first, last, Q, pack.handle, ready.handle, workspace(ready.memory_of_nearest),
+                lower, upper, distance, *vectors, pieces, status,
+            )  # fmt: skip
+
+        in_shares(run, n, LEAST_SHARE)
         if not exact:
-            return lower, upper
-        best = np.full(len(Q), np.inf)
-        nearest = np.zeros(len(Q), dtype=np.int64)
-        vectors = np.zeros((3, len(Q), 3))
-        for p in range(len(a)):
-            at = np.flatnonzero(bounds.lower[:, p] <= np.minimum(upper, best))
-            if len(at) == 0:
-                continue
-            found = queries.distance(
-                ready.bodies[int(a[p])], T[at, a[p]], ready.bodies[int(b[p])], T[at, b[p]], exact=True
-            )
-            better = found.distance < best[at]
-            rows = at[better]
-            best[rows], nearest[rows] = found.distance[better], p
-            for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
-                column[rows] = values[better]
-        names = np.array(ready.names)[ready.pairs[nearest]]
-        return lower, upper, best, names, *vectors
+            return [lower, upper]
+        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+        np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
+        bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1
+        for k in np.flatnonzero(status):
+            distance[k], bodies[k], *found = _nearest_with_care(ready, Q[k])
+            for column, vector in zip(vectors, found, strict=True):
+                column[k] = vector
+        return [lower, upper, distance, bodies, *vectors]
+
+    def _near(self, ready: CheckedPairs, Q: Floats, within: float) -> Ints:
+        """Configurations and pairs that balls and boxes leave within a distance, in that order."""
+        listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
+        memory = workspace(ready.memory_of_nearest)
+        while True:
+            operands = within, 0, len(Q), Q, ready.bodies._packed.handle, ready.handle, memory
+            count = entries.near_pairs(*operands, listed, 0)
+            if count <= len(listed):
+                found = listed[:count]
+                return found[np.lexsort((found[:, 1], found[:, 0]))]
+            _validate.fits_memory(16 * count, f"{count} pairs")
+            listed = np.empty((count, 2), dtype=np.int64)
+
+    def _gradients(self, ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
+        """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
+        links = np.append(ready.link, np.full(len(ready.names) - len(ready.link), -1))[bodies]
+        gradients, joints = np.empty((len(Q), self.robot.dof)), self.robot._joints
+        for k in range(0, len(Q), AT_ONCE):
+            part = slice(k, k + AT_ONCE)
+            wrench = np.concatenate([normal[part], np.cross(witness[part], normal[part])], axis=1)
+            power = (joints.twists(Q[part], self.robot.forward_kinematics(Q[part])) @ wrench[:, :, None])[:, :, 0]
+            sign = joints.moves[links[part, 1]].astype(float) - joints.moves[links[part, 0]]
+            gradients[part] = (sign * power) @ joints.sums
+        return gradients
+
+
+def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
+    """The nearest pair at a configuration where the fast searches did not find it, by the distances of all pairs."""
+    T = ready.poses(q[None])[0]
+    a, b = ready.pairs.T
+    found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
+    p = int(np.argmin(found.distance))
+    return found.distance[p], ready.pairs[p], found.witness_a[p], found.witness_b[p], found.normal[p]
 
 
 def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
@@ -771,10 +929,3 @@ def _motions(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int
 def _flat(Q: Floats) -> Floats:
     """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])
-
-
-def _no_distances(exact: bool) -> list[Any]:
-    empty = np.empty(0)
-    return (
-        [empty, empty, empty, np.empty((0, 2), "U1"), *(np.empty((0, 3)) for _ in range(3))] if exact else [empty] * 2
-    )

@@ -104,6 +104,8 @@ class Exact(NamedTuple):
         Unit vector from a to b.
     status : ndarray of int8, shape (n,)
         SETTLED_DISTANCE or NOT_SETTLED.
+    pieces : ndarray of int64, shape (n, 2), or empty
+        Rows of the two pieces that attain it, where that is asked.
     """
 
     distance: Any
@@ -111,6 +113,7 @@ class Exact(NamedTuple):
     witness_b: Any
     normal: Any
     status: Any
+    pieces: Any
 
 
 class Searches(NamedTuple):
@@ -203,7 +206,7 @@ def _is_curved(P):
 
 
 @njit()
-def _measure_near(count, queue, operands, S, searches, exact):
+def measure_near(count, queue, operands, S, searches, exact):
     """Exact distances by the fast searches; the lanes that they leave go to the front of the queue's last two rows."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
@@ -255,7 +258,7 @@ def _measure_near(count, queue, operands, S, searches, exact):
 
 
 @njit()
-def _measure_late(late, queue, operands, S, exact):
+def measure_late(late, queue, operands, S, exact):
     """Exact distances of the lanes that the fast search left; only they need the large work space."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
     faces, edges = depth_workspace()
@@ -299,6 +302,8 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact):
             exact.normal[k, c] = result[c]
             exact.witness_a[k, c] = result[3 + c] + ra * result[c] + Ta[ka, c, 3]
             exact.witness_b[k, c] = result[6 + c] - rb * result[c] + Ta[ka, c, 3]
+        if len(exact.pieces) > 0:
+            exact.pieces[k, 0], exact.pieces[k, 1] = queue[PIECE_A, lane], queue[PIECE_B, lane]
 
 
 @njit()
@@ -344,7 +349,7 @@ def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, ex
         upper[k] = min(upper[k], above)
         estimate[k] = min(estimate[k], max(below, min(above, estimated_distance(S, lane))))
     if wanted:
-        late = _measure_near(count, queue, operands, S, searches, exact)
+        late = measure_near(count, queue, operands, S, searches, exact)
         if late > 0:
             left = _room(kept, left)
             kept = _leave(late, queue, S, kept, left)
@@ -371,6 +376,20 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
     return kept, left
 
 
+@inline
+def queue_at(memory):
+    """The queue of piece pairs in the memory of a query."""
+    return integers_at(memory + _QUEUE, (QUEUE, LANES))
+
+
+@inline
+def searches_at(memory):
+    """What the fast searches write to, in the memory of a query."""
+    faces, edges = depth_workspace_at(memory + _DEPTH)
+    vertices, result = floats_at(memory + _VERTICES, (ENTRIES,)), floats_at(memory + _RESULT, (9,))
+    return Searches(vertices, faces, edges, result, memory + _SURFACES)
+
+
 @njit()
 def memory_of_distances():
     """Tell Python how many bytes the memory of `distance_range` has to have."""
@@ -390,16 +409,13 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
     pieces, values : ndarray
         Those of a `Left`, for `measure_left`: the pairs in it are not finished without.
     """
-    bounds, exact = Bounds(lower, upper, estimate), Exact(distance, witness_a, witness_b, normal, status)
+    bounds = Bounds(lower, upper, estimate)
+    exact = Exact(distance, witness_a, witness_b, normal, status, integers_at(memory, (0, 2)))
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S = floats_at(memory, (ROWS * LANES,))
-    queue = integers_at(memory + _QUEUE, (QUEUE, LANES))
-    faces, edges = depth_workspace_at(memory + _DEPTH)
-    searches = Searches(
-        floats_at(memory + _VERTICES, (ENTRIES,)), faces, edges, floats_at(memory + _RESULT, (9,)), memory + _SURFACES
-    )
+    queue, searches = queue_at(memory), searches_at(memory)
     # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = np.int64(0), np.int64(0)
@@ -435,7 +451,8 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
 @njit()
 def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, distance, witness_a, witness_b, normal, status):
     """Exact distances of the piece pairs in a `Left`; compiled only when there is one."""
-    operands, exact = Operands(pack_a, Ta, pack_b, Tb), Exact(distance, witness_a, witness_b, normal, status)
+    operands = Operands(pack_a, Ta, pack_b, Tb)
+    exact = Exact(distance, witness_a, witness_b, normal, status, np.empty((0, 2), np.int64))
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
     for first in range(0, len(pieces), LANES):
@@ -447,4 +464,4 @@ def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, distance, witness_a, wi
             for row in range(KEPT):
                 S[(SHIFT + row) * LANES + lane] = values[first + lane, row]
                 S[(BELOW + row) * LANES + lane] = values[first + lane, KEPT + row]
-        _measure_late(count, queue, operands, S, exact)
+        measure_late(count, queue, operands, S, exact)

@@ -44,9 +44,9 @@ from loewner._kernels.pieces.pack import pieces_of, placed, problem_of, shift_be
 from loewner._kernels.pieces.shapes import reach
 from loewner._kernels.robots.placement import (
     MOST,
-    Counts,
     bounds_at,
     bounds_standing,
+    counts_of,
     near,
     place_body,
     place_joints,
@@ -525,20 +525,10 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
     return count, held
 
 
-@inline
-def _counts(pieces, problem, dof):
-    """How much there is of everything."""
-    moving = problem.link.size
-    return Counts(
-        problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing),
-        len(problem.standing_rows),
-    )  # fmt: skip
-
-
 @njit()
 def memory_size(pack, problem_handle, dof):
     """Bytes that the two entries below write to."""
-    return size(_counts(pieces_of(pack), problem_of(problem_handle), dof))
+    return size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 @njit()
@@ -565,7 +555,7 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
         Address of `memory_size` bytes to write to; one thread uses them at a time.
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    counts = _counts(pieces, problem, Q.shape[1])
+    counts = counts_of(pieces, problem, Q.shape[1])
     query = Query(mode, np.int64(0), pack, problem_handle, counts, hits, memory)
     verdicts, tiers = _verdicts_of(memory), _tiers_of(memory)
     S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
@@ -601,7 +591,7 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     dof, total = len(start), len(fractions)
-    counts = _counts(pieces, problem, dof)
+    counts = counts_of(pieces, problem, dof)
     query = Query(np.int64(EXACT), np.int64(1), pack, problem_handle, counts, hits, memory)
     verdicts, way = _verdicts_of(memory), _way_of(memory, counts)
     stand(problem, _placement_at(memory, counts), counts)

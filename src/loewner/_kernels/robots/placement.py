@@ -81,6 +81,16 @@ class Counts(NamedTuple):
 
 
 @inline
+def counts_of(pieces, problem, dof):
+    """How much there is of everything."""
+    moving = problem.link.size
+    return Counts(
+        problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing),
+        len(problem.standing_rows),
+    )  # fmt: skip
+
+
+@inline
 def placement_size(counts):
     """Bytes of a placement."""
     poses = counts.moving * MOST + counts.standing

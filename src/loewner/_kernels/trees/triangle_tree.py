@@ -407,7 +407,9 @@ def _split(box, order, first, last, halve, bins):
     used = BINS if last - first > MANY else FEW_BINS
     scale = np.empty(3)
     for axis in range(3):
-        scale[axis] = used / (high[axis] - low[axis]) if high[axis] > low[axis] else 0.0
+        scale[axis] = used / (high[axis] - low[axis])
+        if not scale[axis] < np.inf:
+            scale[axis] = 0.0  # all in one bin, where there is no width, or one that overflows the quotient
     axis, best = _best_split(box, first, last, low, scale, used, bins)
     if axis < 0:  # all in one bin, or what overflows
         return _split_by_rank(box, order, first, last, longest, True)

@@ -1,0 +1,304 @@
+"""How far a robot is from touching: bounds, and the exact distance of the nearest pair, at many configurations.
+
+Configurations are taken sixteen at a time. Balls and boxes bound the distance of every pair of bodies from below, and
+the ellipsoids of the pair that looks nearest bound the least distance from above. Only pairs that may be nearer are
+looked at: by their ellipsoids first, and then, where exact distances are wanted, by the searches.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import BOUNDS
+from loewner._kernels.linalg3 import dot, minus
+from loewner._kernels.pieces.pack import pieces_of, problem_of
+from loewner._kernels.pipeline import distances
+from loewner._kernels.pipeline.bounds import (
+    ABOVE,
+    BELOW,
+    LANES,
+    PAIR,
+    ROWS,
+    Operands,
+    enqueue,
+    next_pieces,
+    write_bounds,
+)
+from loewner._kernels.pipeline.distances import (
+    NOT_SETTLED,
+    SETTLED,
+    SETTLED_DISTANCE,
+    Exact,
+    measure_late,
+    measure_near,
+    queue_at,
+    searches_at,
+)
+from loewner._kernels.robots.placement import (
+    MOST,
+    bounds_at,
+    bounds_standing,
+    counts_of,
+    place_body,
+    place_joints,
+    placement_at,
+    placement_size,
+    stand,
+)
+from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.vectors import LANES as EIGHT
+from loewner._kernels.simd.vectors import (
+    SINGLE_LANES,
+    absolute,
+    broadcast,
+    load_rounded,
+    lowest_bit,
+    maximum,
+    movemask,
+    select,
+    sqrt,
+    store,
+)
+from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UP
+from loewner._kernels.trees import piece_tree
+
+S = SINGLE_LANES  # configurations of a block
+
+# What a lower bound in single precision loses to its roundings.
+DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF
+
+# The memory of a query: that of distances, then what is found in a block, walks through trees, bounds of the pairs.
+_FOUND = whole_lines(distances.MEMORY)
+_STATUS = _FOUND + 8 * S * (4 + 9 + 2)
+_STEPS = _STATUS + whole_lines(S)
+_NUMBERS = _STEPS + whole_lines(8 * piece_tree.STEPS)
+_LEAST = _NUMBERS + whole_lines(8 * piece_tree.NUMBERS)
+
+
+@njit()
+def memory_of_nearest(pack, problem_handle, dof):
+    """Bytes that `nearest_pairs` writes to."""
+    problem = problem_of(problem_handle)
+    return _LEAST + lines(8 * S * len(problem.pairs)) + placement_size(counts_of(pieces_of(pack), problem, dof))
+
+
+@inline
+def _least_distances(a, b):
+    """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes."""
+    r, up, down, nought = minus(b.center, a.center), np.float32(UP), np.float32(DOWN), np.float32(0.0)
+    balls = sqrt(dot(r, r)) * down - (a.radius + b.radius) * up
+    x = absolute(r[0]) * down - (a.half[0] + b.half[0]) * up
+    y = absolute(r[1]) * down - (a.half[1] + b.half[1]) * up
+    z = absolute(r[2]) * down - (a.half[2] + b.half[2]) * up
+    u, v, w = maximum(x, nought), maximum(y, nought), maximum(z, nought)
+    boxes = sqrt(u * u + v * v + w * w) * down
+    return maximum(balls, select(boxes > nought, boxes, maximum(maximum(x, y), z)))
+
+
+@inline
+def _may_be_nearer(least, p, upper, live):
+    """Configurations, as bits, at which a pair may be as near as the upper bounds; all where a bound is no number."""
+    cut = load_rounded(upper, 0)
+    return live & ~movemask(load_rounded(least, p * S) > cut + absolute(cut) * np.float32(1e-6))
+
+
+@inline
+def _pose_row(body, s, moving):
+    return body * S + s if body < moving else moving * (MOST - 1) + body
+
+
+@njit()
+def _bound(count, queue, operands, work, lower, upper):
+    """Bounds of queued piece pairs, merged into those of their configurations."""
+    W = floats_at(work, (ROWS * LANES,))
+    write_bounds(count, queue, operands, W)
+    for lane in range(count):
+        s = queue[PAIR, lane]
+        lower[s] = min(lower[s], W[BELOW * LANES + lane])
+        upper[s] = min(upper[s], W[ABOVE * LANES + lane])
+
+
+@njit()
+def _measure(count, queue, operands, searches, work, exact):
+    """Exact distances of queued piece pairs, merged into those of their configurations."""
+    W = floats_at(work, (ROWS * LANES,))
+    write_bounds(count, queue, operands, W)
+    late = measure_near(count, queue, operands, W, searches, exact)
+    if late > 0:
+        measure_late(late, queue, operands, W, exact)
+
+
+@njit()
+def _take(turn, count, queue, operands, searches, work, lower, upper, exact):
+    """Measure queued piece pairs: bounds in the first turn, exact distances in the second."""
+    if count > 0:
+        if turn == 1:
+            _measure(count, queue, operands, searches, work, exact)
+        else:
+            _bound(count, queue, operands, work, lower, upper)
+
+
+@njit()
+def _walk(turn, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, lower, upper, exact):
+    """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
+    pieces = pieces_of(operands.a)
+    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _NUMBERS, (piece_tree.NUMBERS,))
+    poses = operands.poses_a
+    piece_tree.begin(pieces, body_a, poses, row_a, pieces, body_b, poses, row_b, steps, numbers)
+    while True:
+        cut = upper[s] + SETTLED * numbers[piece_tree.SIZE]
+        if turn == 1:
+            cut = min(cut, exact.distance[s] + SETTLED * numbers[piece_tree.SIZE])
+        found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queue)
+        if found == 0:
+            return
+        _take(turn, found, queue, operands, searches, work, lower, upper, exact)
+
+
+@njit()
+def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, upper, distance, witness_a, witness_b,
+                  normal, pieces_out, status):  # fmt: skip
+    """Bounds on the least distance of all pairs at the configurations start .. stop, and the exact one.
+
+    Parameters
+    ----------
+    wanted : bool
+        Whether the exact distance is; the last six arrays are written only then.
+    Q : ndarray, shape (N, dof)
+    pack, problem_handle : int
+        As for `configurations.check_configurations`.
+    memory : int
+        Address of `memory_of_nearest` bytes to write to; one thread uses them at a time.
+    lower, upper, distance : ndarray, shape (N,)
+    witness_a, witness_b, normal : ndarray, shape (N, 3)
+    pieces_out : ndarray of int64, shape (N, 2)
+        Rows of the nearest pieces.
+    status : ndarray of int8, shape (N,)
+        SETTLED_DISTANCE or NOT_SETTLED.
+    """
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    counts = counts_of(pieces, problem, Q.shape[1])
+    moving, total = counts.moving, len(problem.pairs)
+    piece_start, roots = pieces.piece_start, pieces.roots
+    least = floats_at(memory + _LEAST, (S * total,))
+    at_placement = memory + _LEAST + lines(8 * S * total)
+    to = placement_at(at_placement, counts)
+    operands = Operands(pack, to.poses, pack, to.poses)
+    queue, searches = queue_at(memory), searches_at(memory)
+    numbers = floats_at(memory + _FOUND, (4 * S,))
+    seeds, low, high, own = numbers[:S], numbers[S : 2 * S], numbers[2 * S : 3 * S], numbers[3 * S :]
+    at = memory + _FOUND + 8 * 4 * S
+    vectors = floats_at(at, (3 * S, 3))
+    exact = Exact(
+        own, vectors[:S], vectors[S : 2 * S], vectors[2 * S :], bytes_at(memory + _STATUS, (S,)),
+        integers_at(at + 8 * 9 * S, (S, 2)),
+    )  # fmt: skip
+    stand(problem, at_placement, counts)
+    for first in range(start, stop, S):
+        last = min(first + S, stop) - 1
+        here = last + 1 - first
+        _place(pack, problem_handle, at_placement, counts, Q, first, last)
+        _bound_pairs(problem, to.bounds, moving, least, seeds)
+        for s in range(S):
+            low[s] = high[s] = own[s] = np.inf
+            exact.status[s], exact.pieces[s, 0] = SETTLED_DISTANCE, -1
+        for s in range(here):
+            p = np.int64(seeds[s])
+            one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+            row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
+            enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
+        _bound(here, queue, operands, memory, low, high)
+        live = (np.int64(1) << here) - 1
+        for turn in range(2 if wanted else 1):
+            count = np.int64(0)
+            for p in range(total):
+                one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+                near = _may_be_nearer(least, p, high, live)
+                while near != 0:
+                    s = lowest_bit(near)
+                    near &= near - 1
+                    row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
+                    if roots[one] >= 0 or roots[other] >= 0:
+                        _take(turn, count, queue, operands, searches, memory, low, high, exact)
+                        count = np.int64(0)
+                        _walk(turn, s, one, row_a, other, row_b, queue, operands, searches, memory, low, high, exact)
+                        continue
+                    for i in range(piece_start[one], piece_start[one + 1]):
+                        for j in range(piece_start[other], piece_start[other + 1]):
+                            enqueue(queue, count, s, i, j, row_a, row_b)
+                            count += 1
+                            if count == LANES:
+                                _take(turn, count, queue, operands, searches, memory, low, high, exact)
+                                count = np.int64(0)
+            _take(turn, count, queue, operands, searches, memory, low, high, exact)
+        for s in range(here):
+            k = first + s
+            lower[k], upper[k] = low[s], high[s]
+            if wanted:
+                distance[k], status[k] = own[s], exact.status[s] if exact.pieces[s, 0] >= 0 else NOT_SETTLED
+                for c in range(2):
+                    pieces_out[k, c] = exact.pieces[s, c]
+                for c in range(3):
+                    witness_a[k, c], witness_b[k, c] = exact.witness_a[s, c], exact.witness_b[s, c]
+                    normal[k, c] = exact.normal[s, c]
+
+
+@njit()
+def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, count):
+    """List the pairs of bodies that balls and boxes leave within a distance at the configurations start .. stop.
+
+    Parameters
+    ----------
+    within : float
+    listed : ndarray of int64, shape (room, 2)
+        Receives rows of a configuration and a pair, from row `count` on, as far as there is room.
+    Others as for `nearest_pairs`.
+
+    Returns
+    -------
+    count : int
+        Rows that there are by now; those beyond the room are not listed.
+    """
+    problem = problem_of(problem_handle)
+    counts = counts_of(pieces_of(pack), problem, Q.shape[1])
+    total = len(problem.pairs)
+    least, seeds = floats_at(memory + _LEAST, (S * total,)), floats_at(memory + _FOUND, (S,))
+    at_placement = memory + _LEAST + lines(8 * S * total)
+    stand(problem, at_placement, counts)
+    for first in range(start, stop, S):
+        last = min(first + S, stop) - 1
+        _place(pack, problem_handle, at_placement, counts, Q, first, last)
+        _bound_pairs(problem, placement_at(at_placement, counts).bounds, counts.moving, least, seeds)
+        for p in range(total):
+            for s in range(last + 1 - first):
+                if not least[p * S + s] > within:
+                    if count < len(listed):
+                        listed[count, 0], listed[count, 1] = first + s, p
+                    count += 1
+    return count
+
+
+@inline
+def _place(pack, problem_handle, at_placement, counts, Q, first, last):
+    """Place what moves at the configurations first .. last, sixteen at most."""
+    problem, to = problem_of(problem_handle), placement_at(at_placement, counts)
+    for lane in range(0, last + 1 - first, EIGHT):
+        place_joints(problem, Q, first + lane, last, to)
+        for body in range(counts.moving):
+            place_body(pack, problem_handle, at_placement, counts, body, np.int64(S), np.int64(lane))
+
+
+@inline
+def _bound_pairs(problem, bounds, moving, least, seeds):
+    """Write lower bounds for all pairs, and which pair has the least, at sixteen configurations."""
+    best, which = broadcast(np.float32(np.inf)), broadcast(np.float32(0.0))
+    for p in range(len(problem.pairs)):
+        one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+        a = bounds_at(bounds, one * BOUNDS * S, S)
+        if other < moving:
+            found = _least_distances(a, bounds_at(bounds, other * BOUNDS * S, S))
+        else:
+            found = _least_distances(a, bounds_standing(problem.standing, other - moving))
+        store(least, p * S, found)
+        nearer = found < best
+        best, which = select(nearer, found, best), select(nearer, broadcast(np.float32(p)), which)
+    store(seeds, 0, which)
