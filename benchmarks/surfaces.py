@@ -561,10 +561,21 @@ def protrusion(body: Body, mesh: Mesh, count: int) -> float:
     weights = rng.dirichlet(np.ones(3), count)
     points = np.einsum("nk,nki->ni", weights, corners[rng.choice(len(corners), count, p=area / area.sum())])
     points = np.concatenate([points, *(piece.vertices for piece in body.pieces)])
-    T = np.tile(np.eye(4), (len(points), 1, 1))
-    T[:, :3, 3] = points
-    outside = ~collides(mesh, np.eye(4), _point(), T)
+    outside = windings(mesh, points) < 0.5
     return float(distances_of_points(mesh, points[outside]).max(initial=0.0))
+
+
+def windings(mesh: Mesh, points: Array) -> Array:
+    """How often a mesh winds around points, by the solid angles of its triangles; Van Oosterom and Strackee (1983)."""
+    corners = mesh.vertices[mesh.faces]
+    found = []
+    for part in np.array_split(points, max(1, len(points) * len(corners) // 1_000_000)):
+        a, b, c = np.moveaxis(corners[None] - part[:, None, None], 2, 0)
+        la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+        volume = np.einsum("nki,nki->nk", a, np.cross(b, c))
+        ab, bc, ca = (np.einsum("nki,nki->nk", x, y) for x, y in ((a, b), (b, c), (c, a)))
+        found.append(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1) / (2 * np.pi))
+    return np.concatenate(found)
 
 
 if __name__ == "__main__":

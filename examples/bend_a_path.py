@@ -58,7 +58,7 @@ def colliding_line(robot: loewner.Robot, checker: loewner.CollisionChecker, poin
     while True:
         ends = np.tile(middle, (2, 1))
         ends[:, ARM] += rng.uniform(-1.0, 1.0, size=(2, 7))
-        line = ends[0] + np.linspace(0, 1, points)[:, None] * (ends[1] - ends[0])
+        line: np.ndarray = ends[0] + np.linspace(0, 1, points)[:, None] * (ends[1] - ends[0])
         hit = checker.collide(line)
         if not hit[[0, -1]].any() and 0 < hit.sum() <= points // 3:
             return line

@@ -60,6 +60,7 @@ def test_jacobians_of_batches(tmp_path: Path):
 
 
 def test_bad_jacobians(tmp_path: Path):
+    """Unknown links and what is no point are refused."""
     rng = np.random.default_rng(2)
     robot = random_robot(rng, tmp_path, 3, simple_bodies(rng))
     q = robot.random_configurations(1)[0]
@@ -96,6 +97,7 @@ def test_wrenches_are_differences(seed: int):
 
 
 def test_wrenches_of_batches():
+    """They have the shape of the batch; without exact distances there is none."""
     T = np.tile(np.eye(4), (2, 3, 1, 1))
     T[..., 0, 3] = 3.0
     found = distance(Body.sphere(1.0), None, Body.sphere(0.5), T, exact=True)
@@ -132,6 +134,7 @@ def test_gradients_are_differences(seed: int, tmp_path_factory):
 
 
 def test_gradient_of_one_configuration(tmp_path: Path):
+    """It is that of the batch, and is there only where it was asked for."""
     rng = np.random.default_rng(5)
     robot = random_robot(rng, tmp_path, 4, simple_bodies(rng))
     checker = CollisionChecker(robot, random_scene(rng, robot, 3, simple_bodies(rng)))
@@ -190,6 +193,7 @@ def test_distances_by_pair_are_those_of_the_pairs(seed: int, tmp_path_factory):
 
 
 def test_bad_distances_by_pair(tmp_path: Path):
+    """A distance that is none is refused; of no configurations there are no pairs."""
     rng = np.random.default_rng(8)
     robot = random_robot(rng, tmp_path, 3, simple_bodies(rng))
     checker = CollisionChecker(robot, random_scene(rng, robot, 2, simple_bodies(rng)))
