@@ -203,3 +203,25 @@ def test_bad_distances_by_pair(tmp_path: Path):
             checker.distance_by_pair(q, within=within)
     assert len(checker.distance_by_pair(q[:0], within=0.1)) == 0
     assert len(CollisionChecker(robot, skip_adjacent=True).distance_by_pair(q, within=0.0)) >= 0
+
+
+@settings(max_examples=10)
+@given(seed=SEEDS)
+def test_distances_do_not_depend_on_the_batch(seed: int, tmp_path_factory):
+    """Each configuration is answered as if it were alone, to the last bit."""
+    rng = np.random.default_rng(seed)
+    bodies = simple_bodies(rng) if seed % 2 else composed_bodies(rng)
+    robot = random_robot(rng, tmp_path_factory.mktemp("robot"), 5, bodies)
+    checker = CollisionChecker(robot, random_scene(rng, robot, 4, bodies))
+    if not checker.checked_pairs:
+        return
+    Q = robot.random_configurations(40, seed=seed % 1000)
+    many, shifted = checker.distance(Q, exact=True), checker.distance(Q[5:], exact=True)
+    bounds = checker.distance(Q)
+    np.testing.assert_array_equal(bounds.lower, many.lower)
+    np.testing.assert_array_equal(bounds.upper, many.upper)
+    for name in ("lower", "upper", "distance", "names"):
+        np.testing.assert_array_equal(getattr(many, name)[5:], getattr(shifted, name))
+    for k in range(0, len(Q), 7):
+        one = checker.distance(Q[k], exact=True)
+        assert (one.lower, one.upper, one.distance) == (many.lower[k], many.upper[k], many.distance[k])

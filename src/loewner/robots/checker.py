@@ -854,12 +854,20 @@ class CollisionChecker:
 
 
 def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
-    """The nearest pair at a configuration where the fast searches did not find it, by the distances of all pairs."""
+    """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T
-    found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
-    p = int(np.argmin(found.distance))
-    return found.distance[p], ready.pairs[p], found.witness_a[p], found.witness_b[p], found.normal[p]
+    bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
+    best, nearest, found = np.inf, 0, None
+    for p in np.argsort(bounds.lower, kind="stable"):
+        if bounds.lower[p] > min(best, bounds.upper.min()):
+            break
+        i, j = (int(body) for body in ready.pairs[p])
+        one = queries.distance(ready.bodies[i], T[i], ready.bodies[j], T[j], exact=True)
+        if one.distance < best:
+            best, nearest, found = one.distance, int(p), one
+    assert found is not None  # the first bound is below all upper ones
+    return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal
 
 
 def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:

@@ -16,6 +16,7 @@ from loewner._kernels.pipeline.bounds import (
     ABOVE,
     BELOW,
     LANES,
+    LATE,
     PAIR,
     ROWS,
     Operands,
@@ -63,6 +64,9 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # configurations of a block
 
+# The row of the queue that says which pair of bodies a lane is about, until the searches write to it.
+BODIES = LATE
+
 # What a lower bound in single precision loses to its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF
 
@@ -107,13 +111,17 @@ def _pose_row(body, s, moving):
 
 
 @njit()
-def _bound(count, queue, operands, work, lower, upper):
-    """Bounds of queued piece pairs, merged into those of their configurations."""
+def _bound(count, queue, operands, work, least, lower, upper):
+    """Bounds of queued piece pairs, merged into those of their configurations.
+
+    Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
+    of pairs, for it is farther than `upper`, then lowers nothing here either.
+    """
     W = floats_at(work, (ROWS * LANES,))
     write_bounds(count, queue, operands, W)
     for lane in range(count):
         s = queue[PAIR, lane]
-        lower[s] = min(lower[s], W[BELOW * LANES + lane])
+        lower[s] = min(lower[s], max(W[BELOW * LANES + lane], least[queue[BODIES, lane] * S + s]))
         upper[s] = min(upper[s], W[ABOVE * LANES + lane])
 
 
@@ -128,17 +136,17 @@ def _measure(count, queue, operands, searches, work, exact):
 
 
 @njit()
-def _take(turn, count, queue, operands, searches, work, lower, upper, exact):
+def _take(turn, count, queue, operands, searches, work, least, lower, upper, exact):
     """Measure queued piece pairs: bounds in the first turn, exact distances in the second."""
     if count > 0:
         if turn == 1:
             _measure(count, queue, operands, searches, work, exact)
         else:
-            _bound(count, queue, operands, work, lower, upper)
+            _bound(count, queue, operands, work, least, lower, upper)
 
 
 @njit()
-def _walk(turn, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, lower, upper, exact):
+def _walk(turn, p, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, least, lower, upper, exact):
     """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
     pieces = pieces_of(operands.a)
     steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _NUMBERS, (piece_tree.NUMBERS,))
@@ -151,7 +159,8 @@ def _walk(turn, s, body_a, row_a, body_b, row_b, queue, operands, searches, work
         found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queue)
         if found == 0:
             return
-        _take(turn, found, queue, operands, searches, work, lower, upper, exact)
+        queue[BODIES, :found] = p
+        _take(turn, found, queue, operands, searches, work, least, lower, upper, exact)
 
 
 @njit()
@@ -206,7 +215,8 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
             enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
-        _bound(here, queue, operands, memory, low, high)
+            queue[BODIES, s] = p
+        _bound(here, queue, operands, memory, least, low, high)
         live = (np.int64(1) << here) - 1
         for turn in range(2 if wanted else 1):
             count = np.int64(0)
@@ -218,18 +228,35 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                     near &= near - 1
                     row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
                     if roots[one] >= 0 or roots[other] >= 0:
-                        _take(turn, count, queue, operands, searches, memory, low, high, exact)
+                        _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
                         count = np.int64(0)
-                        _walk(turn, s, one, row_a, other, row_b, queue, operands, searches, memory, low, high, exact)
+                        _walk(
+                            turn,
+                            p,
+                            s,
+                            one,
+                            row_a,
+                            other,
+                            row_b,
+                            queue,
+                            operands,
+                            searches,
+                            memory,
+                            least,
+                            low,
+                            high,
+                            exact,
+                        )
                         continue
                     for i in range(piece_start[one], piece_start[one + 1]):
                         for j in range(piece_start[other], piece_start[other + 1]):
                             enqueue(queue, count, s, i, j, row_a, row_b)
+                            queue[BODIES, count] = p
                             count += 1
                             if count == LANES:
-                                _take(turn, count, queue, operands, searches, memory, low, high, exact)
+                                _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
                                 count = np.int64(0)
-            _take(turn, count, queue, operands, searches, memory, low, high, exact)
+            _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
         for s in range(here):
             k = first + s
             lower[k], upper[k] = low[s], high[s]
