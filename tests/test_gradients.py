@@ -192,6 +192,24 @@ def test_distances_by_pair_are_those_of_the_pairs(seed: int, tmp_path_factory):
             np.testing.assert_allclose(found.gradient[k], nearest.gradient[at], atol=1e-6)
 
 
+@pytest.mark.parametrize("far", [1e10, 1e19, 1e20, 1e25, 1e38, 1e39, 1e60, 1e150])
+def test_bodies_far_beyond_single_precision(far: float, tmp_path: Path):
+    """Where squares of single precision overflow bounds are still bounds, and no pair is lost."""
+    text = """<robot name="r"><link name="world"/><link name="cube"><collision><geometry><box size="1 1 1"/></geometry>
+    </collision></link><joint name="free" type="floating"><parent link="world"/><child link="cube"/></joint></robot>"""
+    (tmp_path / "cube.urdf").write_text(text)
+    scene = Scene()
+    scene.add("post", Body.box([1, 1, 1]))
+    checker = CollisionChecker(Robot.from_urdf(tmp_path / "cube.urdf"), scene)
+    q = np.array([far, 0, 0, 1, 0, 0, 0])
+    found = checker.distance(q, exact=True, gradient=True)
+    assert found.lower <= found.distance <= found.upper
+    assert found.lower == pytest.approx(far, rel=1e-6)
+    assert found.distance == pytest.approx(far, rel=1e-9)
+    np.testing.assert_allclose(found.gradient[:3], [1, 0, 0], atol=1e-9)  # turns kink: the faces are parallel
+    assert len(checker.distance_by_pair(q, within=2 * far)) == 1
+
+
 def test_bad_distances_by_pair(tmp_path: Path):
     """A distance that is none is refused; of no configurations there are no pairs."""
     rng = np.random.default_rng(8)

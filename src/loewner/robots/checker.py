@@ -647,13 +647,13 @@ class CollisionChecker:
         listed = self._near(ready, flat, within)
         _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
         distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
-        for p in np.unique(listed[:, 1]):
-            at = np.flatnonzero(listed[:, 1] == p)
-            a, b = (int(body) for body in ready.pairs[p])
-            for k in range(0, len(at), BY_PAIR):
-                rows = at[k : k + BY_PAIR]
-                T = ready.poses(flat[listed[rows, 0]])
-                found = queries.distance(ready.bodies[a], T[:, a], ready.bodies[b], T[:, b], exact=True)
+        each = max(1, min(BY_PAIR, POSES_AT_ONCE // max(1, len(ready.names))))
+        for k in range(0, len(flat), each):
+            T, (start, stop) = ready.poses(flat[k : k + each]), np.searchsorted(listed[:, 0], [k, k + each])
+            for p in np.unique(listed[start:stop, 1]):
+                rows = start + np.flatnonzero(listed[start:stop, 1] == p)
+                at, (a, b) = listed[rows, 0] - k, (int(body) for body in ready.pairs[p])
+                found = queries.distance(ready.bodies[a], T[at, a], ready.bodies[b], T[at, b], exact=True)
                 distance[rows] = found.distance
                 for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
                     column[rows] = values

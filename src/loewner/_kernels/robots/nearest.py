@@ -68,7 +68,7 @@ S = SINGLE_LANES  # configurations of a block
 BODIES = LATE
 
 # What a lower bound in single precision loses to its roundings.
-DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF
+DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
 
 # The memory of a query: that of distances, then what is found in a block, walks through trees, bounds of the pairs.
 _FOUND = whole_lines(distances.MEMORY)
@@ -87,7 +87,10 @@ def memory_of_nearest(pack, problem_handle, dof):
 
 @inline
 def _least_distances(a, b):
-    """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes."""
+    """Lower bounds on the signed distance of two bodies at sixteen configurations, by their balls and boxes.
+
+    -inf where squares overflow: the bodies are far from each other then, but not infinitely far.
+    """
     r, up, down, nought = minus(b.center, a.center), np.float32(UP), np.float32(DOWN), np.float32(0.0)
     balls = sqrt(dot(r, r)) * down - (a.radius + b.radius) * up
     x = absolute(r[0]) * down - (a.half[0] + b.half[0]) * up
@@ -95,12 +98,13 @@ def _least_distances(a, b):
     z = absolute(r[2]) * down - (a.half[2] + b.half[2]) * up
     u, v, w = maximum(x, nought), maximum(y, nought), maximum(z, nought)
     boxes = sqrt(u * u + v * v + w * w) * down
-    return maximum(balls, select(boxes > nought, boxes, maximum(maximum(x, y), z)))
+    found = maximum(balls, select(boxes > nought, boxes, maximum(maximum(x, y), z)))
+    return select(found < np.float32(np.inf), found, np.float32(-np.inf))
 
 
 @inline
 def _may_be_nearer(least, p, upper, live):
-    """Configurations, as bits, at which a pair may be as near as the upper bounds; all where a bound is no number."""
+    """Configurations, as bits, at which a pair may be as near as the upper bounds."""
     cut = load_rounded(upper, 0)
     return live & ~movemask(load_rounded(least, p * S) > cut + absolute(cut) * np.float32(1e-6))
 
