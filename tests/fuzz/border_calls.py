@@ -801,6 +801,10 @@ CALLS: dict[str, Call] = {
     "CollisionChecker.distance": Call(
         on(checker, "distance"), {"Q": CONFIGURATIONS, "exact": flag(), "gradient": flag()}
     ),
+    "CollisionChecker.clearance": Call(
+        on(checker, "clearance"),
+        {"Q": CONFIGURATIONS, "softness": positive(0.005), "gradient": flag()},
+    ),
     "CollisionChecker.distance_by_pair": Call(
         on(checker, "distance_by_pair"),
         {"Q": CONFIGURATIONS, "within": margin(0.5), "gradient": flag()},

@@ -154,6 +154,11 @@ class CheckedPairs:
         return int(entries.memory_of_nearest(self.bodies._packed.handle, self.handle, self.robot.dof))
 
     @cached_property
+    def memory_of_clearances(self) -> int:
+        """Bytes that smooth clearances write to."""
+        return int(entries.memory_of_clearances(self.bodies._packed.handle, self.handle, self.robot.dof))
+
+    @cached_property
     def motions(self) -> PreparedMotions:
         """What certifying motions takes besides; made when it is first needed."""
         packed = self.bodies._packed

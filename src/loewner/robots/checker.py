@@ -605,6 +605,85 @@ class CollisionChecker:
             *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
         )
 
+    @overload
+    def clearance(self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[False] = ...) -> OneOrMany: ...
+    @overload
+    def clearance(
+        self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[True]
+    ) -> tuple[OneOrMany, Floats]: ...
+    def clearance(
+        self, Q: ArrayLike, *, softness: float = 0.005, gradient: bool = False
+    ) -> OneOrMany | tuple[OneOrMany, Floats]:
+        """Certified lower bound on the distance of the nearest pair that changes smoothly, and its gradient.
+
+        Parameters
+        ----------
+        Q : array_like, shape (..., dof)
+        softness : float
+            Metres. The bound lies at most this times the logarithm of the number of pairs of pieces below the least of
+            the gaps that it is taken of; the smaller, the nearer, and the sharper its bends.
+        gradient : bool
+            Also compute the derivative by the configuration.
+
+        Returns
+        -------
+        clearance : float or ndarray, shape (...)
+            In metres; negative where outer ellipsoids overlap. Margins are not looked at.
+        gradient : ndarray, shape (..., dof)
+            In metres for each radian or metre; only if it is asked for.
+
+        Raises
+        ------
+        InputError
+            As for `collide`; also if there is no pair to check, or the softness is not positive and finite.
+        ConvergenceError
+            If squares of positions overflow.
+
+        See Also
+        --------
+        distance : Exact, with kinks.
+
+        Notes
+        -----
+        Two ellipsoids have a gap between the planes that support them across their contact normal, n·r (1 - 1/√F) / |n|
+        with the contact function F of Perram and Wertheim. It is no more than their signed distance, and analytic
+        except where centers coincide. Of the gaps g of all pairs of pieces, whose outer ellipsoids these are,
+        -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Where centers of two
+        ellipsoids coincide the pair adds nothing to the gradient. The derivative by a quaternion is as in `distance`.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> scene = Scene()
+        >>> scene.add("ball", Body.sphere(0.1), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> clearance, gradient = checker.clearance([1.9, 3.0], gradient=True)
+        >>> clearance <= checker.distance([1.9, 3.0], exact=True).distance
+        True
+        """
+        checked = self.robot.checked(Q)
+        softness, gradient = _validate.positive_scalar(softness, "softness"), _validate.flag(gradient, "gradient")
+        ready, flat = self._ready(), _flat(checked)
+        if len(ready.pairs) == 0:
+            raise InputError("clearance: expected a robot and a scene with pairs to check, found none")
+        n, dof = flat.shape
+        _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
+        lower, slopes = np.empty(n), np.empty((n * gradient, dof))
+
+        def run(first: int, last: int) -> None:
+            entries.clearances(
+                gradient, softness, first, last, flat, ready.bodies._packed.handle, ready.handle,
+                workspace(ready.memory_of_clearances), lower, slopes,
+            )  # fmt: skip
+
+        in_shares(run, n, LEAST_SHARE)
+        if not np.isfinite(lower).all():
+            q = np.array2string(flat[np.argmin(np.isfinite(lower))], precision=17)
+            raise ConvergenceError(f"clearance: positions overflow at configuration {q}")
+        batch = checked.shape[:-1]
+        values: OneOrMany = lower.reshape(batch) if batch else float(lower[0])
+        return (values, slopes.reshape(*batch, dof)) if gradient else values
+
     def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
         """Exact distances of all pairs that come within a distance of each other.
 

@@ -1,0 +1,117 @@
+"""Two ellipsoids: the gap between their support planes across the contact normal, and how it changes with a motion.
+
+The contact normal n = K(s)⁻¹ r, at the s where the contact function F is greatest, depends smoothly on both ellipsoids,
+apart or not, as long as their centers differ. So does the gap along it,
+
+    g = (n·r - √(nᵀPn) - √(nᵀQn)) / |n| = n·r/|n| (1 - 1/√F),
+
+which is a lower bound on the signed distance like the gap along any direction. Names as in `contact`.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline
+from loewner._kernels.ellipsoids.contact import gap_bound, newton_step, normal_at, outward_width, polynomials
+from loewner._kernels.linalg3 import adjugate, along, apply_symmetric, cross, dot, minus, plus, scaled, selected
+from loewner._kernels.simd.vectors import (
+    ALL,
+    absolute,
+    broadcast,
+    mask_of,
+    maximum,
+    minimum,
+    movemask,
+    select,
+    sqrt,
+)
+
+STEPS = 12
+
+# A step of Newton's method that moves s by less than this share of s (1 - s) is the last but one: the error is its
+# square.
+SETTLED = 1e-5
+
+
+@inline
+def _slope(P, Q, r, s):
+    """What the contact normal at s leads to.
+
+    Returns
+    -------
+    A : adjugate of K(s)
+    inverse : one over its determinant
+    n : K⁻¹ r
+    Pn, Qn : vectors
+    p, q : nᵀPn, nᵀQn
+    w : 2 K⁻¹ ((1-s)² P - s² Q) n
+    slope, bend : F′ and F″ (as F′ is (1-s)² nᵀPn - s² nᵀQn)
+    """
+    u = 1.0 - s
+    K = (
+        u * P[0] + s * Q[0], u * P[1] + s * Q[1], u * P[2] + s * Q[2],
+        u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
+    )  # fmt: skip
+    A = adjugate(K)
+    inverse = 1.0 / (K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
+    n = scaled(inverse, apply_symmetric(A, r))
+    Pn, Qn = apply_symmetric(P, n), apply_symmetric(Q, n)
+    p, q = dot(Pn, n), dot(Qn, n)
+    w = scaled(2.0 * inverse, apply_symmetric(A, minus(scaled(u * u, Pn), scaled(s * s, Qn))))
+    bend = -2.0 * u * p - 2.0 * s * q - dot(w, minus(Qn, Pn))
+    return A, inverse, n, Pn, Qn, p, q, w, u * u * p - s * s * q, bend
+
+
+@inline
+def contact_parameter(P, Q, r):
+    """Where F is greatest, of eight pairs. What a pair gets does not depend on the others."""
+    d, q, s = polynomials(P, Q, r)
+    live = np.int64(ALL)
+    for _ in range(STEPS):
+        t = newton_step(d, q, s)
+        moves = absolute(t - s) > SETTLED * (t - t * t)
+        s = select(mask_of(live), t, s)
+        live &= movemask(moves)
+        if live == 0:
+            break
+    # The coefficients of the polynomials have lost digits of thin ellipsoids; the last step does without them.
+    _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
+    t = s - slope / bend
+    return minimum(maximum(t, 0.125 * s), 0.875 + 0.125 * s)
+
+
+@inline
+def contact_gap(P, Q, r, s, size):
+    """Certified lower bounds on the signed distances of eight pairs of ellipsoids, smooth where the centers differ.
+
+    `size` is the sum of the lengths that went into r. Where something overflows the bound is -inf.
+    """
+    _, n = normal_at(P, Q, r, s)
+    some = dot(n, n) > 0.0  # concentric: any direction gives a valid bound
+    n = selected(some, n, (broadcast(1.0), broadcast(0.0), broadcast(0.0)))
+    squared = dot(n, n)
+    width_p, _ = outward_width(P, n, squared)
+    width_q, _ = outward_width(Q, n, squared)
+    bound = gap_bound(dot(n, r), width_p, width_q, sqrt(squared), size)
+    return select(bound < np.inf, bound, -np.inf)
+
+
+@inline
+def contact_gap_wrench(P, Q, r, s):
+    """Gradient of g by a motion of b: a force, and its moment about b's center; of a motion of a, the opposite wrench.
+
+    With y = r - Pn/√(nᵀPn) - Qn/√(nᵀQn), u = K⁻¹(y - g n/|n|)/|n| and w = 2 K⁻¹((1-s)² P - s² Q) n, the derivative of s
+    contributes k w, where k = u·(Q-P)n / F″ and F″ = -2(1-s) nᵀPn - 2s nᵀQn - w·(Q-P)n; by r the derivative is
+    n/|n| + u + k w, and by Q the matrix -(1/(2 √(nᵀQn) |n|) + k s²) nnᵀ - s sym(u + k w, n), which turns by 2 vee(Q ·).
+    Where the centers coincide there is no derivative; what is returned may be no number.
+    """
+    A, inverse, n, Pn, Qn, squared_p, squared_q, w, _, bend = _slope(P, Q, r, s)
+    p, q, length = sqrt(squared_p), sqrt(squared_q), sqrt(dot(n, n))
+    unit = scaled(1.0 / length, n)
+    gap = (dot(n, r) - p - q) / length
+    y = along(along(along(r, -1.0 / p, Pn), -1.0 / q, Qn), -gap, unit)
+    by_normal = scaled(inverse / length, apply_symmetric(A, y))
+    k = dot(by_normal, minus(Qn, Pn)) / bend
+    v = along(by_normal, k, w)
+    b = scaled(-s, v)
+    half = along(b, -1.0 / (q * length) - 2.0 * k * (s * s), n)
+    return plus(unit, v), plus(cross(Qn, half), cross(apply_symmetric(Q, b), n))

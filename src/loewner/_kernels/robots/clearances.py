@@ -1,0 +1,377 @@
+"""A smooth lower bound on how far a robot is from touching, and its gradient, at many configurations.
+
+Of all pairs of pieces the gaps of their outer ellipsoids along the contact normals are taken together by a soft
+minimum, -softness log Σ exp(-gap/softness), which is below the least of them. Eight configurations are side by side.
+Pairs of pieces come in runs; what was summed up before is scaled when a run has a smaller gap. A pair whose gap is more
+than FAR times the softness above the least counts for nothing: its share would be lost in rounding.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, OUTER_SIGMA, REACH
+from loewner._kernels.ellipsoids.contact_gap import contact_gap, contact_gap_wrench, contact_parameter
+from loewner._kernels.linalg3 import (
+    apply,
+    apply_symmetric,
+    cross,
+    dot,
+    minus,
+    negated,
+    plus,
+    rotated_shape,
+    scaled,
+    selected,
+)
+from loewner._kernels.pieces.pack import pieces_of, problem_of
+from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
+from loewner._kernels.robots.wrenches import WRENCH, clear, powers, push
+from loewner._kernels.simd.memory import floats_at, integers_at, lines
+from loewner._kernels.simd.vectors import (
+    ALL,
+    LANES,
+    absolute,
+    broadcast,
+    load,
+    minimum,
+    movemask,
+    select,
+    sqrt,
+    store,
+)
+from loewner._kernels.tolerances import UP
+
+FAR = 40.0
+
+# What bounds that leave out pairs give away, of themselves and of the lengths that they are made of: far more than
+# rounding takes.
+CAREFUL = 1e-9
+
+RUN = 1024  # pairs of pieces
+
+_ROW = 10  # of an ellipsoid: center, shape matrix, lengths that they are made of
+_BODY = 7  # of a body: middle of the centers of its ellipsoids, how far these are, greatest and least semi-axis, reach
+_MIDDLE = 4  # vectors of a body: that middle in the world, and lengths
+_ENTRY = 2  # vectors of a pair of pieces in a run: gap, where F is greatest
+_WHICH = 4  # bodies and pieces
+_LEAST, _SUM, _SCRATCH, _TOTALS = 0, LANES, 2 * LANES, 3 * LANES
+
+
+class _Memory(NamedTuple):
+    """What a query writes to."""
+
+    links: Any
+    rows: Any
+    moving: Any
+    standing: Any
+    bodies: Any
+    middles: Any
+    wrenches: Any
+    slopes: Any
+    entries: Any
+    which: Any
+    totals: Any
+
+
+@inline
+def _sizes(pieces, problem, dof):
+    """Numbers that there is room for, by the fields of `_Memory`."""
+    links, moving = problem.tree.parent.size, problem.link.size
+    bodies = len(pieces.piece_start) - 1
+    first = pieces.piece_start[moving]
+    return (
+        workspace_size(links, dof), np.int64(LANES), _ROW * LANES * first, _ROW * (pieces.piece_start[bodies] - first),
+        _BODY * bodies, _MIDDLE * LANES * bodies, WRENCH * LANES * links, LANES * dof, np.int64(_ENTRY * LANES * RUN),
+        np.int64(_WHICH * RUN), np.int64(_TOTALS),
+    )  # fmt: skip
+
+
+@njit()
+def memory_of_clearances(pack, problem_handle, dof):
+    """Bytes that `clearances` writes to."""
+    total = np.int64(0)
+    for size in _sizes(pieces_of(pack), problem_of(problem_handle), dof):
+        total += lines(8 * size)
+    return total
+
+
+@inline
+def _memory_at(at, sizes):
+    """The memory at an address."""
+    at1 = at + lines(8 * sizes[0])
+    at2 = at1 + lines(8 * sizes[1])
+    at3 = at2 + lines(8 * sizes[2])
+    at4 = at3 + lines(8 * sizes[3])
+    at5 = at4 + lines(8 * sizes[4])
+    at6 = at5 + lines(8 * sizes[5])
+    at7 = at6 + lines(8 * sizes[6])
+    at8 = at7 + lines(8 * sizes[7])
+    at9 = at8 + lines(8 * sizes[8])
+    at10 = at9 + lines(8 * sizes[9])
+    return _Memory(
+        floats_at(at, (sizes[0],)), integers_at(at1, (sizes[1],)), floats_at(at2, (sizes[2],)),
+        floats_at(at3, (sizes[3],)), floats_at(at4, (sizes[4],)), floats_at(at5, (sizes[5],)),
+        floats_at(at6, (sizes[6],)), floats_at(at7, (sizes[7],)), floats_at(at8, (sizes[8],)),
+        integers_at(at9, (sizes[9],)), floats_at(at10, (sizes[10],)),
+    )  # fmt: skip
+
+
+@inline
+def _three_vectors(array, at):
+    return load(array, at), load(array, at + LANES), load(array, at + 2 * LANES)
+
+
+@inline
+def _center_of(hot, piece):
+    return hot[piece, OUTER_CENTER], hot[piece, OUTER_CENTER + 1], hot[piece, OUTER_CENTER + 2]
+
+
+class _Ellipsoids(NamedTuple):
+    """Of one piece at eight configurations, in the world; `size` is the lengths that the center is made of."""
+
+    center: Any
+    shape: Any
+    size: Any
+
+
+@inline
+def _ellipsoids(to, piece, moving_pieces):
+    """The ellipsoids of a piece."""
+    if piece < moving_pieces:
+        at = piece * (_ROW * LANES)
+        return _Ellipsoids(
+            _three_vectors(to.moving, at),
+            _three_vectors(to.moving, at + 3 * LANES) + _three_vectors(to.moving, at + 6 * LANES),
+            load(to.moving, at + 9 * LANES),
+        )
+    at, row = (piece - moving_pieces) * _ROW, to.standing
+    return _Ellipsoids(
+        (broadcast(row[at]), broadcast(row[at + 1]), broadcast(row[at + 2])),
+        (
+            broadcast(row[at + 3]), broadcast(row[at + 4]), broadcast(row[at + 5]),
+            broadcast(row[at + 6]), broadcast(row[at + 7]), broadcast(row[at + 8]),
+        ),
+        broadcast(row[at + 9]),
+    )  # fmt: skip
+
+
+@inline
+def _placed(hot, piece, R, t):
+    """Ellipsoid of a piece in the world."""
+    k = OUTER_SHAPE
+    shape = hot[piece, k], hot[piece, k + 1], hot[piece, k + 2], hot[piece, k + 3], hot[piece, k + 4], hot[piece, k + 5]
+    size = (absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + hot[piece, REACH]) * UP
+    return _Ellipsoids(plus(apply(R, _center_of(hot, piece)), t), rotated_shape(R, shape), size)
+
+
+@njit()
+def _stand(pack, problem_handle, memory, dof):
+    """What holds at all configurations: the ellipsoids of what stands still, and a ball about each body's centers."""
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    hot, piece_start, moving = pieces.hot, pieces.piece_start, problem.link.size
+    for body in range(len(piece_start) - 1):
+        first, last = piece_start[body], piece_start[body + 1]
+        middle, away, widest, thinnest, reach = (0.0, 0.0, 0.0), 0.0, 0.0, np.inf, 0.0
+        for piece in range(first, last):
+            middle = plus(middle, scaled(1.0 / (last - first), _center_of(hot, piece)))
+        for piece in range(first, last):
+            r = minus(_center_of(hot, piece), middle)
+            away, reach = max(away, math.sqrt(dot(r, r))), max(reach, hot[piece, REACH])
+            widest, thinnest = max(widest, hot[piece, OUTER_RADIUS]), min(thinnest, hot[piece, OUTER_SIGMA])
+        if body >= moving:
+            T, k = problem.standing_poses, body - moving
+            R = T[k, 0], T[k, 1], T[k, 2], T[k, 4], T[k, 5], T[k, 6], T[k, 8], T[k, 9], T[k, 10]
+            t = T[k, 3], T[k, 7], T[k, 11]
+            for piece in range(first, last):
+                at = (piece - piece_start[moving]) * _ROW
+                found = _placed(hot, piece, R, t)
+                for c in range(3):
+                    to.standing[at + c] = found.center[c]
+                for c in range(6):
+                    to.standing[at + 3 + c] = found.shape[c]
+                to.standing[at + 9] = found.size
+            middle = plus(apply(R, middle), t)
+            for c in range(3):
+                store(to.middles, (_MIDDLE * body + c) * LANES, broadcast(middle[c]))
+            store(to.middles, (_MIDDLE * body + 3) * LANES, broadcast(abs(t[0]) + abs(t[1]) + abs(t[2]) + reach))
+        at = body * _BODY
+        for c in range(3):
+            to.bodies[at + c] = middle[c]
+        to.bodies[at + 3], to.bodies[at + 4], to.bodies[at + 5], to.bodies[at + 6] = away, widest, thinnest, reach
+
+
+@njit()
+def _place(pack, problem_handle, memory, Q, first, last):
+    """Place what moves at the configurations first .. last, eight at most."""
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    to = _memory_at(memory, _sizes(pieces, problem, Q.shape[1]))
+    hot, piece_start = pieces.hot, pieces.piece_start
+    for lane in range(LANES):
+        to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
+    place_links(problem.tree, Q, to.rows, np.int64(0), to.links)
+    for body in range(problem.link.size):
+        R, t = rotation_of_link(to.links, problem.link[body]), translation_of_link(to.links, problem.link[body])
+        at = body * _BODY
+        middle = plus(apply(R, (to.bodies[at], to.bodies[at + 1], to.bodies[at + 2])), t)
+        lengths = absolute(t[0]) + absolute(t[1]) + absolute(t[2]) + to.bodies[at + 6]
+        for c in range(3):
+            store(to.middles, (_MIDDLE * body + c) * LANES, middle[c])
+        store(to.middles, (_MIDDLE * body + 3) * LANES, lengths)
+        for piece in range(piece_start[body], piece_start[body + 1]):
+            at, found = piece * (_ROW * LANES), _placed(hot, piece, R, t)
+            for c in range(3):
+                store(to.moving, at + c * LANES, found.center[c])
+            for c in range(6):
+                store(to.moving, at + (3 + c) * LANES, found.shape[c])
+            store(to.moving, at + 9 * LANES, found.size)
+
+
+@inline
+def _all_far(growth, thinnest, lengths, cut):
+    """Whether gaps are above the cut at all eight configurations, where ellipsoids must grow so much to touch.
+
+    The gap is the widths of both along the normal times the growth less one, and no width is below a semi-axis. Of
+    ellipsoids that may overlap that says nothing.
+    """
+    gap = (growth - 1.0) * (thinnest * (1.0 - CAREFUL))
+    return movemask((gap > cut + CAREFUL * lengths) & (gap > CAREFUL * lengths)) == ALL
+
+
+@inline
+def _bodies_far(to, a, b, cut):
+    """Whether all gaps between the pieces of two bodies are above the cut at all eight configurations."""
+    at, of = a * (_MIDDLE * LANES), b * (_MIDDLE * LANES)
+    r = minus(_three_vectors(to.middles, of), _three_vectors(to.middles, at))
+    lengths = load(to.middles, at + 3 * LANES) + load(to.middles, of + 3 * LANES)
+    at, of = a * _BODY, b * _BODY
+    growth = (sqrt(dot(r, r)) - (to.bodies[at + 3] + to.bodies[of + 3])) * (
+        1.0 / (to.bodies[at + 4] + to.bodies[of + 4])
+    )
+    return _all_far(growth, to.bodies[at + 5] + to.bodies[of + 5], lengths, cut)
+
+
+@inline
+def _pieces_far(a, b, r, thinnest, cut):
+    """The same of two pieces. Ellipsoids grow to touch by |r| over their widths along r at least (Cauchy-Schwarz)."""
+    widths = sqrt(dot(apply_symmetric(a.shape, r), r)) + sqrt(dot(apply_symmetric(b.shape, r), r))
+    return _all_far(dot(r, r) / widths, thinnest, a.size + b.size, cut)
+
+
+@inline
+def _exponentials(to, x):
+    """The exponential of eight numbers."""
+    store(to.totals, _SCRATCH, x)
+    for lane in range(LANES):
+        to.totals[_SCRATCH + lane] = math.exp(to.totals[_SCRATCH + lane])
+    return load(to.totals, _SCRATCH)
+
+
+@njit()
+def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
+    """Add a run of pairs of pieces to what was summed up before."""
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    moving, moving_pieces = problem.link.size, pieces.piece_start[problem.link.size]
+    before = load(to.totals, _LEAST)
+    least = before
+    for k in range(count):
+        least = minimum(load(to.entries, k * (_ENTRY * LANES)), least)
+    store(to.totals, _LEAST, least)
+    scale = _exponentials(to, (least - before) / softness)  # what was summed up is relative to the least gap before
+    total = load(to.totals, _SUM) * scale
+    if gradient:
+        for k in range(WRENCH * problem.tree.parent.size):
+            store(to.wrenches, k * LANES, load(to.wrenches, k * LANES) * scale)
+    for k in range(count):
+        above = (load(to.entries, k * (_ENTRY * LANES)) - least) / softness
+        counts = above < FAR
+        if movemask(counts) == 0:
+            continue
+        weight = select(counts, _exponentials(to, -above), 0.0)
+        total = total + weight
+        if gradient:
+            body_a, body_b = to.which[_WHICH * k], to.which[_WHICH * k + 1]
+            a = _ellipsoids(to, to.which[_WHICH * k + 2], moving_pieces)
+            b = _ellipsoids(to, to.which[_WHICH * k + 3], moving_pieces)
+            s = load(to.entries, k * (_ENTRY * LANES) + LANES)
+            force, torque = contact_gap_wrench(a.shape, b.shape, minus(b.center, a.center), s)
+            defined = counts & (dot(force, force) < np.inf)
+            none = broadcast(0.0), broadcast(0.0), broadcast(0.0)
+            force = selected(defined, scaled(weight, force), none)
+            moment = selected(defined, plus(cross(b.center, force), scaled(weight, torque)), none)
+            push(to.wrenches, problem.link[body_a], negated(force), negated(moment))
+            if body_b < moving:
+                push(to.wrenches, problem.link[body_b], force, moment)
+    store(to.totals, _SUM, total)
+
+
+@njit()
+def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory, lower, slopes):
+    """Write the soft minimum of the gaps at the configurations start .. stop, and its gradient.
+
+    Parameters
+    ----------
+    gradient : bool
+        Whether `slopes` is written.
+    softness : float
+        In metres, positive.
+    Q : ndarray, shape (N, dof)
+    pack, problem_handle : int
+        As for `configurations.check_configurations`; of at least one pair.
+    memory : int
+        Address of `memory_of_clearances` bytes to write to; one thread uses them at a time.
+    lower : ndarray, shape (N,)
+        No finite number where positions overflow.
+    slopes : ndarray, shape (N, dof)
+    """
+    dof = Q.shape[1]
+    pieces, problem = pieces_of(pack), problem_of(problem_handle)
+    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    hot, piece_start, links = pieces.hot, pieces.piece_start, problem.tree.parent.size
+    moving_pieces = piece_start[problem.link.size]
+    _stand(pack, problem_handle, memory, dof)
+    for first in range(start, stop, LANES):
+        last = min(first + LANES, stop) - 1
+        _place(pack, problem_handle, memory, Q, first, last)
+        near = broadcast(np.inf)
+        store(to.totals, _LEAST, near)
+        store(to.totals, _SUM, broadcast(0.0))
+        clear(to.wrenches, WRENCH * links)
+        count = np.int64(0)
+        for p in range(len(problem.pairs)):
+            one, other = problem.pairs[p, 0], problem.pairs[p, 1]
+            if _bodies_far(to, one, other, near + FAR * softness):
+                continue
+            for i in range(piece_start[one], piece_start[one + 1]):
+                for j in range(piece_start[other], piece_start[other + 1]):
+                    a, b = _ellipsoids(to, i, moving_pieces), _ellipsoids(to, j, moving_pieces)
+                    r = minus(b.center, a.center)
+                    if _pieces_far(a, b, r, hot[i, OUTER_SIGMA] + hot[j, OUTER_SIGMA], near + FAR * softness):
+                        continue
+                    s = contact_parameter(a.shape, b.shape, r)
+                    gap = contact_gap(a.shape, b.shape, r, s, a.size + b.size)
+                    near = minimum(gap, near)
+                    store(to.entries, count * (_ENTRY * LANES), gap)
+                    store(to.entries, count * (_ENTRY * LANES) + LANES, s)
+                    at = _WHICH * count
+                    to.which[at], to.which[at + 1], to.which[at + 2], to.which[at + 3] = one, other, i, j
+                    count += 1
+                    if count == RUN:
+                        _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
+                        count = np.int64(0)
+        if count > 0:
+            _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
+        if gradient:
+            clear(to.slopes, dof)
+            powers(problem.tree, to.links, to.wrenches, to.slopes)
+        for lane in range(last + 1 - first):
+            total = to.totals[_SUM + lane]
+            # Not above the least gap: the logarithm of a sum with a term of 1 is not negative.
+            lower[first + lane] = to.totals[_LEAST + lane] - softness * math.log(total)
+            if gradient:
+                for k in range(dof):
+                    slopes[first + lane, k] = to.slopes[k * LANES + lane] / total

@@ -1,0 +1,127 @@
+"""What wrenches on the links of a robot do to its joints, at eight configurations side by side.
+
+A wrench is a force and its moment about the world's origin, both in the world's axes; it is the gradient of something
+by the motion of a link. The gradient by a value of the configuration is the power of the wrenches on all that it moves
+along the twist that it moves them by.
+"""
+
+from loewner._kernels._jit import borrowed, inline
+from loewner._kernels.columns import ACROSS, ALONG, COSINE, FIXED, FLOATING, PLANAR, PRISMATIC, REVOLUTE, ROTATION, SINE
+from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, product
+from loewner._kernels.robots.kinematics import POSE, rotation_of_link, translation_of_link
+from loewner._kernels.simd.vectors import LANES, broadcast, load, store
+
+WRENCH = 6  # vectors a link: force, moment
+
+
+@inline
+def clear(vectors, count):
+    """Write nothing but zeros."""
+    for k in range(count):
+        store(vectors, k * LANES, broadcast(0.0))
+
+
+@inline
+def _add(vectors, at, x):
+    store(vectors, at, load(vectors, at) + x)
+
+
+@inline
+def push(wrenches, link, force, moment):
+    """Add a wrench to that on a link."""
+    at = link * (WRENCH * LANES)
+    for k in range(3):
+        _add(wrenches, at + k * LANES, force[k])
+        _add(wrenches, at + (3 + k) * LANES, moment[k])
+
+
+@inline
+def _three(array, at):
+    return load(array, at), load(array, at + LANES), load(array, at + 2 * LANES)
+
+
+@inline
+def _direction(constants, link, k):
+    return broadcast(constants[link, k]), broadcast(constants[link, k + 1]), broadcast(constants[link, k + 2])
+
+
+@inline
+def _axis(constants, link):
+    """Axis of a turning joint in the frame of what it moves, from the derivative of its rotation at 0: ZᵀS is skew."""
+    x = y = z = 0.0
+    for r in range(3):
+        at = 3 * r
+        zero0 = constants[link, ROTATION + at] + constants[link, COSINE + at]
+        zero1 = constants[link, ROTATION + at + 1] + constants[link, COSINE + at + 1]
+        zero2 = constants[link, ROTATION + at + 2] + constants[link, COSINE + at + 2]
+        x += zero2 * constants[link, SINE + at + 1]
+        y += zero0 * constants[link, SINE + at + 2]
+        z += zero1 * constants[link, SINE + at]
+    return broadcast(x), broadcast(y), broadcast(z)
+
+
+@inline
+def powers(tree, W, wrenches, slopes):
+    """Gradients by the values of eight configurations.
+
+    Parameters
+    ----------
+    tree : Tree
+    W : ndarray
+        Where the links are, and the configurations behind: what `kinematics.place_links` writes.
+    wrenches : ndarray
+        WRENCH vectors a link. Those on what hangs on a link are added to its own.
+    slopes : ndarray
+        A vector for each value of a configuration, which is overwritten.
+    """
+    parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
+    multiplier, constants = borrowed(tree.multiplier), borrowed(tree.constants)
+    links = parent.size
+    for back in range(links):
+        link = links - 1 - back
+        at = link * (WRENCH * LANES)
+        force, moment = _three(wrenches, at), _three(wrenches, at + 3 * LANES)
+        what, above = kind[link], parent[link]
+        if what != FIXED:
+            q = column[link] * LANES
+            # The moment about the link's own origin, which a turn leaves where it is.
+            torque = minus(moment, cross(translation_of_link(W, link), force))
+            seen = force
+            if above >= 0:
+                seen = apply_transposed(rotation_of_link(W, above), force)
+            if what == REVOLUTE:
+                axis = apply(rotation_of_link(W, link), _axis(constants, link))
+                _add(slopes, q, multiplier[link] * dot(axis, torque))
+            elif what == PRISMATIC:
+                _add(slopes, q, multiplier[link] * dot(_direction(constants, link, ACROSS), seen))
+            elif what == PLANAR:
+                _add(slopes, q, dot(_direction(constants, link, ACROSS), seen))
+                _add(slopes, q + LANES, dot(_direction(constants, link, ALONG), seen))
+                axis = apply(rotation_of_link(W, link), _axis(constants, link))
+                _add(slopes, q + 2 * LANES, dot(axis, torque))
+            elif what == FLOATING:
+                frame = (
+                    _direction(constants, link, ROTATION) + _direction(constants, link, ROTATION + 3)
+                    + _direction(constants, link, ROTATION + 6)
+                )  # fmt: skip
+                if above >= 0:
+                    frame = product(rotation_of_link(W, above), frame)
+                shift, turn = apply_transposed(frame, force), apply_transposed(frame, torque)
+                _by_quaternion(slopes, q, shift, turn, W, links * (POSE * LANES) + q)
+        if above >= 0:
+            push(wrenches, above, force, moment)
+
+
+@inline
+def _by_quaternion(slopes, q, shift, turn, W, at):
+    """Of a floating joint: a turn by 2 vec(dq q*) / |q|²."""
+    w, x, y, z = (
+        load(W, at + 3 * LANES), load(W, at + 4 * LANES), load(W, at + 5 * LANES), load(W, at + 6 * LANES),
+    )  # fmt: skip
+    v = x, y, z
+    scale = 2.0 / (w * w + dot(v, v))
+    turned = cross(turn, v)
+    for k in range(3):
+        _add(slopes, q + k * LANES, shift[k])
+        _add(slopes, q + (4 + k) * LANES, scale * (w * turn[k] + turned[k]))
+    _add(slopes, q + 3 * LANES, -scale * dot(v, turn))
