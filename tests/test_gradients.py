@@ -192,6 +192,21 @@ def test_distances_by_pair_are_those_of_the_pairs(seed: int, tmp_path_factory):
             np.testing.assert_allclose(found.gradient[k], nearest.gradient[at], atol=1e-6)
 
 
+@pytest.mark.parametrize("apart", [1e-6, 0.01, 0.3, 3.0])
+def test_bounds_of_ellipsoids_apart_are_tight(apart: float):
+    """Of ellipsoids, which are their own inner and outer ones, both bounds are the distance itself."""
+    rng = np.random.default_rng(11)
+    for _ in range(200):
+        a, b = (Body.ellipsoid(rng.uniform(0.4, 1.0, 3)) for _ in range(2))
+        T = [pose(rng, 0.0), pose(rng, 0.0)]
+        T[1][:3, 3] = rng.normal(size=3)
+        T[1][:3, 3] *= 3.0 / np.linalg.norm(T[1][:3, 3])
+        T[1][:3, 3] *= 1 + (apart - distance(a, T[0], b, T[1], exact=True).distance) / 3.0
+        found = distance(a, T[0], b, T[1], exact=True)
+        assert 0 <= found.distance - found.lower <= 1e-6 * found.distance + 1e-13
+        assert 0 <= found.upper - found.distance <= 1e-6 * found.distance + 1e-13
+
+
 @pytest.mark.parametrize("far", [1e10, 1e19, 1e20, 1e25, 1e38, 1e39, 1e60, 1e150])
 def test_bodies_far_beyond_single_precision(far: float, tmp_path: Path):
     """Where squares of single precision overflow bounds are still bounds, and no pair is lost."""

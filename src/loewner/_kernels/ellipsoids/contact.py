@@ -151,6 +151,27 @@ def gap_bound(offset, width_p, width_q, length, size):
 
 
 @inline
+def farther_normal(P, Q, y, Pn, Qn, width_p, width_q, length, gap):
+    """A direction along which ellipsoids are farther apart than along n: a step of Newton's method on the sphere.
+
+    The gap along n is (n·r - √(nᵀPn) - √(nᵀQn)) / |n|, and its gradient y - gap n/|n|, over |n|, with y the vector
+    between the near points of n. The second derivative H of both widths takes n to 0, so a step leads to
+    (|n| H + gap)⁻¹ y, whose length does not matter. It converges where the gap is positive.
+    """
+    p, q = length / width_p, length / width_q
+    pp, qq = p / (width_p * width_p), q / (width_q * width_q)
+    A = (
+        p * P[0] + q * Q[0] - pp * Pn[0] * Pn[0] - qq * Qn[0] * Qn[0] + gap,
+        p * P[1] + q * Q[1] - pp * Pn[0] * Pn[1] - qq * Qn[0] * Qn[1],
+        p * P[2] + q * Q[2] - pp * Pn[0] * Pn[2] - qq * Qn[0] * Qn[2],
+        p * P[3] + q * Q[3] - pp * Pn[1] * Pn[1] - qq * Qn[1] * Qn[1] + gap,
+        p * P[4] + q * Q[4] - pp * Pn[1] * Pn[2] - qq * Qn[1] * Qn[2],
+        p * P[5] + q * Q[5] - pp * Pn[2] * Pn[2] - qq * Qn[2] * Qn[2] + gap,
+    )
+    return apply_symmetric(adjugate(A), y)
+
+
+@inline
 def nearness(P, Q, r, n, s, sigma_a, sigma_b, size):
     """Two points, one surely in each ellipsoid, and the certified level of their common point.
 

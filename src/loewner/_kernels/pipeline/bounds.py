@@ -10,7 +10,15 @@ import numpy as np
 from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
 from loewner._kernels.columns import INNER_CENTER, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE, REACH
-from loewner._kernels.ellipsoids.contact import gap_bound, nearness, newton_step, normal_at, outward_width, polynomials
+from loewner._kernels.ellipsoids.contact import (
+    farther_normal,
+    gap_bound,
+    nearness,
+    newton_step,
+    normal_at,
+    outward_width,
+    polynomials,
+)
 from loewner._kernels.linalg3 import apply, dot, rotated_shape
 from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pipeline.verdicts import row_of
@@ -21,7 +29,7 @@ from loewner._kernels.trees import piece_tree
 WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
 
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; an even number
-POLISH_ROUNDS = 4  # rounds n <- (near point of b) - (near point of a) that tighten a bound
+POLISH_ROUNDS = 3  # rounds that tighten a bound: Newton's method for the direction of the near points
 
 # Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
 # ellipsoid's nine rows are its center and its shape matrix.
@@ -33,6 +41,7 @@ SHIFT, SIZE, SIGMA_A, SIGMA_B = 54, 57, 58, 59
 BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
 P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
+GAP, LENGTH = TRIED, TRIED + 1  # of the last direction that was tried, for the lower bound; needed only before TRIED is
 ROWS = 102
 
 # A single pair has eight lanes for itself: the outer ellipsoids take the first four, the inner ones the others.
@@ -213,7 +222,10 @@ def _first_lower_bounds(S, count):
         hp, hq = _widths(S, lane, p, q, n, squared)
         length = np.sqrt(squared)
         offset = dot(n, r)
-        S[BELOW * LANES + lane] = gap_bound(offset, hp, hq, length, S[SIZE * LANES + lane])
+        bound = gap_bound(offset, hp, hq, length, S[SIZE * LANES + lane])
+        S[BELOW * LANES + lane] = bound
+        S[GAP * LANES + lane] = bound
+        S[LENGTH * LANES + lane] = length
         S[F_OUTER * LANES + lane] = F
         S[WIDTH * LANES + lane] = offset / length
         _put_three(S, NORMAL, lane, n)
@@ -221,15 +233,18 @@ def _first_lower_bounds(S, count):
 
 @njit()
 def _polish_lower_bounds(S, count):
-    """One round n <- (near point of b) - (near point of a), kept where it tightens the bound."""
+    """One round, kept where it tightens the bound."""
     for lane in range(count):
-        r = three(S, R, lane)
-        a = 1.0 / S[WIDTH_P * LANES + lane]
-        b = 1.0 / S[WIDTH_Q * LANES + lane]
-        n = _between_points(r, a, three(S, PN, lane), b, three(S, QN, lane))
+        r, p, q = three(S, R, lane), _six(S, P, lane), _six(S, Q, lane)
+        pn, qn, hp, hq = three(S, PN, lane), three(S, QN, lane), S[WIDTH_P * LANES + lane], S[WIDTH_Q * LANES + lane]
+        y = _between_points(r, 1.0 / hp, pn, 1.0 / hq, qn)
+        n = farther_normal(p, q, y, pn, qn, hp, hq, S[LENGTH * LANES + lane], S[GAP * LANES + lane])
         squared = dot(n, n)
-        hp, hq = _widths(S, lane, _six(S, P, lane), _six(S, Q, lane), n, squared)
-        bound = gap_bound(dot(n, r), hp, hq, np.sqrt(squared), S[SIZE * LANES + lane])
+        hp, hq = _widths(S, lane, p, q, n, squared)
+        length = np.sqrt(squared)
+        bound = gap_bound(dot(n, r), hp, hq, length, S[SIZE * LANES + lane])
+        S[GAP * LANES + lane] = bound
+        S[LENGTH * LANES + lane] = length
         best = S[BELOW * LANES + lane]
         better = bound > best and best > 0.0  # near points of ellipsoids that overlap say nothing
         m = three(S, NORMAL, lane)
@@ -275,11 +290,11 @@ def _polish_upper_bounds(S, count):
         # 128 roundings, covers those of the quotient too.
         a = 1.0 / (hp + S[WIDTH_P * LANES + lane] * length)
         b = 1.0 / (hq + S[WIDTH_Q * LANES + lane] * length)
-        n = _between_points(three(S, R, lane), a, pn, b, qn)
-        distance = np.sqrt(dot(n, n)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
+        y = _between_points(three(S, R, lane), a, pn, b, qn)
+        distance = np.sqrt(dot(y, y)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
         best = S[ABOVE * LANES + lane]
         S[ABOVE * LANES + lane] = distance if distance < best else best
-        _put_three(S, TRIED, lane, n)
+        _put_three(S, TRIED, lane, farther_normal(p, q, y, pn, qn, hp, hq, length, dot(n, y) / length))
 
 
 @inline
