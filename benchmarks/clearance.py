@@ -1,10 +1,15 @@
-"""Distances of robots and their gradients: how fast, how right, beside pinocchio with Coal.
+"""Distances of robots, bounds that are smooth, and their gradients: how fast, how right, beside pinocchio with Coal.
 
-    python benchmarks/clearance.py [--quick] [--out FOLDER]
+    python benchmarks/clearance.py [--only SECTION ...] [--quick] [--out FOLDER]
 
-Panda among ten obstacles, one thread: bounds, exact distances, exact distances with gradients, of a batch and one
-configuration a call; beside `computeDistances` with the Jacobians of the nearest pair. Then gradients beside central
-differences: those that differ by more than 1e-5 have a kink within the step, which is counted.
+Sections, all on one thread:
+
+    speed          Panda among ten obstacles: bounds, smooth clearance, exact distance, with and without gradients, of a
+                   batch and one configuration a call; beside `computeDistances` with the Jacobians of the nearest pair
+    answers        a million configurations: is a clearance above the exact distance, is that outside its bounds
+    differences    gradients beside central differences, at 1,000 configurations of five robots. Of those that differ by
+                   more than 1e-5 it is counted how many have a kink within the step
+    pairs          wrenches of 10,000 pairs of bodies of all shapes beside central differences, likewise
 """
 
 from __future__ import annotations
@@ -12,44 +17,66 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import report
 from clock import race, threads_set_to, timed
-from loewner import CollisionChecker
+from loewner import Bodies, Body, CollisionChecker, distance
 from report import Row
 from rivals import Missing
 from robot_rivals import Pinocchio
-from robot_samples import Sample, obstacles, panda, talos
-from samples import Array
+from robot_samples import Sample, five, obstacles, panda
+from samples import Array, poses, rotations
 
-COUNT, SINGLES, RIVALS, DIFFERENCES = 20_000, 500, 500, 200
+SECTIONS = ("speed", "answers", "differences", "pairs")
+COUNT, SINGLES, RIVALS = 20_000, 500, 500
+ANSWERS, AT_ONCE, DIFFERENCES, PAIRS = 1_000_000, 50_000, 200, 10_000
 QUICK = 50
 STEP = 1e-6
+QUATERNION = ("qw", "qx", "qy", "qz")
 LARGE = 1e-5
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS, help="sections; all if not given")
     parser.add_argument("--quick", action="store_true", help="small sizes: shows that it works, measures little")
     parser.add_argument("--out", type=Path, help="folder for results")
     asked = parser.parse_args(arguments)
     facts = report.machine()
     kept = Path("out/benchmarks") if asked.quick else Path(__file__).parent / "results" / report.machine_name(facts)
     results = asked.out or kept
+    figures: dict[str, list[dict[str, Any]]] = {}
     with threads_set_to(1):
-        rows = speed(panda(), asked.quick)
-        report.show("distances of a robot: one thread", rows)
-        figures = [differences(sample, name, asked.quick) for name, sample in (("panda", panda()), ("talos", talos()))]
-    for entry in figures:
-        print("  " + ", ".join(f"{key}: {value:.3g}" if isinstance(value, float) else f"{key}: {value}"
-                               for key, value in entry.items()))  # fmt: skip
-    report.write(results / "clearance.csv", rows, facts)
-    (results / "clearance.json").write_text(json.dumps({"machine": facts, "differences": figures}, indent=1) + "\n")
+        if "speed" in asked.only:
+            rows = speed(panda(), asked.quick)
+            report.show("distances of a robot: one thread", rows)
+            report.write(results / "clearance.csv", rows, facts)
+        if "answers" in asked.only:
+            figures["answers"] = [answers(panda(), asked.quick)]
+        if "differences" in asked.only:
+            figures["differences"] = [
+                differences(sample, name, what, asked.quick)
+                for name, sample in five().items()
+                for what in ("exact", "smooth")
+            ]
+        if "pairs" in asked.only:
+            figures["pairs"] = [wrenches(asked.quick)]
+    for section, entries in figures.items():
+        for entry in entries:
+            told = (
+                f"{key} {value:.3g}" if isinstance(value, float) else f"{key} {value}" for key, value in entry.items()
+            )
+            print(f"{section}: " + ", ".join(told))
+    if figures:
+        results.mkdir(parents=True, exist_ok=True)
+        (results / "clearance.json").write_text(json.dumps({"machine": facts, **figures}, indent=1) + "\n")
     return 0
 
 
@@ -65,12 +92,17 @@ def speed(arm: Sample, quick: bool) -> list[Row]:
         "exact with gradient": (Q, {"exact": True, "gradient": True}),
     }
     measures = {name: timed(partial(checker.distance, X, **options), len(X)) for name, (X, options) in ours.items()}
+    measures["smooth"] = timed(partial(checker.clearance, Q), len(Q))
+    measures["smooth with gradient"] = timed(partial(checker.clearance, Q, gradient=True), len(Q))
 
-    def one_by_one(**options: bool) -> list[Any]:
-        return [checker.distance(q, **options) for q in singles]
+    def one_by_one(query: Callable[..., Any], **options: bool) -> list[Any]:
+        return [query(q, **options) for q in singles]
 
     for name, (_, options) in ours.items():
-        measures[f"{name}, one a call"] = timed(partial(one_by_one, **options), len(singles))
+        measures[f"{name}, one a call"] = timed(partial(one_by_one, checker.distance, **options), len(singles))
+    measures["smooth with gradient, one a call"] = timed(
+        partial(one_by_one, checker.clearance, gradient=True), len(singles)
+    )
     rival_name, told = "pinocchio computeDistances, Jacobians", ""
     try:
         rival = Pinocchio(checker, arm.urdf)
@@ -107,24 +139,100 @@ def with_jacobians(rival: Pinocchio, X: Array) -> list[Any]:
     return found
 
 
-def differences(sample: Sample, name: str, quick: bool) -> dict[str, Any]:
-    """Gradients beside central differences at configurations where nothing touches."""
+def answers(arm: Sample, quick: bool) -> dict[str, Any]:
+    """How often bounds do not hold."""
+    checker = CollisionChecker(arm.robot, obstacles(0))
+    count = QUICK if quick else ANSWERS
+    above = outside = other_sign = 0
+    short: list[Array] = []
+    for seed, first in enumerate(range(0, count, AT_ONCE)):
+        Q = arm.robot.random_configurations(min(AT_ONCE, count - first), 10 + seed)
+        bounds, exact, smooth = checker.distance(Q), checker.distance(Q, exact=True).distance, checker.clearance(Q)
+        above += int((smooth > exact).sum())
+        outside += int(((bounds.lower > exact) | (exact > bounds.upper)).sum())
+        other_sign += int(((exact <= 0) != checker.collide(Q)).sum())
+        short.append(exact - smooth)
+    return {
+        "configurations": count, "clearance above exact": above, "exact outside bounds": outside,
+        "sign other than that of collide": other_sign,
+        "clearance short by, median": float(np.median(np.concatenate(short))),
+    }  # fmt: skip
+
+
+def differences(sample: Sample, name: str, what: str, quick: bool) -> dict[str, Any]:
+    """Gradients by the configuration beside central differences."""
     checker = CollisionChecker(sample.robot, obstacles(0))
     Q = sample.robot.random_configurations(10 if quick else DIFFERENCES, 2)
-    found = checker.distance(Q, exact=True, gradient=True)
+    quaternions = [k for k, kind in enumerate(sample.robot.configuration_names) if kind.split("/")[-1] in QUATERNION]
+    if what == "exact":
+        found = checker.distance(Q, exact=True, gradient=True)
+        value, gradient = found.distance, found.gradient
+    else:
+        value, gradient = checker.clearance(Q, gradient=True)
+
+    def of(X: Array) -> Array:
+        return checker.distance(X, exact=True).distance if what == "exact" else checker.clearance(X)
+
     errors, kinks = [], 0
     for column in range(sample.robot.dof):
+        if column in quaternions:  # of norm 1: no step along one entry leads to another orientation alone
+            continue
         step = np.zeros(sample.robot.dof)
         step[column] = STEP
-        after, before = checker.distance(Q + step, exact=True), checker.distance(Q - step, exact=True)
-        error = np.abs((after.distance - before.distance) / (2 * STEP) - found.gradient[:, column])
-        one_sided = np.abs(after.distance - 2 * found.distance + before.distance) / STEP
+        after, before = of(Q + step), of(Q - step)
+        error = np.abs((after - before) / (2 * STEP) - gradient[:, column])
+        one_sided = np.abs(after - 2 * value + before) / STEP
         kinks += int(((error > LARGE) & (one_sided > LARGE)).sum())
         errors.append(error)
-    error = np.concatenate(errors)
-    return {
-        "robot": name, "derivatives": len(error), "median error": float(np.median(error)),
-        "larger than 1e-5": int((error > LARGE).sum()), "of these with a kink": kinks,
+    return summary({"robot": name, "of": what}, np.concatenate(errors), kinks)
+
+
+def wrenches(quick: bool) -> dict[str, Any]:
+    """Wrenches of exact distances of pairs of bodies beside central differences by six motions."""
+    rng = np.random.default_rng(5)
+    count = QUICK if quick else PAIRS
+    bodies = shapes(rng)
+    Ta, Tb = (poses(rotations(rng, count), rng.normal(size=(count, 3)) * 0.3) for _ in range(2))
+    Tb[:, :3, 3] += rng.normal(size=(count, 3))
+    chosen = rng.integers(len(bodies), size=(2, count))
+    a, b = (bodies[row] for row in chosen)
+    found = distance(a, Ta, b, Tb, exact=True)
+    errors, kinks = [], 0
+    for k in range(6):
+        after, before = (distance(a, Ta, b, moved(Tb, k, step), exact=True).distance for step in (STEP, -STEP))
+        error = np.abs((after - before) / (2 * STEP) - found.wrench[:, k])
+        one_sided = np.abs(after - 2 * found.distance + before) / STEP
+        kinks += int(((error > LARGE) & (one_sided > LARGE)).sum())
+        errors.append(error)
+    touching = int((found.distance <= 0).sum())
+    return summary({"pairs": count, "of these overlapping": touching}, np.concatenate(errors), kinks)
+
+
+def shapes(rng: np.random.Generator) -> Bodies:
+    """Bodies of all kinds."""
+    return Bodies([
+        Body.box([0.2, 0.4, 0.6]), Body.sphere(0.3), Body.ellipsoid([0.1, 0.3, 0.5]), Body.cylinder(0.2, 0.5),
+        Body.cone(0.3, 0.5), Body.capsule(0.15, 0.5), Body.from_points(rng.normal(size=(12, 3)) * 0.2),
+        Body.from_points(rng.normal(size=(200, 3)) * 0.2),
+    ])  # fmt: skip
+
+
+def moved(T: Array, k: int, step: float) -> Array:
+    """Poses after a small motion along (or about) an axis of the world."""
+    twist = np.zeros(6)
+    twist[k] = step
+    turn = Rotation.from_rotvec(twist[3:]).as_matrix()
+    after = T.copy()
+    after[:, :3] = turn @ T[:, :3]
+    after[:, :3, 3] += twist[:3]
+    return after
+
+
+def summary(about: dict[str, Any], errors: Array, kinks: int) -> dict[str, Any]:
+    """How far gradients are from differences."""
+    return about | {
+        "derivatives": len(errors), "median error": float(np.median(errors)),
+        "larger than 1e-5": int((errors > LARGE).sum()), "of these with a kink": kinks,
     }  # fmt: skip
 
 

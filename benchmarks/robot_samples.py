@@ -46,6 +46,17 @@ def talos() -> Sample:
     return example("talos_data/robots/talos_full_v2.urdf", "talos_data/srdf/talos.srdf")
 
 
+def five() -> dict[str, Sample]:
+    """Two arms, an arm of few joints, a humanoid, and a robot with four legs and an arm."""
+    return {
+        "panda": panda(),
+        "ur5": example("ur_description/urdf/ur5_robot.urdf", "ur_description/srdf/ur5.srdf"),
+        "xarm7": example("xarm_description/urdf/xarm7.urdf", "xarm_description/srdf/xarm7.srdf"),
+        "talos": talos(),
+        "b1-z1": example("b1_description/urdf/b1-z1.urdf", "b1_description/srdf/b1-z1.srdf"),
+    }
+
+
 def obstacles(seed: int) -> Scene:
     """Boxes and hulls in a ring around the base, turned at random."""
     rng = np.random.default_rng(seed)

@@ -42,6 +42,7 @@ ENTRIES = {
         Entry("robots.nearest", "near_pairs", "f i i F2 i i i I2 i", "i"),
         Entry("robots.clearances", "memory_of_clearances", "i i i", "i"),
         Entry("robots.clearances", "clearances", "b f i i F2 i i i F1 F2", ""),
+        Entry("robots.clearances", "pair_gradients", "i i F2 i i i cI2 cF2 cF2 F2", ""),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
         Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),

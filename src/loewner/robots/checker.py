@@ -42,9 +42,6 @@ BY_PAIR = 1024
 # Poses of bodies at most, of all those configurations together: 100 MB.
 POSES_AT_ONCE = 2**20 * 3 // 4
 
-# Configurations that gradients are computed for at a time: of a hundred joints, their twists take 5 MB.
-AT_ONCE = 1024
-
 
 @dataclass(frozen=True, eq=False)
 class StateDistance(Generic[Exact, Vector]):
@@ -921,14 +918,15 @@ class CollisionChecker:
 
     def _gradients(self, ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
         """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
-        links = np.append(ready.link, np.full(len(ready.names) - len(ready.link), -1))[bodies]
-        gradients, joints = np.empty((len(Q), self.robot.dof)), self.robot._joints
-        for k in range(0, len(Q), AT_ONCE):
-            part = slice(k, k + AT_ONCE)
-            wrench = np.concatenate([normal[part], np.cross(witness[part], normal[part])], axis=1)
-            power = (joints.twists(Q[part], self.robot.forward_kinematics(Q[part])) @ wrench[:, :, None])[:, :, 0]
-            sign = joints.moves[links[part, 1]].astype(float) - joints.moves[links[part, 0]]
-            gradients[part] = (sign * power) @ joints.sums
+        gradients = np.empty((len(Q), self.robot.dof))
+
+        def run(first: int, last: int) -> None:
+            entries.pair_gradients(
+                first, last, Q, ready.bodies._packed.handle, ready.handle, workspace(ready.memory_of_clearances),
+                bodies, normal, witness, gradients,
+            )  # fmt: skip
+
+        in_shares(run, len(Q), LEAST_SHARE)
         return gradients
 
 

@@ -86,7 +86,7 @@ def contact_gap(P, Q, r, s, size):
     `size` is the sum of the lengths that went into r. Where something overflows the bound is -inf.
     """
     _, n = normal_at(P, Q, r, s)
-    concentric = dot(r, r) == 0.0  # any direction gives a valid bound
+    concentric = dot(r, r) <= 0.0  # any direction gives a valid bound
     n = selected(concentric, (broadcast(1.0), broadcast(0.0), broadcast(0.0)), n)
     squared = dot(n, n)
     width_p, _ = outward_width(P, n, squared)

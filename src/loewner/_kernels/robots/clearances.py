@@ -1,4 +1,4 @@
-"""A smooth lower bound on how far a robot is from touching, and its gradient, at many configurations.
+"""A smooth lower bound on how far a robot is from touching, and its gradient, at many configurations; other gradients.
 
 Of all pairs of pieces the gaps of their outer ellipsoids along the contact normals are taken together by a soft
 minimum, -softness log Σ exp(-gap/softness), which is below the least of them. Eight configurations are side by side.
@@ -204,15 +204,21 @@ def _stand(pack, problem_handle, memory, dof):
         to.bodies[at + 3], to.bodies[at + 4], to.bodies[at + 5], to.bodies[at + 6] = away, widest, thinnest, reach
 
 
+@inline
+def _place_links(problem, to, Q, first, last):
+    """Compute where the links are at the configurations first .. last, eight at most."""
+    for lane in range(LANES):
+        to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
+    place_links(problem.tree, Q, to.rows, np.int64(0), to.links)
+
+
 @njit()
 def _place(pack, problem_handle, memory, Q, first, last):
     """Place what moves at the configurations first .. last, eight at most."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     to = _memory_at(memory, _sizes(pieces, problem, Q.shape[1]))
     hot, piece_start = pieces.hot, pieces.piece_start
-    for lane in range(LANES):
-        to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
-    place_links(problem.tree, Q, to.rows, np.int64(0), to.links)
+    _place_links(problem, to, Q, first, last)
     for body in range(problem.link.size):
         R, t = rotation_of_link(to.links, problem.link[body]), translation_of_link(to.links, problem.link[body])
         at = body * _BODY
@@ -366,8 +372,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
         if count > 0:
             _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
         if gradient:
-            clear(to.slopes, dof)
-            powers(problem.tree, to.links, to.wrenches, to.slopes)
+            powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
         for lane in range(last + 1 - first):
             total = to.totals[_SUM + lane]
             # Not above the least gap: the logarithm of a sum with a term of 1 is not negative.
@@ -375,3 +380,40 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
             if gradient:
                 for k in range(dof):
                     slopes[first + lane, k] = to.slopes[k * LANES + lane] / total
+
+
+@njit()
+def pair_gradients(start, stop, Q, pack, problem_handle, memory, bodies, force, point, slopes):
+    """Write the gradients of one pair's distance at each of the configurations start .. stop.
+
+    Parameters
+    ----------
+    Q : ndarray, shape (N, dof)
+    pack, problem_handle, memory : int
+        As for `clearances`.
+    bodies : ndarray of int64, shape (N, 2)
+        Which pair it is.
+    force, point : ndarray, shape (N, 3)
+        The gradient by a motion of the second body: a force, at a point, in the world.
+    slopes : ndarray, shape (N, dof)
+    """
+    dof, problem = Q.shape[1], problem_of(problem_handle)
+    to = _memory_at(memory, _sizes(pieces_of(pack), problem, dof))
+    for first in range(start, stop, LANES):
+        last = min(first + LANES, stop) - 1
+        _place_links(problem, to, Q, first, last)
+        clear(to.wrenches, WRENCH * problem.tree.parent.size)
+        for k in range(first, last + 1):
+            f = force[k, 0], force[k, 1], force[k, 2]
+            m = cross((point[k, 0], point[k, 1], point[k, 2]), f)
+            for side in range(2):
+                if bodies[k, side] < problem.link.size:
+                    at = problem.link[bodies[k, side]] * (WRENCH * LANES) + k - first
+                    sign = 2.0 * side - 1.0
+                    for c in range(3):
+                        to.wrenches[at + c * LANES] += sign * f[c]
+                        to.wrenches[at + (3 + c) * LANES] += sign * m[c]
+        powers(problem.tree, to.links, to.wrenches, dof, to.slopes)
+        for lane in range(last + 1 - first):
+            for k in range(dof):
+                slopes[first + lane, k] = to.slopes[k * LANES + lane]

@@ -61,7 +61,7 @@ def _axis(constants, link):
 
 
 @inline
-def powers(tree, W, wrenches, slopes):
+def powers(tree, W, wrenches, dof, slopes):
     """Gradients by the values of eight configurations.
 
     Parameters
@@ -72,11 +72,12 @@ def powers(tree, W, wrenches, slopes):
     wrenches : ndarray
         WRENCH vectors a link. Those on what hangs on a link are added to its own.
     slopes : ndarray
-        A vector for each value of a configuration, which is overwritten.
+        Receives a vector for each value of a configuration, of which there are `dof`.
     """
     parent, kind, column = borrowed(tree.parent), borrowed(tree.kind), borrowed(tree.column)
     multiplier, constants = borrowed(tree.multiplier), borrowed(tree.constants)
     links = parent.size
+    clear(slopes, dof)
     for back in range(links):
         link = links - 1 - back
         at = link * (WRENCH * LANES)
