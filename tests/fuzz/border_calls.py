@@ -826,7 +826,7 @@ CALLS: dict[str, Call] = {
             "start": array([-0.5, 0.25, 0.0], FINITE),
             "goal": array([[-0.5, 0.5, 0.0]], FINITE),
             "joints": arg("y", NONE),
-            "planner": arg("RRTConnect", skips=frozenset({"type"})),
+            "planner": arg("RRTConnect", NONE, skips=frozenset({"type"})),
             "certified": flag(),
             "resolution": positive(0.125),
             "max_iterations": count(1000),

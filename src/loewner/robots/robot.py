@@ -412,7 +412,7 @@ class Robot:
         >>> robot.jacobian([0.0, 0.0], robot.link_names[-1]).shape
         (6, 2)
         """
-        if link not in self.link_names:
+        if not isinstance(link, str) or link not in self.link_names:
             raise _validate.unknown_name("link in jacobian", link, self.link_names)
         x = np.zeros(3) if point is None else _validate.finite_array(point, "point", (3,))
         checked = self.checked(Q)
