@@ -1,10 +1,13 @@
-"""Distances of robots and their gradients: how fast, how right, beside pinocchio with Coal.
+"""Distances of robots and their gradients, beside pinocchio with Coal; depths of crowds and of listed pairs.
 
-    python benchmarks/clearance.py [--quick] [--out FOLDER]
+    python benchmarks/clearance.py [--quick] [--only robots | crowd] [--out FOLDER]
 
-Panda among ten obstacles, one thread: bounds, exact distances, exact distances with gradients, of a batch and one
-configuration a call; beside `computeDistances` with the Jacobians of the nearest pair. Then gradients beside central
-differences: those that differ by more than 1e-5 have a kink within the step, which is counted.
+Crowd, one thread: 20,000 ellipsoids, which overlap, with depths and normals, and 40,000 of these pairs by number; each
+beside the same by copies of bodies and poses, a row for each pair.
+
+Robots: Panda among ten obstacles, one thread: bounds, exact distances, exact distances with gradients, of a batch and
+one configuration a call; beside `computeDistances` with the Jacobians of the nearest pair. Then gradients beside
+central differences: those that differ by more than 1e-5 have a kink within the step, which is counted.
 """
 
 from __future__ import annotations
@@ -18,17 +21,19 @@ from typing import Any
 
 import numpy as np
 
+import loewner
 import report
-from clock import race, threads_set_to, timed
+from clock import Cost, race, threads_set_to, timed
 from loewner import CollisionChecker
 from report import Row
 from rivals import Missing
 from robot_rivals import Pinocchio
 from robot_samples import Sample, obstacles, panda, talos
-from samples import Array
+from samples import Array, poses, rotations
 
 COUNT, SINGLES, RIVALS, DIFFERENCES = 20_000, 500, 500, 200
 QUICK = 50
+GRAINS, FILLED, LISTED = 20_000, 0.68, 40_000  # FILLED: share of the volume, overlaps counted twice
 STEP = 1e-6
 LARGE = 1e-5
 
@@ -36,21 +41,76 @@ LARGE = 1e-5
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small sizes: shows that it works, measures little")
+    parser.add_argument("--only", choices=["robots", "crowd"], help="one of the two parts; without, both")
     parser.add_argument("--out", type=Path, help="folder for results")
     asked = parser.parse_args(arguments)
     facts = report.machine()
     kept = Path("out/benchmarks") if asked.quick else Path(__file__).parent / "results" / report.machine_name(facts)
     results = asked.out or kept
     with threads_set_to(1):
-        rows = speed(panda(), asked.quick)
-        report.show("distances of a robot: one thread", rows)
-        figures = [differences(sample, name, asked.quick) for name, sample in (("panda", panda()), ("talos", talos()))]
+        if asked.only != "robots":
+            rows = crowd(asked.quick)
+            report.show("depths of a crowd, distances of listed pairs: one thread", rows)
+            report.write(results / "clearance_crowd.csv", rows, facts)
+        if asked.only != "crowd":
+            robots(asked.quick, results, facts)
+    return 0
+
+
+def robots(quick: bool, results: Path, facts: dict[str, Any]) -> None:
+    """Distances of robots and their gradients."""
+    rows = speed(panda(), quick)
+    report.show("distances of a robot: one thread", rows)
+    figures = [differences(sample, name, quick) for name, sample in (("panda", panda()), ("talos", talos()))]
     for entry in figures:
         print("  " + ", ".join(f"{key}: {value:.3g}" if isinstance(value, float) else f"{key}: {value}"
                                for key, value in entry.items()))  # fmt: skip
     report.write(results / "clearance.csv", rows, facts)
     (results / "clearance.json").write_text(json.dumps({"machine": facts, "differences": figures}, indent=1) + "\n")
-    return 0
+
+
+def crowd(quick: bool) -> list[Row]:
+    """Depths of all overlaps in one call, and distances of listed pairs, beside copies of bodies and poses."""
+    n, rng = QUICK if quick else GRAINS, np.random.default_rng(0)
+    axes = rng.uniform(0.3, 1.0, size=(n, 3))
+    side = np.cbrt(4 / 3 * np.pi * axes.prod(axis=1).sum() / FILLED)
+    grains, T = loewner.Bodies.ellipsoids(axes), poses(rotations(rng, n), rng.uniform(0, side, size=(n, 3)))
+    found = loewner.overlapping_pairs(grains, T, depth=True)
+    listed = found.pairs[np.sort(rng.permutation(len(found))[:LISTED])]
+
+    def copied(pairs: Array) -> tuple[Any, ...]:
+        i, j = pairs.T
+        return grains[i], T[i], grains[j], T[j]
+
+    def by_copies(pairs: Array, exact: bool) -> Any:
+        return loewner.distance(*copied(pairs), exact=exact)
+
+    measures = {
+        "depths": timed(lambda: loewner.overlapping_pairs(grains, T, depth=True), 1),
+        "depths by copies": timed(lambda: by_copies(loewner.overlapping_pairs(grains, T), True), 1),
+    }
+    beforehand = copied(listed)
+    for name, exact in (("bounds", False), ("exact", True)):
+        measures[name] = timed(partial(loewner.distance, grains, T, grains, T, exact=exact, pairs=listed), 1)
+        measures[f"{name} by copies"] = timed(partial(by_copies, listed, exact), 1)
+        measures[f"{name} beforehand"] = timed(partial(loewner.distance, *beforehand, exact=exact), 1)
+    costs = race(measures, 1 if quick else 5)
+    truth = by_copies(found.pairs, True)
+    differing = int((np.abs(truth.distance - found.distance) > 1e-9).sum())
+
+    def row(case: str, us: str, name: str, rival: str, other: str, items: int, differing: int | None = None) -> Row:
+        ours, theirs = (Cost(costs[k].wall / items, costs[k].cpu / items) for k in (name, other))
+        note = f"{1000 * costs[name].cpu:.1f} ms beside {1000 * costs[other].cpu:.1f} ms"
+        return Row(case, us, ours, rival, theirs, items, differing=differing, note=note)
+
+    case = f"{n} ellipsoids, {len(found)} overlaps"
+    rows = [row(case, "overlapping_pairs(depth=True)", "depths", "then distance by copies", "depths by copies",
+                len(found), differing)]  # fmt: skip
+    for name in ("bounds", "exact"):
+        for rival, text in (("by copies", "broadcast, copies made"), ("beforehand", "broadcast, copies made before")):
+            rows.append(row(f"{len(listed)} listed pairs, {name}", "distance(pairs=)", name, text, f"{name} {rival}",
+                            len(listed)))  # fmt: skip
+    return rows
 
 
 def speed(arm: Sample, quick: bool) -> list[Row]:
