@@ -10,6 +10,8 @@ Sections, all on one thread:
     differences    gradients beside central differences, at 1,000 configurations of five robots. Of those that differ by
                    more than 1e-5 it is counted how many have a kink within the step
     pairs          wrenches of 10,000 pairs of bodies of all shapes beside central differences, likewise
+    crowd          20,000 ellipsoids that overlap, with depths and normals; 40,000 of these pairs by number; each beside
+                   the same by copies of bodies and poses, a row for each pair
 """
 
 from __future__ import annotations
@@ -26,18 +28,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import report
-from clock import race, threads_set_to, timed
-from loewner import Bodies, Body, CollisionChecker, distance
+from clock import Cost, race, threads_set_to, timed
+from loewner import Bodies, Body, CollisionChecker, distance, overlapping_pairs
 from report import Row
 from rivals import Missing
 from robot_rivals import Pinocchio
 from robot_samples import Sample, five, obstacles, panda
 from samples import Array, poses, rotations
 
-SECTIONS = ("speed", "answers", "differences", "pairs")
+SECTIONS = ("speed", "crowd", "answers", "differences", "pairs")
 COUNT, SINGLES, RIVALS = 20_000, 500, 500
 ANSWERS, AT_ONCE, DIFFERENCES, PAIRS = 1_000_000, 50_000, 200, 10_000
 QUICK = 50
+GRAINS, FILLED, LISTED = 20_000, 0.68, 40_000  # FILLED: share of the volume, overlaps counted twice
 STEP = 1e-6
 QUATERNION = ("qw", "qx", "qy", "qz")
 LARGE = 1e-5
@@ -58,6 +61,10 @@ def main(arguments: list[str] | None = None) -> int:
             rows = speed(panda(), asked.quick)
             report.show("distances of a robot: one thread", rows)
             report.write(results / "clearance.csv", rows, facts)
+        if "crowd" in asked.only:
+            rows = crowd(asked.quick)
+            report.show("depths of a crowd, distances of listed pairs: one thread", rows)
+            report.write(results / "clearance-crowd.csv", rows, facts)
         if "answers" in asked.only:
             figures["answers"] = [answers(panda(), asked.quick)]
         if "differences" in asked.only:
@@ -78,6 +85,50 @@ def main(arguments: list[str] | None = None) -> int:
         results.mkdir(parents=True, exist_ok=True)
         (results / "clearance.json").write_text(json.dumps({"machine": facts, **figures}, indent=1) + "\n")
     return 0
+
+
+def crowd(quick: bool) -> list[Row]:
+    """Depths of all overlaps in one call, and distances of listed pairs, beside copies of bodies and poses."""
+    n, rng = QUICK if quick else GRAINS, np.random.default_rng(0)
+    axes = rng.uniform(0.3, 1.0, size=(n, 3))
+    side = np.cbrt(4 / 3 * np.pi * axes.prod(axis=1).sum() / FILLED)
+    grains, T = Bodies.ellipsoids(axes), poses(rotations(rng, n), rng.uniform(0, side, size=(n, 3)))
+    found = overlapping_pairs(grains, T, depth=True)
+    listed = found.pairs[np.sort(rng.permutation(len(found))[:LISTED])]
+
+    def copied(pairs: Array) -> tuple[Any, ...]:
+        i, j = pairs.T
+        return grains[i], T[i], grains[j], T[j]
+
+    def by_copies(pairs: Array, exact: bool) -> Any:
+        return distance(*copied(pairs), exact=exact)
+
+    measures = {
+        "depths": timed(lambda: overlapping_pairs(grains, T, depth=True), 1),
+        "depths by copies": timed(lambda: by_copies(overlapping_pairs(grains, T), True), 1),
+    }
+    beforehand = copied(listed)
+    for name, exact in (("bounds", False), ("exact", True)):
+        measures[name] = timed(partial(distance, grains, T, grains, T, exact=exact, pairs=listed), 1)
+        measures[f"{name} by copies"] = timed(partial(by_copies, listed, exact), 1)
+        measures[f"{name} beforehand"] = timed(partial(distance, *beforehand, exact=exact), 1)
+    costs = race(measures, 1 if quick else 5)
+    truth = by_copies(found.pairs, True)
+    differing = int((np.abs(truth.distance - found.distance) > 1e-9).sum())
+
+    def row(case: str, us: str, name: str, rival: str, other: str, items: int, differing: int | None = None) -> Row:
+        ours, theirs = (Cost(costs[k].wall / items, costs[k].cpu / items) for k in (name, other))
+        note = f"{1000 * costs[name].cpu:.1f} ms beside {1000 * costs[other].cpu:.1f} ms"
+        return Row(case, us, ours, rival, theirs, items, differing=differing, note=note)
+
+    case = f"{n} ellipsoids, {len(found)} overlaps"
+    rows = [row(case, "overlapping_pairs(depth=True)", "depths", "then distance by copies", "depths by copies",
+                len(found), differing)]  # fmt: skip
+    for name in ("bounds", "exact"):
+        for rival, text in (("by copies", "broadcast, copies made"), ("beforehand", "broadcast, copies made before")):
+            rows.append(row(f"{len(listed)} listed pairs, {name}", "distance(pairs=)", name, text, f"{name} {rival}",
+                            len(listed)))  # fmt: skip
+    return rows
 
 
 def speed(arm: Sample, quick: bool) -> list[Row]:

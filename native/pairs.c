@@ -21,10 +21,10 @@ typedef struct {
     void *memory;
 } SettleArguments;
 
-#define DISTANCE_TAKES "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1"
+#define DISTANCE_TAKES "b i i I2 I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1"
 typedef struct {
     int64_t wanted, first, last;
-    Array2 plan;
+    Array2 plan, rows;
     int64_t a;
     Poses poses_a;
     int64_t b;
@@ -239,7 +239,7 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
     DistanceResults left;
     double *number = found->number;
     DistanceArguments arguments = {
-        wanted, 0, 1, ONE_PAIR, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
+        wanted, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
         {&number[LOWER], 1}, {&number[UPPER], 1}, {&number[ESTIMATE], 1}, {&number[VALUE], wanted},
         {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
         {&status, wanted},

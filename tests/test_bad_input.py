@@ -453,6 +453,8 @@ def test_what_is_neither_true_nor_false(bad: object):
     a = Body.sphere(1)
     with pytest.raises(InputError, match="exact: expected True or False"):
         loewner.distance(a, None, a, None, exact=bad)
+    with pytest.raises(InputError, match="depth: expected True or False"):
+        loewner.overlapping_pairs(a, depth=bad)
     assert loewner.distance(a, None, a, None, exact=np.True_).distance is not None
 
 

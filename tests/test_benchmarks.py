@@ -13,6 +13,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 import accuracy
+import clearance
 import clock
 import crowd
 import growth
@@ -70,6 +71,15 @@ def test_contestants_take_turns_and_the_best_counts():
     best = clock.race({"a": contestant("a"), "b": contestant("b")}, rounds=2)
     assert order == ["a", "b"] * 3
     assert (best["a"].wall, best["b"].wall) == (6, 5)
+
+
+def test_depths_of_a_crowd_are_those_by_copies():
+    """Each way of measuring a crowd or listed pairs has a cost, and no depth differs between them."""
+    rows = clearance.crowd(quick=True)
+    assert rows[0].items > 50
+    assert rows[0].differing == 0
+    assert {row.case.split(", ")[1] for row in rows[1:]} == {"bounds", "exact"}
+    assert all(row.ours.cpu > 0 and row.theirs.cpu > 0 for row in rows)
 
 
 def test_timed_is_per_item(monkeypatch: pytest.MonkeyPatch):

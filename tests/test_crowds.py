@@ -1,9 +1,10 @@
-"""Pairs that meet among many bodies: the same as asking about every pair."""
+"""Pairs that meet among many bodies, and how deep: the same as asking about every pair."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 import loewner
 from families import FAMILIES, pieces, random_poses, translation
@@ -243,6 +244,13 @@ def test_search_is_far_from_all_pairs():
         ((Bodies.spheres([1.0, 1.0]), np.zeros((2, 4, 4))), {}, loewner.PoseError, "last row"),
         ((Bodies.spheres([1.0, 1.0]), None), {"margin": -1.0}, loewner.InputError, "margin: expected"),
         ((Bodies.spheres([1.0, 1.0]), None), {"margin": np.inf}, loewner.InputError, "margin: expected"),
+        (
+            (Bodies.spheres([1.0, 1.0]), None),
+            {"depth": 1},
+            loewner.InputError,
+            "depth: expected True or False, found 1",
+        ),
+        ((Bodies.spheres([1.0, 1.0]), np.zeros((2, 4, 4))), {"depth": True}, loewner.PoseError, "last row"),
         ((Bodies.spheres([1.0, 1.0]), None), {"method": "guess"}, loewner.UnknownNameError, "exact, certified, found"),
     ],
 )
@@ -279,6 +287,189 @@ def test_many_at_once_are_those_one_by_one():
     ):
         for left, right in zip(many._packed.kernel, single._packed.kernel, strict=True):
             np.testing.assert_array_equal(left, right)
+
+
+# -- depths ------------------------------------------------------------------------------------
+
+
+FIELDS = ("distance", "witness_a", "witness_b", "normal")
+
+
+def surfaces(rng: np.random.Generator, n: int) -> Bodies:
+    """Solids of triangles, open surfaces, and hulls among them."""
+    ball = Body.from_points(pieces("ball 20", 1, seed=3)[0]).pieces[0]
+    triangles = ConvexHull(ball.vertices).simplices
+    solid = Body.from_surface((ball.vertices, triangles))
+    made = [solid, Body.from_surface((ball.vertices, triangles[:5])), Body.from_points(ball.vertices)]
+    return Bodies([made[k] for k in rng.integers(3, size=n)])
+
+
+def curved(rng: np.random.Generator, n: int) -> Bodies:
+    """Primitives of every curved kind."""
+    made = [
+        Body.cylinder(0.4, 0.7),
+        Body.cone(0.5, 0.8),
+        Body.capsule(0.3, 0.6),
+        Body.ellipsoid([0.3, 0.5, 0.7]),
+        Body.sphere(0.4),
+    ]
+    return Bodies([made[k] for k in rng.integers(len(made), size=n)])
+
+
+MADE = {"surfaces": surfaces, "curved": curved}
+
+
+def crowd_of(kind: str, n: int = 60) -> tuple[Bodies, np.ndarray]:
+    """A crowd of any kind with many pairs that meet, and its poses."""
+    rng = np.random.default_rng([6, *map(ord, kind)])
+    bodies = MADE[kind](rng, n) if kind in MADE else crowd(kind, rng, n)
+    return bodies, random_poses(rng, n, spread=0.8 if kind == "mixed sizes" else 2.0)
+
+
+def measured(bodies: Body | Bodies, T: np.ndarray, margin: float = 0.0, method: str = "exact") -> loewner.Overlaps:
+    """Pairs with their depths, checked to be those that are listed without."""
+    found = overlapping_pairs(bodies, T, margin=margin, method=method, depth=True)
+    np.testing.assert_array_equal(found.pairs, overlapping_pairs(bodies, T, margin=margin, method=method))
+    assert found.distance.shape == (len(found),)
+    assert found.normal.shape == found.witness_a.shape == found.witness_b.shape == (len(found), 3)
+    return found
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *MADE])
+@pytest.mark.parametrize("margin", [0.0, 0.2])
+def test_depths_are_those_of_distance(kind, margin):
+    """What `distance` says of the pairs one by one, to 1e-9 of the lengths involved, and within its bounds."""
+    bodies, T = crowd_of(kind)
+    found = measured(bodies, T, margin)
+    i, j = found.pairs.T
+    truth = loewner.distance(bodies[i], T[i], bodies[j], T[j], exact=True)
+    size = 1e-9 * (1.0 + np.linalg.norm(T[i, :3, 3] - T[j, :3, 3], axis=1))
+    assert len(found) > 20
+    assert (np.abs(found.distance - truth.distance) <= size).all()
+    assert (found.distance >= truth.lower).all()
+    assert (found.distance <= truth.upper).all()
+    for name in FIELDS[1:]:
+        np.testing.assert_allclose(getattr(found, name), getattr(truth, name), atol=1e-6)
+    assert (found.distance <= margin + 1e-9).all()
+    assert (found.distance < 0).any()
+    assert (found.distance > 0).any() == (margin > 0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_depths_do_not_depend_on_the_order(kind):
+    """Bodies in reverse order: the same depths, normals turned round, witnesses exchanged."""
+    bodies, T = crowd_of(kind)
+    n = len(bodies)
+    found, other = measured(bodies, T), measured(bodies[np.arange(n)[::-1]], T[::-1])
+    place = {pair: k for k, pair in enumerate(map(tuple, (n - 1 - other.pairs[:, ::-1]).tolist()))}
+    k = [place[pair] for pair in map(tuple, found.pairs.tolist())]
+    np.testing.assert_allclose(other.distance[k], found.distance, atol=1e-9)
+    for one, two in (("witness_a", "witness_b"), ("witness_b", "witness_a")):
+        gap = np.einsum("kc,kc->k", getattr(other, two)[k] - getattr(found, one), found.normal)
+        np.testing.assert_allclose(gap, 0.0, atol=1e-6)
+    if kind in ("spheres", "ellipsoids", "mixed sizes"):  # elsewhere directions may tie
+        np.testing.assert_allclose(other.normal[k], -found.normal, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["spheres", "ellipsoids", "mixed sizes", "hulls"])
+def test_pushed_apart_by_the_depth_they_touch(kind):
+    """Moved along its normal by its depth and a hair, the second of two bodies is free; by a hair less, it is not."""
+    bodies, T = crowd_of(kind)
+    found = measured(bodies, T)
+    i, j = found.pairs.T
+    for hair, free in ((1e-7, True), (-1e-7, False)):
+        moved = T[j]
+        moved[:, :3, 3] += (hair - found.distance)[:, None] * found.normal
+        assert (loewner.collide(bodies[i], T[i], bodies[j], moved) != free).all()
+
+
+def test_witnesses_span_the_depth():
+    """witness_b - witness_a is the distance times a unit normal, and both points are on the bodies' boundaries."""
+    rng = np.random.default_rng(20)
+    axes_of = axes(rng, 80, 1.0)
+    T = random_poses(rng, 80, 1.0)
+    found = measured(Bodies.ellipsoids(axes_of), T, 0.1)
+    assert len(found) > 100
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(found.witness_b - found.witness_a, found.distance[:, None] * found.normal, atol=1e-9)
+    for k, points in zip(found.pairs.T, (found.witness_a, found.witness_b), strict=True):
+        local = np.einsum("kcr,kc->kr", T[k, :3, :3], points - T[k, :3, 3]) / axes_of[k]
+        np.testing.assert_allclose(np.linalg.norm(local, axis=1), 1.0, atol=1e-9)
+
+
+def test_one_body_at_many_poses_has_depths():
+    """A single body stands for all: equal balls in a row, by hand."""
+    T = np.tile(np.eye(4), (5, 1, 1))
+    T[:, 1, 3] = 0.75 * np.arange(5)
+    found = measured(Body.sphere(0.5), T)
+    assert found.pairs.tolist() == [[k, k + 1] for k in range(4)]
+    np.testing.assert_allclose(found.distance, -0.25, atol=1e-15)
+    np.testing.assert_allclose(found.normal, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-15)
+
+
+def test_certified_pairs_have_distances_too():
+    """What the ellipsoids leave open is measured: some of it is apart, and all that collides is there."""
+    rng = np.random.default_rng(9)
+    bodies, T = crowd("hulls", rng, 80), random_poses(rng, 80, 2.0)
+    found = measured(bodies, T, method="certified")
+    hit = {tuple(pair) for pair in found.pairs[found.distance <= 0].tolist()}
+    assert hit == {tuple(pair) for pair in overlapping_pairs(bodies, T).tolist()}
+    assert (found.distance > 1e-6).any()
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_no_pairs_have_no_depths(n):
+    """An empty list has empty arrays of the right shapes."""
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, 0, 3] = 10.0 * np.arange(n)
+    for bodies in (Body.sphere(1.0), Bodies.spheres(np.ones(n))):
+        found = measured(bodies, T)
+        assert len(found) == 0
+        assert found.pairs.shape == (0, 2)
+        assert found.pairs.dtype == np.int64
+
+
+def test_depths_are_the_same_for_any_number_of_threads():
+    """To the bit from one thread and from two, whichever pairs come together."""
+    rng = np.random.default_rng(10)
+    n = 3 * crowds.CHUNK
+    bodies, T = Bodies.ellipsoids(axes(rng, n, 1.0)), random_poses(rng, n, 8.0)
+    before = loewner.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2):
+            loewner.set_num_threads(threads)
+            found.append(overlapping_pairs(bodies, T, depth=True))
+    finally:
+        loewner.set_num_threads(before)
+    assert len(found[0]) > 2 * crowds.CHUNK
+    for name in ("pairs", *FIELDS):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def test_a_depth_that_cannot_be_settled_is_an_error(monkeypatch):
+    """An error that names the pair's row and keeps the answers to all others."""
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3] = 0.75 * np.arange(4)
+    right = overlapping_pairs(Body.sphere(0.5), T, depth=True)
+    measure = entries.distance_range
+
+    def one_left(*arguments):
+        left = measure(*arguments)
+        arguments[-1][1] = 1  # the status of the second pair
+        return left
+
+    monkeypatch.setattr(entries, "distance_range", one_left)
+    with pytest.raises(loewner.ConvergenceError, match=r"1 of 3 pairs .* \(1, 2\)") as caught:
+        overlapping_pairs(Body.sphere(0.5), T, depth=True)
+    assert caught.value.indices.tolist() == [1]
+    found = caught.value.partial
+    assert found.pairs.tolist() == right.pairs.tolist()
+    assert np.isnan(found.distance).tolist() == [False, True, False]
+    np.testing.assert_array_equal(found.normal[[0, 2]], right.normal[[0, 2]])
+
+
+# -- what is refused ---------------------------------------------------------------------------
 
 
 def test_unsettled_pairs_are_an_error(monkeypatch):

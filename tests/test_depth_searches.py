@@ -141,6 +141,30 @@ def test_the_nearest_way_out_is_not_the_shortest():
     assert misled > 10
 
 
+def test_an_ellipsoid_within_proves_only_the_least():
+    """Its proof holds for no minimum that has a lower one beside it, nor for one made deeper; it holds for most."""
+    rng = np.random.default_rng(12)
+    proven, misled, deep = 0, 0, 0
+    for _ in range(400):
+        thin = 10 ** rng.uniform(-1.5, 0)
+        FA, FB = (rotations(rng, 1)[0] * rng.uniform(thin, 1, size=3) for _ in range(2))
+        factors = tuple(FA.ravel()), tuple(FB.ravel()), tuple(rng.uniform(0.1, 0.5) * rng.normal(size=3))
+        local, height, _ = signed_distance.descend(*factors, tuple(rotations(rng, 1)[0, 0]), 3.0)
+        least, h, _, _ = signed_distance.global_minimum(*factors, local, 3.0)
+        lower_beside = height > h + 1e-9
+        claimed = signed_distance.is_least(*factors[:2], local, height)
+        assert not (claimed and lower_beside)
+        if h > 0:
+            deep += 1
+            proven += signed_distance.is_least(*factors[:2], least, h)
+            width = np.linalg.norm(np.array(least) @ FA) + np.linalg.norm(np.array(least) @ FB)
+            assert not signed_distance.is_least(*factors[:2], least, width)  # only a ball is as deep as it is wide
+        misled += lower_beside
+    assert misled > 10
+    assert deep > 100
+    assert proven > 0.7 * deep
+
+
 def test_enclosing_depth_is_concave_and_enough():
     """What the proof rests on: D is the least over all directions, concave, and at the right r no more than h."""
     rng = np.random.default_rng(2)

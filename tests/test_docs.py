@@ -110,6 +110,16 @@ def test_example_batch(tmp_path):
     assert colliding - 0.1 <= exact <= colliding + ambiguous + 0.1
 
 
+def test_example_relax_crowd(tmp_path):
+    """The crowd overlaps at the start and nowhere at the end, by its own count and by another query."""
+    out = example("relax_crowd.py", "--count", "400", cwd=tmp_path)
+    lines = re.findall(r"round +(\d+): +(\d+) pairs overlap, the deepest by +([0-9.]+) mm", out)
+    assert int(lines[0][1]) > 400
+    assert float(lines[0][2]) > 1000
+    assert [float(x) for x in lines[-1][1:]] == [0, 0]
+    assert "pairs that overlap at the end: 0" in out
+
+
 def test_example_ellipsoid_of_points(tmp_path):
     """All points are inside; the ellipsoid in the cube is the unit ball."""
     out = example("ellipsoid_of_points.py", "--points", "500", "--dimension", "4", cwd=tmp_path)

@@ -173,7 +173,7 @@ def test_a_large_request_is_held_against_the_limits(monkeypatch):
         lambda: loewner.distance(ball, T[:, None], ball, T),
         lambda: loewner.overlapping_pairs(ball, T),
         lambda: loewner.Bodies.spheres(np.ones(1000))[np.zeros(1_000_000, dtype=int)],
-        lambda: loewner.distance(ball, T, ball, T, pairs=np.zeros((2_000_000, 2), dtype=int)),
+        lambda: loewner.distance(ball, T, ball, T, pairs=np.zeros((4_000_000, 2), dtype=int)),
     )
     for call in calls:
         with pytest.raises(MemoryLimitError, match="GiB left by RLIMIT_AS"):

@@ -661,6 +661,23 @@ def test_distances_of_pairs_by_number(links_and_obstacles):
     assert distance(a, Ta, b, Tb, pairs=np.zeros((0, 2), int)).lower.shape == (0,)
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_distances_of_pairs_by_number_are_those_of_copies(links_and_obstacles, exact):
+    """Every field to the bit, in any order and with repeats, of one body at many poses and of many at one."""
+    a, Ta, b, Tb = links_and_obstacles
+    rng = np.random.default_rng(3)
+    pairs = np.stack([rng.integers(len(a), size=150), rng.integers(len(b), size=150)], axis=1)
+    i, j = pairs.T
+    for listed, picked in (
+        ((a, Ta, b, Tb), (a[i], Ta[i], b[j], Tb[j])),
+        ((a[5], Ta, b, Tb[3]), (a[5], Ta[i], b[j], Tb[3])),
+        ((a, None, b[2], Tb), (a[i], None, b[2], Tb[j])),
+    ):
+        one, other = distance(*listed, exact=exact, pairs=pairs), distance(*picked, exact=exact)
+        for name in ("lower", "upper", "estimate", "distance", "witness_a", "witness_b", "normal"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
 @pytest.mark.parametrize(
     ("pairs", "told"),
     [

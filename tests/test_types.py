@@ -35,6 +35,8 @@ assert_type(loewner.distance(several, None, body, T, exact=True).distance, Float
 assert_type(loewner.distance(body, None, body, T).witness_a, None)
 assert_type(loewner.distance(body, None, body, T, exact=True).witness_a, Floats)
 assert_type(loewner.overlapping_pairs(several), NDArray[np.int64])
+assert_type(loewner.overlapping_pairs(several, depth=True), loewner.Overlaps)
+assert_type(loewner.overlapping_pairs(several, depth=True).distance, Floats)
 
 scene = loewner.Scene()
 assert_type(scene.distance("a", "b").upper, float)

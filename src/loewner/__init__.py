@@ -3,7 +3,7 @@
 from loewner._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
 from loewner.coverage import Covering
-from loewner.crowds import overlapping_pairs
+from loewner.crowds import Overlaps, overlapping_pairs
 from loewner.ellipsoid_pairs import NearPoints, contact_function, near_points, overlap
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import (
@@ -56,6 +56,7 @@ __all__ = [
     "MemoryLimitError",
     "MissingExtraError",
     "NearPoints",
+    "Overlaps",
     "PairDistances",
     "Piece",
     "PlanningError",

@@ -1,6 +1,9 @@
-"""Which of many bodies meet: a broad phase over their boxes, then verdicts for the pairs it leaves."""
+"""Which of many bodies meet, and how deep: a broad phase over their boxes, then verdicts for the pairs it leaves."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes, columns
+from loewner._measure import EXACT_BYTES, measure
 from loewner._native import entries
-from loewner._settle import settle
+from loewner._settle import Operands, settle
 from loewner._threads import get_num_threads, in_shares
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body, Packed
@@ -27,13 +31,79 @@ BODY_BYTES = 128
 # A pair that is found takes a key, its copies when all are put together, and the two numbers that are returned.
 PAIR_BYTES = 40
 
+# If it is measured, its rows once more, and what its distance takes.
+DEPTH_BYTES = 16 + EXACT_BYTES
+
 MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 
+@dataclass(frozen=True, eq=False)
+class Overlaps:
+    """Pairs of a crowd that meet and how deep they are in each other, one entry each.
+
+    Distances, witnesses and normals are those of `distance` with ``exact=True``.
+
+    Attributes
+    ----------
+    pairs : ndarray of int64, shape (m, 2)
+        Numbers i < j of the bodies, in lexicographic order.
+    distance : ndarray, shape (m,)
+        Metres; negative is a depth. Positive within the margin, and a rounding above zero where bodies just touch. For
+        bodies of several pieces, a depth is that of the deepest two, see `Distance`.
+    witness_a, witness_b : ndarray, shape (m, 3)
+        Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
+    normal : ndarray, shape (m, 3)
+        Unit vectors from i to j; moving j along them parts the two pieces fastest.
+
+    Examples
+    --------
+    >>> from loewner import Bodies, overlapping_pairs
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 1.0, 5.0]
+    >>> found = overlapping_pairs(Bodies.spheres([1.0, 0.5, 3.0]), T, depth=True)
+    >>> len(found), found.pairs, found.distance, found.normal
+    (1, array([[0, 1]]), array([-0.5]), array([[1., 0., 0.]]))
+    """
+
+    pairs: Ints
+    distance: Floats
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+# fmt: off
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: Literal[False] = ...,
+) -> Ints: ...
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: Literal[True],
+) -> Overlaps: ...
+@overload
+def overlapping_pairs(
+    bodies: Body | Bodies, T_world: ArrayLike | None = ..., *,
+    margin: float = ..., method: str = ..., depth: bool,
+) -> Ints | Overlaps: ...
+# fmt: on
 @guarded
 def overlapping_pairs(
-    bodies: Body | Bodies, T_world: ArrayLike | None = None, *, margin: float = 0.0, method: str = "exact"
-) -> Ints:
+    bodies: Body | Bodies,
+    T_world: ArrayLike | None = None,
+    *,
+    margin: float = 0.0,
+    method: str = "exact",
+    depth: bool = False,
+) -> Ints | Overlaps:
     """Find all pairs of bodies that touch, overlap, or come within `margin` of each other.
 
     Time and memory grow with the number of bodies and of pairs found, not with the number of all pairs.
@@ -49,22 +119,27 @@ def overlapping_pairs(
     method : {"exact", "certified"}
         "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
         free: all that collide, and some that are ambiguous. `classify` tells them apart.
+    depth : bool
+        Also measure the pairs: their distances or depths, normals and witnesses.
 
     Returns
     -------
-    ndarray of int64, shape (m, 2)
+    ndarray of int64, shape (m, 2), or Overlaps
         Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not there are proven free.
+        With ``depth=True`` an `Overlaps`, which has them as `pairs`.
 
     Raises
     ------
     PoseError
         If there are not as many poses as bodies, or one is no rigid motion.
     InputError
-        If `bodies` are no bodies, or the margin is negative or not finite.
+        If `bodies` are no bodies, the margin is negative or not finite, or `depth` is neither True nor False.
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair. It never answers "free" instead.
+        If the exact search could not settle a pair. It never answers "free" instead. With ``depth=True`` also if a
+        distance could not be computed, as in `distance`: the error's `indices` are rows of the list, and its `partial`
+        has all others.
 
     Examples
     --------
@@ -76,7 +151,14 @@ def overlapping_pairs(
     """
     mode = MODES[_validate.choice(method, "method", MODES)]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
+    measured = _validate.flag(depth, "depth")
     n, steps, operands = _prepare(bodies, T_world)
+    pairs = _met(mode, keep, n, steps, operands)
+    return _measured(pairs, steps, operands) if measured else pairs
+
+
+def _met(mode: int, margin: float, n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Ints:
+    """Pairs of n bodies that are not proven free, in lexicographic order."""
     if n < 2:
         return np.empty((0, 2), dtype=np.int64)
     threads = min(get_num_threads(), -(-n // CHUNK))
@@ -87,12 +169,37 @@ def overlapping_pairs(
     counts: list[int] = []  # of the pairs found so far
 
     def settled(first: int, last: int) -> Ints:
-        return _settled(mode, keep, first, last, tree, steps, operands, counts)
+        return _settled(mode, margin, first, last, tree, steps, operands, counts)
 
     leaves = -(-n // columns.WIDE)
     keys = np.concatenate(in_shares(settled, leaves, CHUNK // columns.WIDE))
     keys.sort()
     return np.stack(np.divmod(keys, n), axis=1)
+
+
+def _measured(pairs: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Overlaps:
+    """Distances of pairs whose poses have been found to be rigid motions."""
+    count = len(pairs)
+    _validate.fits_memory(DEPTH_BYTES * count, f"distances of {count} pairs")
+    found = measure(True, count, _asked(count, np.ascontiguousarray(pairs.T), steps, operands))
+    overlaps = Overlaps(pairs, found.distance, found.witness_a, found.witness_b, found.normal)
+    indices = np.flatnonzero(found.unsettled)
+    if len(indices):
+        raise ConvergenceError(
+            f"overlapping_pairs: the distances of {len(indices)} of {count} pairs could not be settled, the first of "
+            f"them {tuple(pairs[indices[0]].tolist())} (the error's `indices` name the rows, its `partial` has the "
+            "distances of all others)",
+            indices,
+            overlaps,
+        )
+    return overlaps
+
+
+def _asked(count: int, rows: Ints, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> Operands:
+    """Operands of queries about listed pairs: both are the same bodies, one step from row to row, or one for all."""
+    plan = np.array([[count], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
+    packed, T = operands
+    return plan, rows, packed.handle, T, packed.handle, T
 
 
 def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tuple[int, int], tuple[Packed, Floats]]:
@@ -139,9 +246,6 @@ def _settled(
     How many they are is added to `counts`, which all threads share.
     """
     n = len(tree[2])
-    packed, T = operands
-    # Both operands are the same bodies: steps from one to the next, in rows of bodies and of poses.
-    plan = np.array([[n], [steps[0]], [steps[1]], [steps[0]], [steps[1]]], dtype=np.int64)
     rows = np.empty((2, columns.WIDE * n + CANDIDATES), dtype=np.int64)
     found: list[Ints] = []
     leaf = first
@@ -152,8 +256,8 @@ def _settled(
         listed = rows[:, :count].copy()
         a, b = listed
         out = np.empty(count, dtype=np.int8)
-        if settle(mode, margin, 0, count, (plan, listed, packed.handle, T, packed.handle, T), out) is None:
-            _validate.rigid_motions(T, "T_world")
+        if settle(mode, margin, 0, count, _asked(count, listed, steps, operands), out) is None:
+            _validate.rigid_motions(operands[1], "T_world")
             raise PoseError("T_world: expected rigid motions, found poses that changed during the call")
         if mode == codes.EXACT:
             _refuse_unsettled(out, a, b)

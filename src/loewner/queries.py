@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from loewner import _validate
 from loewner._guard import GUARDED, guarded, meant
 from loewner._kernels import codes
+from loewner._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
 from loewner._native import entries, singles
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import Bools, Floats, Ints, OneOrMany
-from loewner._workspaces import workspace
-from loewner.bodies import Bodies, Body, Packed, take
+from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
 
 if TYPE_CHECKING:  # at runtime, defaults of type variables are of Python 3.13
@@ -36,15 +36,8 @@ else:
 # What a result holds where nothing more was asked for: None, for type variables that may stand for it.
 NOTHING: Any = None
 
-# The smallest share of a batch that is worth handing to a thread.
-CHUNK = 4096
-
-# What a pair takes in bytes. `collide`: a verdict and two flags. `distance`: three numbers; and with one more, three
-# vectors, a status and a flag.
-COLLIDE_BYTES, BOUND_BYTES, EXACT_BYTES = 3, 24, 106
-
-# A pair in a list takes two numbers, and copies of its poses in a query that does not take lists.
-LIST_BYTES, POSES_BYTES = 16, 256
+# What a pair takes in bytes in `collide`: a verdict and two flags. In a list of pairs: two numbers.
+COLLIDE_BYTES, LIST_BYTES = 3, 16
 
 # Where a body or several are, as users give it.
 Poses = ArrayLike | None
@@ -161,14 +154,8 @@ class _Pairs(NamedTuple):
     rows: Ints = NO_ROWS
 
     @property
-    def operands(self) -> tuple[Any, ...]:
-        """Plan, pack and poses of a, pack and poses of b, as the kernels of distances take them."""
-        (a, b), (Ta, Tb) = self.packs, self.poses
-        return self.plan, a.handle, Ta, b.handle, Tb
-
-    @property
-    def listed(self) -> Operands:
-        """The same with rows, as `settle` takes them."""
+    def operands(self) -> Operands:
+        """Plan, rows, pack and poses of a, pack and poses of b, as the kernels take them."""
         (a, b), (Ta, Tb) = self.packs, self.poses
         return self.plan, self.rows, a.handle, Ta, b.handle, Tb
 
@@ -297,7 +284,7 @@ def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], 
     out = np.empty(pairs.total, dtype=np.int8)
 
     def run(first: int, last: int) -> Ints:
-        tally = settle(mode, margin, first, last, pairs.listed, out)
+        tally = settle(mode, margin, first, last, pairs.operands, out)
         if tally is not None:
             return tally
         for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
@@ -486,33 +473,11 @@ def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
 
 def _estimate(margin: float, pairs: _Pairs, out: Any) -> None:
     """Decide the pairs that `out` has as AMBIGUOUS by the product of their contact functions."""
-    if pairs.rows.shape[1]:
-        # The kernel does not take lists: hand it copies of the few that are open.
-        open_pairs = np.flatnonzero(out == Verdict.AMBIGUOUS)
-        found = out[open_pairs]
-        _estimate(margin, _copied(pairs, open_pairs), found)
-        out[open_pairs] = found
-        return
 
     def run(first: int, last: int) -> None:
         entries.estimate_range(margin, first, last, *pairs.operands, out)
 
     in_shares(run, pairs.total, CHUNK)
-
-
-def _copied(pairs: _Pairs, which: Ints) -> _Pairs:
-    """Some of the pairs of a list, as pairs of copies that broadcast."""
-    _validate.fits_memory(len(which) * POSES_BYTES, f"poses of {len(which)} pairs")
-    (_, body_a, pose_a, body_b, pose_b), rows = pairs.plan[:, 0], pairs.rows[:, which]
-    packs = tuple(
-        take(p, rows[k] * step) for k, (p, step) in enumerate(zip(pairs.packs, (body_a, body_b), strict=True))
-    )
-    poses = tuple(
-        np.ascontiguousarray(T[rows[k] * step])
-        for k, (T, step) in enumerate(zip(pairs.poses, (pose_a, pose_b), strict=True))
-    )
-    plan = np.array([[len(which)], [1], [1], [1], [1]], dtype=np.int64)
-    return _Pairs((len(which),), len(which), plan, (packs[0], packs[1]), (poses[0], poses[1]))
 
 
 # fmt: off
@@ -571,7 +536,7 @@ def distance(
     exact : bool
         Also compute the distance or penetration depth, witnesses and normal.
     pairs : array_like of int, shape (..., 2), optional
-        As for `classify`; here the bodies and poses are copied.
+        As for `classify`.
 
     Returns
     -------
@@ -605,37 +570,14 @@ def _measured(a: Any, T_world_a: Any, b: Any, T_world_b: Any, exact: Any, chosen
     exact = _validate.flag(exact, "exact")
     asked = _prepare(a, T_world_a, b, T_world_b, check=True, each=EXACT_BYTES if exact else BOUND_BYTES, chosen=chosen)
     shape = asked.shape
-    if asked.rows.shape[1]:
-        asked = _copied(asked, np.arange(asked.total))
-    n, m = asked.total, asked.total if exact else 0
-    numbers = [np.empty(n), np.empty(n), np.empty(n), np.empty(m)]
-    vectors = [np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))]
-    status = np.zeros(m, dtype=np.int8)
-    results = (*numbers, *vectors, status)
-
-    def run(first: int, last: int) -> None:
-        memory = workspace(entries.memory_of_distances())
-        pieces, values = entries.distance_range(exact, first, last, *asked.operands, memory, *results)
-        if len(pieces):
-            entries.measure_left(pieces, values, *asked.operands[1:], *results[3:])
-
-    in_shares(run, n, CHUNK)
-    if exact:
-        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
-        lower, upper, _, value = numbers
-        np.maximum(lower, np.minimum(value, upper, out=value), out=value)
-    unsettled = status != 0
-    for answers in (*numbers[3:], *vectors):
-        answers[unsettled] = np.nan
+    *answers, unsettled = measure(exact, asked.total, asked.operands)
 
     def shaped(x: Floats) -> Any:
-        if len(x) != n:
-            return None
         if shape == ():
             return float(x[0]) if x.ndim == 1 else x[0]
         return x.reshape(shape + x.shape[1:])
 
-    found = Distance(*(shaped(x) for x in (*numbers, *vectors))) if exact else Distance(*map(shaped, numbers[:3]))
+    found = Distance(*map(shaped, answers if exact else answers[:3]))
     return _refused(unsettled, "distance", found) if unsettled.any() else found
 
 

@@ -666,6 +666,7 @@ CALLS: dict[str, Call] = {
             "T_world": poses(),
             "margin": margin(),
             "method": choice("exact"),
+            "depth": flag(),
         },
     ),
     # -- scenes
@@ -1159,7 +1160,7 @@ LINES: dict[str, Call] = {
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
-    "CertifiedMotions", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "CertifiedMotions", "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.

@@ -5,10 +5,8 @@ xx, xy, xz, yy, yz, zz. A number may be a float or a vector of the `simd` packag
 Everything is inlined: a tuple costs nothing.
 """
 
-import numpy as np
-
 from loewner._kernels._jit import inline
-from loewner._kernels.simd.vectors import select
+from loewner._kernels.simd.vectors import select, signed_one
 
 
 @inline
@@ -122,7 +120,7 @@ def across(n):
     Duff and others (2017), "Building an orthonormal basis, revisited", J. Comput. Graph. Tech. 6(1).
     """
     x, y, z = n
-    sign = np.copysign(1.0, z)
+    sign = signed_one(z)
     a = -1.0 / (sign + z)
     b = x * y * a
     return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)

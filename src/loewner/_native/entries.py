@@ -24,7 +24,7 @@ ENTRIES = {
         Entry("pipeline.fallback", "open_triangles", "f i I2 I2 i F3 i F3 I2", "i"),
         Entry("pipeline.fallback", "exact_parts", "i i", "i f F2 F2"),
         Entry("pipeline.workspace", "workspace_size", "", "i"),
-        Entry("pipeline.bounds", "estimate_range", "f i i I2 i F3 i F3 B1", ""),
+        Entry("pipeline.bounds", "estimate_range", "f i i I2 I2 i F3 i F3 B1", ""),
         Entry("robots.configurations", "check_configurations", "i i i F2 i i B1 B1 I1 i", ""),
         Entry("robots.configurations", "check_motion", "F1 F1 F1 i i B1 I1 i", "i i"),
         Entry("robots.configurations", "memory_size", "i i i", "i"),
@@ -45,7 +45,7 @@ ENTRIES = {
         Entry("robots.clearances", "pair_gradients", "i i F2 i i i cI2 cF2 cF2 F2", ""),
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         # -- distances
-        Entry("pipeline.distances", "distance_range", "b i i I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
         Entry("pipeline.distances", "memory_of_distances", "", "i"),
         Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
         # -- ellipsoids

@@ -5,9 +5,14 @@ function of A - B. Its least value over unit n is the penetration depth if posit
 negative. Newton's method on the sphere finds a local minimum to rounding, in the factors themselves and never
 in their squares, so that thin ellipsoids keep their digits.
 
-A negative minimum is the only one, because A - B is convex. So is one below the smallest radius of curvature
-of A - B: a ball of that radius rolls freely inside A - B, which is therefore a convex set plus the ball, and
-the origin lies outside the convex set. For deeper pairs the other minima must be ruled out. By the
+A negative minimum is the only one, because A - B is convex. Most others are proven to be the least by an ellipsoid
+within A - B. For every orthogonal O, G = F_A + F_B O has |Gᵀm| <= |F_Aᵀm| + |F_Bᵀm| for all m, with equality at n if
+F_Aᵀn and OᵀF_Bᵀn have the same direction. Let h be the minimum, at n, and let M = G Gᵀ, s = |Gᵀn|: then c is
+(M - h s) n / s. If M - h s is positive definite, no direction is lower: let m be of such a length that mᵀMm = s², then
+
+    0 <= (m - n)ᵀ (M - h s) (m - n) = 2 s² - 2 s m·c - h s (|m|² + 1),   so   |Gᵀm| - m·c >= h (|m|² + 1) / 2 >= h |m|.
+
+Where that proves nothing, the other minima must be ruled out. By the
 inequality of Cauchy and Schwarz (√x + √y)² is the least of (1 + 1/r) x + (1 + r) y over r > 0, so
 
     min h = min over r of D(1 + 1/r, 1 + r),   D(p, q) = min over n of √(nᵀ(p P + q Q) n) - n·c,
@@ -20,7 +25,7 @@ with the square of the interval, and branch and bound over r settles the rest.
 
 References
 ----------
-Blaschke's rolling theorem: Schneider (2014), "Convex Bodies: The Brunn-Minkowski Theory", theorem 3.2.12.
+Kurzhanski and Vályi (1997), "Ellipsoidal Calculus for Estimation and Control" (ellipsoids within and around a sum).
 Moré and Sorensen (1983), doi:10.1137/0904038 (the secular equation and its hard case).
 """
 
@@ -28,9 +33,10 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POINT, ROUNDING
-from loewner._kernels.linalg3 import across, apply, dot, minus, plus, shape_matrix
+from loewner._kernels.linalg3 import across, along, apply, dot, minus, plus, scaled, selected, shape_matrix, trace
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
+from loewner._kernels.simd.vectors import maximum, movemask, select, sqrt
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # Descents mostly end after 5 steps; a minimum with a vanishing second derivative takes 25.
@@ -47,8 +53,12 @@ MAX_INTERVALS = 600
 GROWTH = 16.0  # factor between the first intervals' distances from the minimum, in log r
 _STACK = 160
 
-# The share of the smallest radius of curvature up to which a depth is taken for unique: less than all, for rounding.
-ROLLING_SHARE = 0.999
+# What M - h s must leave for the proof by an ellipsoid within: a share of h s, and roundings of the trace of M, about
+# twice what its entries and the pivots take. Choices, not bounds: no verdict rests on them.
+SPARE = 1e-3
+PIVOT_ROUNDINGS = 64.0
+
+MAX_PLAIN = 12  # Newton steps of eight pairs at a time: mostly 6 or 7 for the slowest
 
 STEEP = 1e-12  # slope, relative to the size, above which a descent is taken to have stalled
 MAX_RESTARTS = 20
@@ -74,21 +84,20 @@ def _pulled(F, x, y, z):
 
 
 @inline
-def _support(F, x, y, z):
-    """Support value and support point of F·ball."""
-    u, v, w = _pulled(F, x, y, z)
-    h = np.sqrt(u * u + v * v + w * w)
-    scale = 1.0 / h if h > 0.0 else 0.0
-    u, v, w = u * scale, v * scale, w * scale
-    return h, F[0] * u + F[1] * v + F[2] * w, F[3] * u + F[4] * v + F[5] * w, F[6] * u + F[7] * v + F[8] * w
+def support(F, n):
+    """Support point of F·ball."""
+    u, v, w = _pulled(F, n[0], n[1], n[2])
+    h = sqrt(u * u + v * v + w * w)
+    scale = select(h > 0.0, 1.0 / h, 0.0)
+    return apply(F, (u * scale, v * scale, w * scale))
 
 
 @inline
 def _bend(F, n, e, g):
     """Slope and second derivatives of |Fᵀn| along the unit vectors e and g, square to n and to each other."""
     u, v, w = _pulled(F, n[0], n[1], n[2])
-    h = np.sqrt(u * u + v * v + w * w)
-    scale = 1.0 / h if h > 0.0 else 0.0
+    h = sqrt(u * u + v * v + w * w)
+    scale = select(h > 0.0, 1.0 / h, 0.0)
     u, v, w = u * scale, v * scale, w * scale
     ax, ay, az = _pulled(F, e[0], e[1], e[2])
     bx, by, bz = _pulled(F, g[0], g[1], g[2])
@@ -166,6 +175,89 @@ def descend(FA, FB, c, n, size):
             if damping > DAMPING_LIMIT * size:
                 break
     return n, h, slope
+
+
+@inline
+def _inner_shape(FA, FB, n):
+    """Shape matrix of an ellipsoid within A - B that touches its boundary where the normal is n, and |Gᵀn|."""
+    u, v = _pulled(FA, n[0], n[1], n[2]), _pulled(FB, n[0], n[1], n[2])
+    ha, hb = sqrt(dot(u, u)), sqrt(dot(v, v))
+    u, v = scaled(1.0 / ha, u), scaled(1.0 / hb, v)
+    e, g = across(u)
+    a0, a1, a2 = apply(FA, u), apply(FA, e), apply(FA, g)
+    e, g = across(v)
+    b0, b1, b2 = apply(FB, v), apply(FB, e), apply(FB, g)
+    # One turn is left, and a reflection: those for which the sum of a1 · b1 and a2 · b2 is greatest.
+    one, two = dot(a1, b1) + dot(a2, b2), dot(a1, b2) - dot(a2, b1)
+    three, four = dot(a1, b1) - dot(a2, b2), dot(a1, b2) + dot(a2, b1)
+    mirrored = three * three + four * four > one * one + two * two
+    x, y = select(mirrored, three, one), select(mirrored, four, two)
+    length = sqrt(x * x + y * y)
+    cosine, sine = select(length > 0.0, x / length, 1.0), select(length > 0.0, y / length, 0.0)
+    g0 = plus(a0, b0)
+    g1 = along(along(a1, cosine, b1), sine, b2)
+    g2 = along(along(a2, select(mirrored, sine, -sine), b1), select(mirrored, -cosine, cosine), b2)
+    return shape_matrix((g0[0], g1[0], g2[0], g0[1], g1[1], g2[1], g0[2], g1[2], g2[2])), ha + hb
+
+
+@inline
+def is_least(FA, FB, n, h):
+    """Whether the local minimum h, which is at n, is proven to be the least by an ellipsoid within A - B."""
+    M, s = _inner_shape(FA, FB, n)
+    cut = (1.0 + SPARE) * h * s + PIVOT_ROUNDINGS * UNIT_ROUNDOFF * trace(M)
+    one = M[0] - cut
+    two = M[3] - cut - M[1] * M[1] / one
+    off = M[4] - M[1] * M[2] / one
+    three = M[5] - cut - M[2] * M[2] / one - off * off / two
+    return (h <= 0.0) | ((one > 0.0) & (two > 0.0) & (three > 0.0))
+
+
+@njit()
+def descend_eight(FA, FB, c, n, size, wanted):
+    """Newton's steps of `descend` without damping, for eight pairs of ellipsoids at a time.
+
+    Parameters
+    ----------
+    FA, FB, c, n, size : tuple of Vector8, or Vector8
+        As for `global_minimum`.
+    wanted : Mask8
+        Pairs that matter; the others are not waited for.
+
+    Returns
+    -------
+    n : tuple of Vector8
+    h, slope : Vector8
+        As `descend` returns them.
+    proven : Mask8
+        Where h is the least value, to rounding; elsewhere it need not even be a minimum.
+    """
+    rounding = 8.0 * UNIT_ROUNDOFF * size
+    h, s1, s2, h11, h12, h22, e, g = _model(FA, FB, c, n)
+    slope = sqrt(s1 * s1 + s2 * s2)
+    going = wanted & (slope > rounding)
+    for _ in range(MAX_PLAIN):
+        if movemask(going) == 0:
+            break
+        # The least eigenvalue must be positive for a way down.
+        half = 0.5 * (h11 - h22)
+        lowest = 0.5 * (h11 + h22) - sqrt(half * half + h12 * h12)
+        lift = maximum(1e-3 * slope - lowest, 0.0)
+        k11, k22 = h11 + lift, h22 + lift
+        det = k11 * k22 - h12 * h12
+        t1 = (h12 * s2 - k22 * s1) / det
+        t2 = (h12 * s1 - k11 * s2) / det
+        shorter = 1.0 / maximum(sqrt(t1 * t1 + t2 * t2), 1.0)
+        tried = along(along(n, t1 * shorter, e), t2 * shorter, g)
+        tried = scaled(1.0 / sqrt(dot(tried, tried)), tried)
+        value, w1, w2, w11, w12, w22, we, wg = _model(FA, FB, c, tried)
+        left = sqrt(w1 * w1 + w2 * w2)
+        better = going & ((value < h - rounding) | ((value <= h + rounding) & (left < slope)))
+        n, e, g = selected(better, tried, n), selected(better, we, e), selected(better, wg, g)
+        h, slope = select(better, value, h), select(better, left, slope)
+        s1, s2 = select(better, w1, s1), select(better, w2, s2)
+        h11, h12, h22 = select(better, w11, h11), select(better, w12, h12), select(better, w22, h22)
+        going = better & (slope > rounding)
+    return n, h, slope, wanted & (slope <= STEEP * size) & is_least(FA, FB, n, h)
 
 
 @inline
@@ -360,14 +452,12 @@ def global_minimum(FA, FB, c, n, size):
     V = np.eye(3)
     P, Q = shape_matrix(FA), shape_matrix(FB)
     n, h, slope = _refined(FA, FB, P, Q, c, n, h, slope, size, V)
-    if h <= 0.0:
-        return n, h, h, slope
-    small_a, large_a = _axes(P, V)
-    small_b, large_b = _axes(Q, V)
-    if h <= ROLLING_SHARE * (small_a * small_a / large_a + small_b * small_b / large_b):
+    if is_least(FA, FB, n, h):
         return n, h, h, slope
 
     # Branch and bound over r. The first intervals grow away from the minimum at hand: there the bound is the tightest.
+    small_a, large_a = _axes(P, V)
+    small_b, large_b = _axes(Q, V)
     first, last = 0.5 * small_a / large_b, 2.0 * large_a / small_b
     middle = min(max(_ratio(FA, FB, n), first), last)
     stack = np.empty((_STACK, 4))
@@ -486,10 +576,8 @@ def round_distance(A, B, n, size, result):
     n = (n[0] / length, n[1] / length, n[2] / length) if 0.0 < length < np.inf else (0.0, 0.0, 1.0)
     wide_a, wide_b = A.layout[A.piece, KIND] == ELLIPSOID, B.layout[B.piece, KIND] == ELLIPSOID
     n, h, lower, slope = least_height(wide_a, FA, wide_b, FB, minus(b, a), n, size)
-    _, px, py, pz = _support(FA, n[0], n[1], n[2])
-    _, qx, qy, qz = _support(FB, n[0], n[1], n[2])
     ra, rb = A.table[A.piece, ROUNDING], B.table[B.piece, ROUNDING]
     result[0], result[1], result[2] = n
-    result[3], result[4], result[5] = a[0] + px + ra * n[0], a[1] + py + ra * n[1], a[2] + pz + ra * n[2]
-    result[6], result[7], result[8] = b[0] - qx - rb * n[0], b[1] - qy - rb * n[1], b[2] - qz - rb * n[2]
+    result[3], result[4], result[5] = along(plus(a, support(FA, n)), ra, n)
+    result[6], result[7], result[8] = along(minus(b, support(FB, n)), -rb, n)
     return -h - ra - rb, max(h - lower, slope)

@@ -21,7 +21,7 @@ from loewner._kernels.ellipsoids.contact import (
 )
 from loewner._kernels.linalg3 import apply, dot, rotated_shape
 from loewner._kernels.pieces.pack import pieces_of
-from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.pipeline.verdicts import rows_of
 from loewner._kernels.simd.vectors import broadcast, mask_of, select, store
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
@@ -42,7 +42,10 @@ BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
 P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
 CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
 GAP, LENGTH = TRIED, TRIED + 1  # of the last direction that was tried, for the lower bound; needed only before TRIED is
-ROWS = 102
+# What `distances` finds of pairs of ellipsoids, eight at a time: their distance, a bound on its error (infinite: not
+# found), and the normal and both witnesses.
+ROUND_DISTANCE, ROUND_GAP, ROUND_RESULT = 102, 103, 104
+ROWS = 113
 
 # A single pair has eight lanes for itself: the outer ellipsoids take the first four, the inner ones the others.
 SINGLE, INNER_LANE, INNER_LANES = 8, 4, 0xF0
@@ -447,8 +450,11 @@ def _decide(margin, count, queue, operands, S, out):
 
 
 @njit()
-def estimate_range(margin, start, stop, plan, pack_a, Ta, pack_b, Tb, out):
-    """Decide the pairs left AMBIGUOUS in `out` by the estimate, the product of their two contact functions."""
+def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out):
+    """Decide the pairs left AMBIGUOUS in `out` by the estimate, the product of their two contact functions.
+
+    Operands as in `verdicts`.
+    """
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -461,10 +467,7 @@ def estimate_range(margin, start, stop, plan, pack_a, Ta, pack_b, Tb, out):
         if out[k] != AMBIGUOUS:
             continue
         out[k] = FREE
-        ia = row_of(k, shape, body_a)
-        ib = row_of(k, shape, body_b)
-        ka = row_of(k, shape, pose_a)
-        kb = row_of(k, shape, pose_b)
+        ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             if count > 0:
                 _decide(margin, count, queue, operands, S, out)

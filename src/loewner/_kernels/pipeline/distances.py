@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.columns import KIND, POLYTOPE
+from loewner._kernels.columns import COLUMNS, ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
-from loewner._kernels.ellipsoids.signed_distance import is_round, round_distance
+from loewner._kernels.ellipsoids.signed_distance import descend_eight, is_round, round_distance, support
+from loewner._kernels.linalg3 import apply, dot, minus, plus, product, scaled, selected
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import SIZE as DEPTH_SIZE
 from loewner._kernels.narrow.epa_fast import overlap_depth
@@ -41,6 +42,11 @@ from loewner._kernels.pipeline.bounds import (
     POSE_A,
     POSE_B,
     QUEUE,
+    ROT_A,
+    ROT_B,
+    ROUND_DISTANCE,
+    ROUND_GAP,
+    ROUND_RESULT,
     ROWS,
     SHIFT,
     SIZE,
@@ -51,14 +57,19 @@ from loewner._kernels.pipeline.bounds import (
     three,
     write_bounds,
 )
-from loewner._kernels.pipeline.verdicts import row_of
+from loewner._kernels.pipeline.verdicts import rows_of
 from loewner._kernels.simd.memory import floats_at, integers_at, whole_lines
+from loewner._kernels.simd.support import LINE, ask_line
+from loewner._kernels.simd.vectors import LANES as EIGHT
+from loewner._kernels.simd.vectors import broadcast, gather_transpose, load, mask_of, select, sqrt, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 
 KEPT = 4  # rows of the scratch array from SHIFT on, and from BELOW on, that are kept of a lane that is left
+
+POSE_ENTRIES = 16  # of a pose
 
 AHEAD = 2  # lanes between asking for a piece's vertices and their use
 
@@ -205,6 +216,59 @@ def _is_curved(P):
     return P.layout[P.piece, KIND] > POLYTOPE
 
 
+@inline
+def _eight(S, row, lane):
+    """A vector of three consecutive rows, for eight lanes."""
+    k = row * LANES + lane
+    return load(S, k), load(S, k + LANES), load(S, k + 2 * LANES)
+
+
+@inline
+def _put_eight(S, row, lane, v):
+    for c in range(3):
+        store(S, (row + c) * LANES + lane, v[c])
+
+
+@inline
+def _placed_eight(S, rotation, pieces, queue, side, lane):
+    """Factors of eight ellipsoids in the world's axes, and their centers less their bodies' translations."""
+    table, at = pieces.table, side * LANES + lane
+    R = _eight(S, rotation, lane) + _eight(S, rotation + 3, lane) + _eight(S, rotation + 6, lane)
+    first = gather_transpose(table, COLUMNS, queue, at, FRAME_CENTER)
+    last = gather_transpose(table, COLUMNS, queue, at, FRAME_FACTOR + 1)
+    return product(R, (first[3], *last)), apply(R, (first[0], first[1], first[2]))
+
+
+@njit()
+def _measure_round(count, queue, a, b, S, distance):
+    """Measure the queued pairs of ellipsoids, eight at a time; those that take more care have an infinite gap."""
+    for lane in range(count, (count + EIGHT - 1) // EIGHT * EIGHT):  # whole vectors, as in `write_bounds`
+        queue[PIECE_A, lane], queue[PIECE_B, lane] = queue[PIECE_A, count - 1], queue[PIECE_B, count - 1]
+    for first in range(0, count, EIGHT):
+        bits = np.int64(0)
+        for lane in range(first, min(first + EIGHT, count)):
+            wide_a = a.layout[queue[PIECE_A, lane], KIND] == ELLIPSOID
+            wide_b = b.layout[queue[PIECE_B, lane], KIND] == ELLIPSOID
+            if wide_a and wide_b and S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
+                bits |= 1 << (lane - first)
+        if bits == 0:
+            store(S, ROUND_GAP * LANES + first, broadcast(np.inf))
+            continue
+        FA, one = _placed_eight(S, ROT_A, a, queue, PIECE_A, first)
+        FB, two = _placed_eight(S, ROT_B, b, queue, PIECE_B, first)
+        two = plus(two, _eight(S, SHIFT, first))
+        n = _eight(S, NORMAL, first)
+        length = sqrt(dot(n, n))
+        n = selected((length > 0.0) & (length < np.inf), scaled(1.0 / length, n), (0.0, 0.0, 1.0))
+        size = load(S, SIZE * LANES + first)
+        n, h, slope, proven = descend_eight(FA, FB, minus(two, one), n, size, mask_of(bits))
+        store(S, ROUND_DISTANCE * LANES + first, -h)
+        store(S, ROUND_GAP * LANES + first, select(proven, slope, np.inf))
+        _put_eight(S, ROUND_RESULT, first, n)
+        _put_eight(S, ROUND_RESULT + 3, first, plus(one, support(FA, n)))
+        _put_eight(S, ROUND_RESULT + 6, first, minus(two, support(FB, n)))
+
+
 @njit()
 def measure_near(count, queue, operands, S, searches, exact):
     """Exact distances by the fast searches; the lanes that they leave go to the front of the queue's last two rows."""
@@ -212,12 +276,19 @@ def measure_near(count, queue, operands, S, searches, exact):
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
     queue, S, distance, result = borrowed(queue), borrowed(S), borrowed(exact.distance), borrowed(searches.result)
     vertices, faces, edges = borrowed(searches.vertices), borrowed(searches.faces), borrowed(searches.edges)
+    _measure_round(count, queue, a, b, S, distance)
     late = 0
     for lane in range(count):
         if lane + AHEAD < count:
             prefetch_points(a.layout, a.points, queue[PIECE_A, lane + AHEAD])
             prefetch_points(b.layout, b.points, queue[PIECE_B, lane + AHEAD])
         if not S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
+            continue
+        if S[ROUND_GAP * LANES + lane] < np.inf:
+            for c in range(9):
+                result[c] = S[(ROUND_RESULT + c) * LANES + lane]
+            value, gap = S[ROUND_DISTANCE * LANES + lane], S[ROUND_GAP * LANES + lane]
+            _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, exact)
             continue
         A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
         B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
@@ -390,6 +461,16 @@ def searches_at(memory):
     return Searches(vertices, faces, edges, result, memory + _SURFACES)
 
 
+@inline
+def _ask(pieces, piece, poses, row):
+    """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
+    for at in range(0, COLUMNS, LINE):
+        ask_line(pieces.table, piece * COLUMNS + at)
+    ask_line(pieces.table, piece * COLUMNS + COLUMNS - 1)
+    for at in range(0, POSE_ENTRIES, LINE):
+        ask_line(poses, row * POSE_ENTRIES + at)
+
+
 @njit()
 def memory_of_distances():
     """Tell Python how many bytes the memory of `distance_range` has to have."""
@@ -397,7 +478,7 @@ def memory_of_distances():
 
 
 @njit()
-def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lower, upper, estimate, distance,
+def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memory, lower, upper, estimate, distance,
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
@@ -420,10 +501,7 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = np.int64(0), np.int64(0)
     for k in range(start, stop):
-        ia = row_of(k, shape, body_a)
-        ib = row_of(k, shape, body_b)
-        ka = row_of(k, shape, pose_a)
-        kb = row_of(k, shape, pose_b)
+        ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         lower[k] = np.inf
         upper[k] = np.inf
         estimate[k] = np.inf
@@ -441,6 +519,9 @@ def distance_range(wanted, start, stop, plan, pack_a, Ta, pack_b, Tb, memory, lo
             for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
                 enqueue(queue, count, k, i, j, ka, kb)
                 count += 1
+                if rows.shape[1] > 0:
+                    _ask(a, i, Ta, ka)
+                    _ask(b, j, Tb, kb)
                 if count == LANES:
                     kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
                     count = np.int64(0)

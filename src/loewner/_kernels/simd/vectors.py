@@ -140,6 +140,11 @@ def _call(builder, name, *args):
     return builder.call(function, args)
 
 
+def _ones(kind):
+    """What makes a constant of ones, as many as a type has."""
+    return [1.0] * kind.count if isinstance(kind, ir.VectorType) else 1.0
+
+
 def _result(args):
     return _joint(args) or (types.float32 if set(args) == {types.float32} else types.float64)
 
@@ -160,6 +165,16 @@ def absolute(typingctx, x):
 
     def generate(context, builder, sig, args):
         return _call(builder, "fabs", args[0])
+
+    return signature(_result((x,)), x), generate
+
+
+@intrinsic
+def signed_one(typingctx, x):
+    """1 with the sign of x, that of a zero included."""
+
+    def generate(context, builder, sig, args):
+        return _call(builder, "copysign", ir.Constant(args[0].type, _ones(args[0].type)), args[0])
 
     return signature(_result((x,)), x), generate
 

@@ -1,0 +1,70 @@
+"""Distances of pairs: the fast pass, then the careful searches for what that leaves.
+
+Queries of pairs and of crowds ask here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from loewner._native import entries
+from loewner._settle import Operands
+from loewner._threads import in_shares
+from loewner._validate import Bools, Floats
+from loewner._workspaces import workspace
+
+# The smallest share of a batch that is worth handing to a thread.
+CHUNK = 4096
+
+# What a pair takes in bytes: three numbers; measured exactly, one more, three vectors, a status and a flag.
+BOUND_BYTES, EXACT_BYTES = 24, 106
+
+
+class Measures(NamedTuple):
+    """Distances of n pairs, in the order of the fields of `Distance`.
+
+    Attributes
+    ----------
+    lower, upper, estimate : ndarray, shape (n,)
+    distance : ndarray, shape (n,), or (0,) where only bounds are asked for
+    witness_a, witness_b, normal : ndarray, shape (n, 3), or (0, 3)
+    unsettled : ndarray of bool, shape (n,), or (0,)
+        Pairs whose distance could not be computed: it, the witnesses and the normal are NaN.
+    """
+
+    lower: Floats
+    upper: Floats
+    estimate: Floats
+    distance: Floats
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+    unsettled: Bools
+
+
+def measure(exact: bool, n: int, operands: Operands) -> Measures:
+    """Bounds on the distances of n pairs, and on request the distances themselves; poses must be rigid motions."""
+    plan, rows, *bodies = operands
+    m = n if exact else 0
+    lower, upper, estimate, value = np.empty(n), np.empty(n), np.empty(n), np.empty(m)
+    vectors = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
+    status = np.zeros(m, dtype=np.int8)
+
+    def run(first: int, last: int) -> None:
+        memory = workspace(entries.memory_of_distances())
+        pieces, values = entries.distance_range(
+            exact, first, last, plan, rows, *bodies, memory, lower, upper, estimate, value, *vectors, status
+        )
+        if len(pieces):
+            entries.measure_left(pieces, values, *bodies, value, *vectors, status)
+
+    in_shares(run, n, CHUNK)
+    if exact:
+        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
+        np.maximum(lower, np.minimum(value, upper, out=value), out=value)
+    unsettled = status != 0
+    for answers in (value, *vectors):
+        answers[unsettled] = np.nan
+    return Measures(lower, upper, estimate, value, *vectors, unsettled)
