@@ -440,18 +440,24 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
     flat = normals.any(axis=1) & (height <= target) & (length <= COARSE * longest_edges(mesh)[0])
     flat &= _over(cells.mean(axis=1), mesh, normals)
-    plain = np.flatnonzero(~flat)
-    parts, origins = [halved(cells[plain], edge[plain])], [plain, plain]
-    rest, of = cells[flat], np.flatnonzero(flat)
+    parts, origins = [], []
+    inside, of = cells[flat], np.flatnonzero(flat)
     for k in range(3):
         a, b = mesh[of, k], mesh[of, (k + 1) % 3]
         outward = np.cross(b - a, normals[of])
         outward /= np.linalg.norm(outward, axis=1)[:, None]
-        rest, inside, outside, beyond = cut(rest, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
+        inside, within, outside, beyond = cut(inside, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
         parts.append(outside)
         origins.append(of[beyond])
-        of = of[inside]
-    return np.concatenate(parts), np.concatenate(origins), np.where(flat, height, 0.0)
+        of = of[within]
+    # A cell that stands on an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
+    cut_up = np.zeros(len(cells), dtype=bool)
+    cut_up[of] = True
+    keep = [cut_up[origin] for origin in origins]
+    whole = np.flatnonzero(~cut_up)
+    parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
+    origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
+    return np.concatenate(parts), np.concatenate(origins), np.where(cut_up, height, 0.0)
 
 
 def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
