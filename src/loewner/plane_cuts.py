@@ -146,7 +146,7 @@ def _planes(cell: Cell, deepest: Floats, solid: Solid, plate: float) -> list[tup
     normals = [*turned, *np.eye(3), *principal]
     planes = [(n, float(n @ deepest)) for n in normals] + [(n, float(n @ middle)) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)
-    squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles, faces)
+    squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles)
     chosen: list[Floats] = []
     for k in np.argsort(squared):
         if len(chosen) == FACES:
