@@ -200,6 +200,7 @@ def test_boxes_and_diagonals_hold_their_triangles(count: int):
 
     corners(0)
     assert sorted(seen) == sorted(map(tuple, np.sort(vertices[triangles].reshape(count, 9))))
+    np.testing.assert_array_equal(blocks.transpose(0, 3, 1, 2).reshape(-1, 3, 3), vertices[triangles[numbers]])
 
 
 @pytest.mark.parametrize("height", [0.0, 5e-324, 1e-309, 1e-300])

@@ -200,7 +200,11 @@ def protrusions(
         best = np.full(len(hulls), found.max()) if together else found
         nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
-        return np.maximum(floor, np.maximum(best * (1 + relative), best + accuracy))
+        if floor > 0:
+            accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
+        # Whether a piece is below the floor is to be known, however near it comes; by how much it is above is not.
+        near = np.where(best > floor, best * (1 + relative), best)
+        return np.maximum(floor, np.maximum(near, best + accuracy))
 
     search = _Search(hulls, solid, found, points, bounds, targets)
     search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)

@@ -138,7 +138,7 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
     """
     tree = tree_at(table)
     slack = np.float32(ROUNDINGS * size)
-    stack, lanes = integers_at(memory, (STACK,)), floats_at(memory + _LANES, (2 * WIDE,))
+    stack = integers_at(memory, (STACK,))
     for n in range(len(points)):
         x, far = _point(points, n), reach[n] * reach[n]
         single, far_single = (np.float32(x[0]), np.float32(x[1]), np.float32(x[2])), rounded_up(far)

@@ -401,7 +401,7 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         if (movemask(beside | behind | beyond) | forth | back) & lanes != lanes:
             return UNCOUNTED
         windings += _count(forth) - _count(back)
-    return windings
+    return -windings if backward == 1 else windings
 
 
 @inline
