@@ -27,9 +27,6 @@ FACES, TURNS = 6, 4
 # Random points of a hull's surface that stand for it while planes and merges are compared.
 SAMPLES = 48
 
-# While planes are compared, the points of a part that go farthest in so many directions stand for all of them.
-OUTLINE = np.random.default_rng(0).normal(size=(64, 3))
-
 # A part with less than this share of a piece's volume is no progress.
 LEAST_SHARE = 1e-4
 
@@ -103,30 +100,19 @@ def _cut(cell: Cell, deepest: Floats, solid: Solid, plate: float, rng: np.random
     for normal, offset in _planes(cell, deepest, solid, plate):
         below, _, above, _ = cut(cell.triangles, ones[:, None] * normal, ones * offset, solid.rounding)
         try:
-            halves = [_hull(_outline(half.reshape(-1, 3)), plate) for half in (below, above)]
+            halves = [_cell(half, plate) for half in (below, above)]
         except GeometryError:
             continue  # nothing on one side, or a line
-        volumes = [_volume(half) for half in halves]
+        volumes = [_volume(half.hull) for half in halves]
         if solid.closed and min(volumes) < LEAST_SHARE * whole:
             continue
-        options.append((below, above))
+        options.append(halves)
         shares.append(sum(volumes) / whole)
-        samples += [_samples(half, rng) for half in halves]
+        samples += [_samples(half.hull, rng) for half in halves]
     if not options:
         return None
     out = solid.signed_distances(np.concatenate(samples))[0].reshape(len(options), -1).max(axis=1)
-    for k in np.argsort(np.array(shares) + np.maximum(out, 0.0) / cell.bound):
-        try:
-            return [_cell(half, plate) for half in options[k]]
-        except GeometryError:
-            continue
-    return None
-
-
-def _outline(points: Floats) -> Floats:
-    """The points that go farthest in some directions."""
-    farthest: Floats = points[np.unique((points @ OUTLINE.T).argmax(axis=0))] if len(points) else points
-    return farthest
+    return options[int((np.array(shares) + np.maximum(out, 0.0) / cell.bound).argmin())]
 
 
 def _cell(triangles: Floats, plate: float) -> Cell:
