@@ -20,7 +20,8 @@ from loewner.triangles import cut, halved, longest_edges, squared_distances, uni
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 # Distances and heights are rounded by less than this share of the diagonal, and this one of the largest coordinate.
-ROUNDING, COORDINATES = 1e-12, 1e-14
+ROUNDING = 1e-12  # derived 9e-15, certified.md B44
+COORDINATES = 1e-14
 
 # Cells looked at in all, after which the bound that there is counts; in one go; and, where nothing was found to stick
 # out, until that is known down to rounding.
@@ -340,7 +341,11 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     whole = np.flatnonzero(~cut_up)
     parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
     origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
-    return np.concatenate(parts), np.concatenate(origins), np.where(cut_up, height, 0.0)
+    # Distance to one triangle is convex: greatest at a corner of what is inside.
+    far = squared_distances(inside.reshape(-1, 3), solid.triangles[np.repeat(nearest[of], 3)])
+    bound = np.zeros(len(cells))
+    np.maximum.at(bound, of, np.sqrt(far.reshape(-1, 3).max(axis=1)) + solid.rounding)
+    return np.concatenate(parts), np.concatenate(origins), bound
 
 
 def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:
