@@ -67,7 +67,7 @@ class Solid:
         self.size = float(np.linalg.norm(high - low)) if size is None else size
         self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(corners).max())
         self._middle = low / 2 + high / 2
-        self._scale = 2.0 ** -float(np.frexp((high - low).max())[1])
+        self._scale = 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
         framed = self._framed(corners)
         boxes, children, blocks, diagonals, _, self._numbers = entries.triangle_tree(
             framed, np.arange(len(corners)).reshape(-1, 3)
@@ -126,8 +126,8 @@ class Solid:
         for k in range(0, len(points), CHUNK):
             framed = self._framed(points[k : k + CHUNK])
             entries.winding_numbers(*self._asked(framed), framed, numbers[k : k + CHUNK], memory)
-        for k in np.flatnonzero(numbers == UNCOUNTED):
-            numbers[k] = self._turns(points[k])
+        for untold in np.flatnonzero(numbers == UNCOUNTED):
+            numbers[untold] = self._turns(points[untold])
         return numbers
 
     def _turns(self, point: Floats) -> int:
