@@ -12,7 +12,7 @@ from families import translation
 from loewner import InputError, meshes
 from loewner.closed_parts import closed_parts
 from loewner.polytopes import Polytope
-from loewner.protrusion import Solid, protrusion_of_hulls, protrusions
+from loewner.protrusion import Solid, _smaller, protrusion_of_hulls, protrusions
 from test_meshes import l_shape, surface_points, two_boxes
 
 CAVITY_RADIUS, WALL, HEIGHT = 0.036, 0.004, 0.095
@@ -317,3 +317,133 @@ def test_covering_of_an_older_file(tmp_path):
 def test_eye_of_the_handle(mug_body):
     """What the hull of everything would fill stays free within the tolerance: the eye of the handle."""
     assert not loewner.collide(mug_body, None, loewner.Body.sphere(0.005), translation(0.067))
+
+
+# -- kernels ------------------------------------------------------------------------------------
+
+
+def naive_distances(points, triangles):
+    """Distances of points from triangles, the least of three edges and of the foot where it lies inside."""
+    found = np.full(len(points), np.inf)
+    for a, b, c in triangles:
+        for start, edge in ((a, b - a), (b, c - b), (c, a - c)):
+            along = (points - start) @ edge / max(edge @ edge, np.finfo(float).tiny)
+            off = points - start - np.clip(along, 0, 1)[:, None] * edge
+            found = np.minimum(found, np.linalg.norm(off, axis=1))
+        normal = np.cross(b - a, c - a)
+        if np.linalg.norm(normal) > 1e-10 * np.ptp([a, b, c], axis=0).max() ** 2:  # else the edges are all there is
+            inside = np.ones(len(points), dtype=bool)
+            for start, end in ((a, b), (b, c), (c, a)):
+                inside &= (points - start) @ np.cross(normal, end - start) >= 0
+            height = np.abs((points - a) @ normal) / np.linalg.norm(normal)
+            found = np.where(inside, np.minimum(found, height), found)
+    return found
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+@pytest.mark.parametrize("scale", [1e-20, 1.0, 1e20])
+@pytest.mark.parametrize("count", [1, 8, 9, 400])
+def test_distances_of_a_soup(count, scale, offset):
+    """Distances of triangles at random, some without area, are those of all triangles one by one, wherever they are."""
+    rng = np.random.default_rng(count)
+    triangles = rng.uniform(-1, 1, (count, 1, 3)) + rng.normal(size=(count, 3, 3)) * rng.choice(
+        [0.01, 0.3], (count, 1, 1)
+    )
+    triangles[::5, 2] = triangles[::5, 0] + 0.3 * (triangles[::5, 1] - triangles[::5, 0])
+    triangles[::7, 1] = triangles[::7, 0]
+    weights = rng.dirichlet(np.ones(3), count)
+    on = np.einsum("tk,tki->ti", weights, triangles)
+    points = np.concatenate(
+        [rng.uniform(-3, 3, (300, 3)), on, triangles[:, 0], (triangles[:, 0] + triangles[:, 1]) / 2]
+    )
+    triangles, points = scale * (triangles + offset), scale * (points + offset)
+    solid = Solid(triangles, closed=False)
+    found, nearest = solid.signed_distances(points)
+    assert solid.rounding <= scale * (1e-11 + 2e-14 * offset)
+    np.testing.assert_allclose(found, naive_distances(points, triangles), rtol=0, atol=solid.rounding)
+    assert found[300:].max() <= solid.rounding
+    alone = np.array([naive_distances(x[None], triangles[[k]])[0] for x, k in zip(points, nearest, strict=True)])
+    np.testing.assert_allclose(found, alone, rtol=0, atol=solid.rounding)
+
+
+@pytest.mark.parametrize("thin", [1e-3, 1e-6, 1e-9, 1e-12, 1e-15])
+def test_distances_of_thin_triangles(thin):
+    """However thin a triangle is, distances are those of its long edge, but for its height and for rounding."""
+    rng = np.random.default_rng(0)
+    apex = np.array([[0.3, thin, 0.0], [0.0, thin, 0.0], [-1.0, thin, 0.0], [1.2, thin, 0.0]])
+    triangles = np.array([[[0, 0, 0], [1, 0, 0], a] for a in apex])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    points = rng.uniform(-1, 2, (300, 3)) * rng.choice([1.0, 1e-4], (300, 1))
+    for triangle in triangles:
+        low, high = min(0.0, triangle[2, 0]), max(1.0, triangle[2, 0])
+        line = np.column_stack([np.clip(points[:, 0], low, high), np.zeros((300, 2))])
+        solid = Solid((triangle @ turn)[None], closed=False)
+        found = solid.signed_distances(points @ turn)[0]
+        expected = np.linalg.norm(points - line, axis=1)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2 * thin + solid.rounding)
+
+
+@pytest.mark.parametrize("make", [l_shape, mug, hollow_box, ring])
+def test_winding_numbers_of_lattices(make):
+    """Rays from lattice points run through edges and corners of meshes that are on the lattice; turns are counted."""
+    mesh = make()
+    low, high = mesh.bounds
+    lattice = np.stack(np.meshgrid(*np.linspace(low, high, 13).T, indexing="ij"), axis=-1).reshape(-1, 3)
+    lattice = np.concatenate([lattice, lattice + [0.5, 0.0, 0.0] * (high - low) / 13])
+    solid = Solid(corners(mesh), closed=True)
+    clear = lattice[np.abs(solid.signed_distances(lattice)[0]) > 1e-9 * mesh.scale]
+    assert len(clear) > 1000
+    np.testing.assert_array_equal(solid.winding_numbers(clear), turns(clear, corners(mesh)))
+
+
+def test_winding_numbers_of_shells_in_shells():
+    """Shells that are wound alike add up, and one wound inwards takes away."""
+    shells = [trimesh.creation.box((k, k, k)) for k in (6, 5, 4, 3, 2)]
+    for shell in shells[2:4]:
+        shell.invert()
+    solid = Solid(np.concatenate([corners(shell) for shell in shells]), closed=True)
+    points = np.array([[x, 0.1, 0.2] for x in (0.5, 1.25, 1.75, 2.25, 2.75, 3.5)])
+    np.testing.assert_array_equal(solid.winding_numbers(points), [1, 0, 1, 2, 1, 0])
+
+
+def test_facing_one_way():
+    """About a face and an edge that sticks out all is on one side; in a groove between two walls it is not."""
+    solid = Solid(corners(hollow_box()), closed=True)
+    points = np.array([[1.2, 0, 0], [1.1, 1.1, 1.1], [0, 0, 0], [0.3, 0.3, 0.3], [1.5, 0, 0]])
+    reach = np.array([0.3, 0.3, 0.6, 0.35, 0.4])
+    expected = [True, True, False, True, False]  # the last one reaches nothing
+    np.testing.assert_array_equal(solid.face_one_way(points, reach, np.ones(5, dtype=bool)), expected)
+    plates = corners(trimesh.creation.box((2, 2, 2)))
+    plates = plates[np.abs(np.cross(plates[:, 1] - plates[:, 0], plates[:, 2] - plates[:, 0])[:, 2]) > 0.5]
+    open_mesh = Solid(plates, closed=False)  # floor and ceiling
+    points = np.array([[0, 0, 0.9], [0, 0, 0.0], [0, 0, 0.9]])
+    answers = open_mesh.face_one_way(points, np.array([0.2, 1.2, 0.2]), np.array([True, True, False]))
+    np.testing.assert_array_equal(answers, [True, False, False])
+
+
+# -- cuts that lead nowhere ---------------------------------------------------------------------
+
+
+def test_cells_that_stand_on_an_edge_get_smaller():
+    """A piece's triangle in the upright plane through an edge of the mesh's triangle is divided like any other."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        mesh = rng.normal(size=(1, 3, 3))
+        solid = Solid(mesh, closed=False)
+        a, b = mesh[0, 0], mesh[0, 1]
+        cell = np.array([[a, b, (a + b) / 2 - 0.1 * solid.normals[0]]])
+        parts, origin, _ = _smaller(cell, np.zeros(1, dtype=np.int64), np.ones(1), solid)
+        areas = np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+        whole = np.linalg.norm(np.cross(cell[0, 1] - cell[0, 0], cell[0, 2] - cell[0, 0]))
+        assert not origin.any()
+        assert areas.max(initial=0.0) <= 0.9 * whole
+
+
+@pytest.mark.parametrize("sections", [32, 48])
+def test_tolerance_of_a_thin_wall(sections):
+    """A thin wall of many facets is cut across, not into slices, however near the tolerance its pieces come."""
+    wall = trimesh.creation.annulus(0.037, 0.04, 0.1, sections=sections)
+    pieces, covering = meshes.convex_pieces(wall, tolerance=0.002)
+    assert covering.exact
+    assert covering.max_protrusion <= 0.002
+    assert len(pieces) <= sections

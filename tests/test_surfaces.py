@@ -171,7 +171,7 @@ def test_boxes_and_diagonals_hold_their_triangles(count: int):
     rng = np.random.default_rng(count)
     vertices = rng.normal(size=(count + 2, 3))
     triangles = np.sort(rng.integers(0, count + 2, size=(count, 3)), axis=1)
-    boxes, children, blocks, diagonals, _ = entries.triangle_tree(vertices, triangles)
+    boxes, children, blocks, diagonals, _, numbers = entries.triangle_tree(vertices, triangles)
     boxes, diagonals, blocks = boxes.reshape(-1, 6, 16), diagonals.reshape(-1, 20, 16), blocks.reshape(-1, 3, 3, 8)
     two = list(product((1, -1), repeat=2))
     along = [*((x, y, 0) for x, y in two), *((x, 0, z) for x, z in two), *((0, y, z) for y, z in two)]
@@ -200,6 +200,7 @@ def test_boxes_and_diagonals_hold_their_triangles(count: int):
 
     corners(0)
     assert sorted(seen) == sorted(map(tuple, np.sort(vertices[triangles].reshape(count, 9))))
+    np.testing.assert_array_equal(blocks.transpose(0, 3, 1, 2).reshape(-1, 3, 3), vertices[triangles[numbers]])
 
 
 @pytest.mark.parametrize("height", [0.0, 5e-324, 1e-309, 1e-300])

@@ -183,7 +183,6 @@ def _distances(points: Floats, hull: Polytope, slack: float) -> Floats:
         seen = (height > -slack) & (height.max(axis=1) > 0)[:, None]
         i, j = np.nonzero(seen[:, hull.face_of_simplex])
         squared = np.full(len(x), np.inf)
-        face = hull.face_of_simplex[j]
-        np.minimum.at(squared, i, squared_distances(x[i], hull.vertices[hull.simplices[j]], hull.normals[face]))
+        np.minimum.at(squared, i, squared_distances(x[i], hull.vertices[hull.simplices[j]]))
         distance[k : k + chunk] = np.where(seen.any(axis=1), np.sqrt(squared), 0.0)
     return distance

@@ -30,7 +30,8 @@ SAMPLES = 48
 # A part with less than this share of a piece's volume is no progress.
 LEAST_SHARE = 1e-4
 
-# A flat part of a surface that is not closed becomes a plate, whose sides are this share of the tolerance from it.
+# A flat part of a surface becomes a plate, whose sides are this share of the tolerance from it. A closed surface has
+# such parts where planes cut off all that is behind a face.
 PLATE = 0.25
 
 # Pieces in all, where the caller sets no limit: a tolerance that needs more is one below the mesh's own accuracy.
@@ -68,8 +69,8 @@ def pieces_within(
     if len(parts) > limit:
         parts = [np.concatenate(parts)]
     rng = np.random.default_rng(0)
-    plate = 0.0 if solid.closed else PLATE * tolerance
-    cells = [Cell(part, _hull(part, plate)) for part in parts]
+    plate = PLATE * tolerance
+    cells = [_cell(part, plate) for part in parts]
     done: list[Cell] = []
     while cells:
         found = protrusions([cell.hull for cell in cells], solid, floor=tolerance, relative=ACCURACY)
@@ -94,38 +95,36 @@ def pieces_within(
 def _cut(cell: Cell, deepest: Floats, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
     """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
     whole = _volume(cell.hull)
-    middles = cell.triangles.mean(axis=1)
-    best, least = None, np.inf
-    options, samples = [], []
+    ones = np.ones(len(cell.triangles))
+    options, shares, samples = [], [], []
     for normal, offset in _planes(cell, deepest, solid, plate):
-        ones = np.ones(len(middles))
         below, _, above, _ = cut(cell.triangles, ones[:, None] * normal, ones * offset, solid.rounding)
         try:
-            halves = [Cell(half, _hull(half, plate)) for half in (below, above)]
+            halves = [_cell(half, plate) for half in (below, above)]
         except GeometryError:
-            continue  # nothing on one side, or something flat
+            continue  # nothing on one side, or a line
         volumes = [_volume(half.hull) for half in halves]
-        if not plate and min(volumes) < LEAST_SHARE * whole:
+        if solid.closed and min(volumes) < LEAST_SHARE * whole:
             continue
-        options.append((halves, sum(volumes) / whole))
+        options.append(halves)
+        shares.append(sum(volumes) / whole)
         samples += [_samples(half.hull, rng) for half in halves]
     if not options:
         return None
     out = solid.signed_distances(np.concatenate(samples))[0].reshape(len(options), -1).max(axis=1)
-    for (halves, share), height in zip(options, out, strict=True):
-        cost = share + max(float(height), 0.0) / cell.bound
-        if cost < least:
-            best, least = halves, cost
-    return best
+    return options[int((np.array(shares) + np.maximum(out, 0.0) / cell.bound).argmin())]
 
 
-def _hull(triangles: Floats, plate: float) -> Polytope:
-    """Hull of triangles; of flat ones, a plate with its sides so far from them, unless that is 0."""
-    points = triangles.reshape(-1, 3)
+def _cell(triangles: Floats, plate: float) -> Cell:
+    return Cell(triangles, _hull(np.unique(triangles.reshape(-1, 3), axis=0), plate))
+
+
+def _hull(points: Floats, plate: float) -> Polytope:
+    """Hull of points; of flat ones, a plate with its sides so far from them."""
     try:
         return Polytope.from_points(points)
     except GeometryError:
-        if not plate or len(points) == 0:
+        if len(points) == 0:
             raise
     thin = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     return Polytope.from_points(np.concatenate([points - plate * thin, points + plate * thin]))
@@ -146,7 +145,7 @@ def _planes(cell: Cell, deepest: Floats, solid: Solid, plate: float) -> list[tup
     normals = [*turned, *np.eye(3), *principal]
     planes = [(n, float(n @ deepest)) for n in normals] + [(n, float(n @ middle)) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)
-    squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles, faces)
+    squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles)
     chosen: list[Floats] = []
     for k in np.argsort(squared):
         if len(chosen) == FACES:
@@ -154,7 +153,8 @@ def _planes(cell: Cell, deepest: Floats, solid: Solid, plate: float) -> list[tup
         if faces[k].any() and all(abs(faces[k] @ other) < 0.999 for other in chosen):
             chosen.append(faces[k])
             # From a surface that is not closed, the face itself is cut off, with a little of what it borders on.
-            planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0]) - 2 * plate))
+            below = 0.0 if solid.closed else 2 * plate
+            planes.append((faces[k], float(faces[k] @ cell.triangles[k, 0]) - below))
     return planes
 
 

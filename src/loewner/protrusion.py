@@ -7,7 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from loewner._kernels import records
+from loewner._kernels.codes import UNCOUNTED
+from loewner._native import entries
 from loewner._validate import Bools, Floats, Ints
+from loewner._workspaces import workspace
 from loewner.polytopes import Polytope
 from loewner.triangles import cut, halved, longest_edges, squared_distances, unit_normals
 
@@ -16,7 +20,8 @@ from loewner.triangles import cut, halved, longest_edges, squared_distances, uni
 RELATIVE, ABSOLUTE = 0.01, 1e-4
 
 # Distances and heights are rounded by less than this share of the diagonal, and this one of the largest coordinate.
-ROUNDING, COORDINATES = 1e-12, 1e-14
+ROUNDING = 1e-12  # derived 9e-15, certified.md B44
+COORDINATES = 1e-14
 
 # Cells looked at in all, after which the bound that there is counts; in one go; and, where nothing was found to stick
 # out, until that is known down to rounding.
@@ -32,17 +37,8 @@ LARGEST_LOOKED_INTO = 0.1
 # so many steps.
 FACING, FACING_STEPS = 1e-6, 6
 
-# Points at a time, for the memory that they take with the triangles near them.
+# Points in one call of a kernel, between which an interrupt is noticed.
 CHUNK = 16_384
-
-# Leaves that a point looks at one by one, the nearest first, before it looks at all that are still in reach.
-LEAVES_FIRST = 4
-
-# Triangles of a leaf of the trees, at most.
-LEAF = 4
-
-# Direction of the rays that tell inside from outside, with third component 1: along no edge that anybody draws.
-SHEAR = (0.017_320_508_07, 0.031_415_926_53)
 
 
 class Solid:
@@ -56,59 +52,52 @@ class Solid:
         Whether the mesh has an inside: all points with a winding number other than 0.
     size : float, optional
         What lengths are compared with, in metres; otherwise the diagonal of the mesh's box.
+
+    Notes
+    -----
+    `rounding` bounds what distances are off by. Kernels see the mesh about its middle and scaled by a power of two to
+    a size near 1, so that they round relative to its size, and single precision does for its boxes.
     """
 
     def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
         self.triangles, self.closed = triangles, closed
         self.normals = unit_normals(triangles)
-        self.size = float(np.linalg.norm(np.ptp(triangles.reshape(-1, 3), axis=0))) if size is None else size
-        self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(triangles).max())
-        self._tree = _Tree(triangles.min(axis=1), triangles.max(axis=1))
-        if closed:
-            self._shadows = _sheared(triangles)
-            lower, upper = self._shadows.min(axis=1), self._shadows.max(axis=1)
-            lower[:, 2] = -np.inf  # a ray goes up: it meets the triangles that reach above where it starts
-            self._shadow_tree = _Tree(lower, upper)
+        corners = triangles.reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self.size = float(np.linalg.norm(high - low)) if size is None else size
+        self.rounding = ROUNDING * self.size + COORDINATES * float(np.abs(corners).max())
+        self._middle = low / 2 + high / 2
+        self._scale = 2.0 ** min(1000, -int(np.frexp((high - low).max())[1]))
+        framed = self._framed(corners)
+        boxes, children, blocks, diagonals, _, self._numbers = entries.triangle_tree(
+            framed, np.arange(len(corners)).reshape(-1, 3)
+        )
+        self._arrays = boxes.astype(np.float32), children, blocks, framed[0].copy(), diagonals.astype(np.float32)
+        self._tree = records.table_of(self._arrays)
+        self._normals = self.normals[self._numbers]
+
+    def _framed(self, points: Floats) -> Floats:
+        """Points as kernels see them."""
+        framed: Floats = (points - self._middle) * self._scale
+        return np.ascontiguousarray(framed)
+
+    def _asked(self, framed: Floats) -> tuple[int, float]:
+        """The tree, and a sum of lengths that no coordinate exceeds."""
+        return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
         """Distance of points to the surface, negative inside, and the triangle that each is nearest to."""
-        distances, nearest = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
-            some = points[k : k + CHUNK]
-            squared, nearest[k : k + CHUNK] = self._nearest(some)
-            found = np.sqrt(squared)
-            if self.closed:
-                clear = np.flatnonzero(found > self.rounding)  # on the surface, either sign will do
-                found[clear[self.winding_numbers(some[clear]) != 0]] *= -1
-            distances[k : k + CHUNK] = found
-        return distances, nearest
-
-    def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
-        """Squared distance to the nearest triangle, and which it is."""
-        squared, nearest = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
-        point, leaf = self._tree.guess(points)
-        self._look(points, *self._tree.items(point, leaf), squared, nearest)
-        point, leaf, gap = self._tree.within(points, squared)
-        # The nearest leaf first, a few times: most of the others are then out of reach.
-        for _ in range(LEAVES_FIRST):
-            least = np.full(len(points), np.inf)
-            np.minimum.at(least, point, gap)
-            first = gap == least[point]
-            self._look(points, *self._tree.items(point[first], leaf[first]), squared, nearest)
-            left = ~first & (gap < squared[point])
-            point, leaf, gap = point[left], leaf[left], gap[left]
-        self._look(points, *self._tree.items(point, leaf), squared, nearest)
-        return squared, nearest
-
-    def _look(self, points: Floats, point: Ints, triangle: Ints, squared: Floats, nearest: Ints) -> None:
-        """Lower the least squared distances of points, where their pairs with triangles do."""
-        in_reach = self._tree.gaps(points[point], triangle) < squared[point]
-        point, triangle = point[in_reach], triangle[in_reach]
-        found = squared_distances(points[point], self.triangles[triangle], self.normals[triangle])
-        before = squared.copy()
-        np.minimum.at(squared, point, found)
-        better = (found == squared[point]) & (found < before[point])
-        nearest[point[better]] = triangle[better]
+            framed = self._framed(points[k : k + CHUNK])
+            some = distances[k : k + CHUNK]
+            entries.nearest_triangles(*self._asked(framed), framed, some, places[k : k + CHUNK], memory)
+        distances /= self._scale
+        if self.closed:
+            clear = np.flatnonzero(distances > self.rounding)  # on the surface, either sign will do
+            distances[clear[self.winding_numbers(points[clear]) != 0]] *= -1
+        return distances, self._numbers[places]
 
     def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
         """Whether all triangles in reach of a point turn their outer sides into one half-space.
@@ -116,53 +105,30 @@ class Solid:
         A surface that is not closed has two outer sides, unless the point and what is about it is known to be
         `outside` of it: then the one that the point is on.
         """
-        answer = np.zeros(len(points), dtype=bool)
-        chunk = CHUNK // 8
-        for k in range(0, len(points), chunk):
-            x, far = points[k : k + chunk], reach[k : k + chunk] + self.rounding
-            point, triangle = self._tree.items(*self._tree.within(x, far**2)[:2])
-            # A sliver is in the edges of its neighbours, whose normals count.
-            near = (self._tree.gaps(x[point], triangle) <= far[point] ** 2) & self.normals[triangle].any(axis=1)
-            point, triangle = point[near], triangle[near]
-            normals = self.normals[triangle]
-            if not self.closed:
-                side = np.einsum("ij,ij->i", x[point] - self.triangles[triangle, 0], normals)
-                normals = normals * np.where(outside[k : k + chunk][point], np.sign(side), 0.0)[:, None]
-            direction = np.zeros_like(x)
-            np.add.at(direction, point, normals)
-            for _ in range(FACING_STEPS):
-                direction /= np.maximum(np.linalg.norm(direction, axis=1), np.finfo(float).tiny)[:, None]
-                common = np.einsum("ij,ij->i", normals, direction[point])
-                least = np.full(len(x), np.inf)
-                np.minimum.at(least, point, common)
-                worst = (common == least[point]) & (least[point] <= FACING)
-                if not worst.any():
-                    break
-                direction[point[worst]] += normals[worst]
-            answer[k : k + chunk] = np.isfinite(least) & (least > FACING)
-        return answer
+        answers = np.zeros(len(points), dtype=bool)
+        asked = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
+        memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))
+        for k in range(0, len(asked), CHUNK):
+            some = asked[k : k + CHUNK]
+            framed, found = self._framed(points[some]), np.empty(len(some), dtype=bool)
+            far = (reach[some] + self.rounding) * self._scale
+            entries.facing_one_way(
+                *self._asked(framed), framed, far, self._normals, not self.closed, FACING, FACING_STEPS, found, near,
+                memory,
+            )  # fmt: skip
+            answers[some] = found
+        return answers
 
     def winding_numbers(self, points: Floats) -> Ints:
-        """How often the surface goes around each point, by the crossings of a ray; a closed mesh only."""
-        x = _sheared(points)
-        point, triangle = self._shadow_tree.holding(x)
-        a, b, c = self._shadows[triangle].transpose(1, 0, 2)
-        p = x[point]
-        # Each edge from its smaller end to the larger, so that both of its triangles find it on the same side.
-        sides = np.stack([_side(p, a, b), _side(p, b, c), _side(p, c, a)])
-        turn = np.sign(sides)
-        hit = (turn == turn[0]).all(axis=0)
-        u, v = b - a, c - a
-        normal = np.cross(u, v)
-        over = np.einsum("ij,ij->i", normal, a - p) * np.sign(normal[:, 2]) > 0
-        counts = np.zeros(len(points), dtype=np.int64)
-        np.add.at(counts, point[hit & over], turn[0, hit & over].astype(np.int64))
-        # A ray through an edge, to rounding: count by solid angles.
-        scale = np.maximum((u**2).sum(axis=1), (v**2).sum(axis=1)) + self.size * np.abs(p - a).max(axis=1, initial=0.0)
-        doubt = np.unique(point[(np.abs(sides) <= 1e-14 * scale).any(axis=0)])
-        for k in doubt:
-            counts[k] = self._turns(points[k])
-        return counts
+        """How often the surface goes around each point; a closed mesh only."""
+        numbers = np.empty(len(points), dtype=np.int64)
+        memory = workspace(entries.points_memory())
+        for k in range(0, len(points), CHUNK):
+            framed = self._framed(points[k : k + CHUNK])
+            entries.winding_numbers(*self._asked(framed), framed, numbers[k : k + CHUNK], memory)
+        for untold in np.flatnonzero(numbers == UNCOUNTED):
+            numbers[untold] = self._turns(points[untold])
+        return numbers
 
     def _turns(self, point: Floats) -> int:
         """Winding number by the sum of the triangles' solid angles."""
@@ -174,91 +140,6 @@ class Solid:
         dots = [np.einsum("ij,ij->i", *pair) for pair in ((a, b), (b, c), (c, a))]
         angles = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
         return round(float(angles.sum()) / (4 * np.pi))
-
-
-def _sheared(points: Floats) -> Floats:
-    """Coordinates in which the rays go along the third axis."""
-    sheared: Floats = points - points[..., 2:] * np.array([*SHEAR, 0.0])
-    return sheared
-
-
-def _side(p: Floats, a: Floats, b: Floats) -> Floats:
-    """On which side of a line from a to b points are, seen along the third axis; exactly opposite from b to a."""
-    swap = (a[:, 0] > b[:, 0]) | ((a[:, 0] == b[:, 0]) & (a[:, 1] > b[:, 1]))
-    first, second = (np.where(swap[:, None], *pair)[:, :2] for pair in ((b, a), (a, b)))
-    u, v = second - first, p[:, :2] - first
-    side = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    return np.where(swap, -side, side)
-
-
-class _Tree:
-    """Boxes in a balanced binary tree, asked by many points at once, level by level."""
-
-    def __init__(self, lower: Floats, upper: Floats) -> None:
-        self._boxes = lower, upper
-        count = len(lower)
-        depth = max(0, int(np.ceil(np.log2(max(count / LEAF, 1)))))
-        middle = np.where(np.isfinite(lower), lower, upper) + upper
-        order = np.arange(count)
-        for level in range(depth):
-            start = self._starts(count, level)
-            segment = np.repeat(np.arange(2**level), np.diff(start))
-            extent = np.maximum.reduceat(middle[order], start[:-1]) - np.minimum.reduceat(middle[order], start[:-1])
-            order = order[np.lexsort((middle[order, extent.argmax(axis=1)[segment]], segment))]
-        self._order, self._leaves = order, self._starts(count, depth)
-        self._lower, self._upper = [], []
-        for level in range(depth + 1):
-            start = self._starts(count, level)[:-1]
-            self._lower.append(np.minimum.reduceat(lower[order], start))
-            self._upper.append(np.maximum.reduceat(upper[order], start))
-
-    @staticmethod
-    def _starts(count: int, level: int) -> Ints:
-        starts: Ints = np.arange(2**level + 1) * count // 2**level
-        return starts
-
-    def items(self, point: Ints, leaf: Ints) -> tuple[Ints, Ints]:
-        """Pairs of points and boxes, from pairs of points and leaves."""
-        sizes = self._leaves[leaf + 1] - self._leaves[leaf]
-        inside = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        return np.repeat(point, sizes), self._order[np.repeat(self._leaves[leaf], sizes) + inside]
-
-    def gaps(self, points: Floats, box: Ints) -> Floats:
-        """Squared distances of points to boxes."""
-        return _gaps(points, self._boxes[0][box], self._boxes[1][box])
-
-    def _node_gaps(self, points: Floats, level: int, node: Ints) -> Floats:
-        return _gaps(points, self._lower[level][node], self._upper[level][node])
-
-    def guess(self, points: Floats) -> tuple[Ints, Ints]:
-        """Pairs of points and the leaf that going down to the nearer box leads to."""
-        node = np.zeros(len(points), dtype=np.int64)
-        for level in range(1, len(self._lower)):
-            first, second = (self._node_gaps(points, level, 2 * node + k) for k in (0, 1))
-            node = 2 * node + (second < first)
-        return np.arange(len(points)), node
-
-    def within(self, points: Floats, squared: Floats) -> tuple[Ints, Ints, Floats]:
-        """Pairs of points and leaves no farther than these squared distances, and how far those are."""
-        point, node = np.arange(len(points)), np.zeros(len(points), dtype=np.int64)
-        gap = self._node_gaps(points, 0, node)
-        for level in range(1, len(self._lower)):
-            point, node = np.concatenate([point, point]), np.concatenate([2 * node, 2 * node + 1])
-            gap = self._node_gaps(points[point], level, node)
-            near = gap <= squared[point]
-            point, node, gap = point[near], node[near], gap[near]
-        return point, node, gap
-
-    def holding(self, points: Floats) -> tuple[Ints, Ints]:
-        """Pairs of points and boxes that may hold them."""
-        point, leaf, _ = self.within(points, np.zeros(len(points)))
-        return self.items(point, leaf)
-
-
-def _gaps(points: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Squared distances of points to boxes."""
-    gap = np.maximum(np.maximum(lower - points, points - upper), 0.0)
-    return np.asarray(np.einsum("ij,ij->i", gap, gap))
 
 
 @dataclass(frozen=True)
@@ -320,7 +201,11 @@ def protrusions(
         best = np.full(len(hulls), found.max()) if together else found
         nothing = best.max() <= rounding and floor == 0 and work < WORK_ON_NOTHING
         accuracy = 2 * rounding if nothing else ABSOLUTE * solid.size
-        return np.maximum(floor, np.maximum(best * (1 + relative), best + accuracy))
+        if floor > 0:
+            accuracy = max(2 * rounding, min(accuracy, RELATIVE * floor))
+        # Whether a piece is below the floor is to be known, however near it comes; by how much it is above is not.
+        near = np.where(best > floor, best * (1 + relative), best)
+        return np.maximum(floor, np.maximum(near, best + accuracy))
 
     search = _Search(hulls, solid, found, points, bounds, targets)
     search.go(cells, owner, np.full(len(cells), np.inf), search.boundary)
@@ -395,8 +280,7 @@ class _Search:
         signed, nearest = solid.signed_distances(centers)
         self._note(centers, signed, owner)
         radius = np.linalg.norm(cells - centers[:, None], axis=2).max(axis=1)
-        corner = np.repeat(nearest, 3)
-        far = squared_distances(cells.reshape(-1, 3), solid.triangles[corner], solid.normals[corner]).reshape(-1, 3)
+        far = squared_distances(cells.reshape(-1, 3), solid.triangles[np.repeat(nearest, 3)]).reshape(-1, 3)
         bound = np.minimum(np.maximum(signed + radius, 0.0), np.sqrt(far.max(axis=1))) + solid.rounding
         bound = np.minimum(bound, limit)
         target = self.targets(work)[owner]
@@ -440,18 +324,28 @@ def _smaller(cells: Floats, nearest: Ints, target: Floats, solid: Solid) -> tupl
     height = np.abs(np.einsum("ijk,ik->ij", cells - mesh[:, :1], normals)).max(axis=1) + solid.rounding
     flat = normals.any(axis=1) & (height <= target) & (length <= COARSE * longest_edges(mesh)[0])
     flat &= _over(cells.mean(axis=1), mesh, normals)
-    plain = np.flatnonzero(~flat)
-    parts, origins = [halved(cells[plain], edge[plain])], [plain, plain]
-    rest, of = cells[flat], np.flatnonzero(flat)
+    parts, origins = [], []
+    inside, of = cells[flat], np.flatnonzero(flat)
     for k in range(3):
         a, b = mesh[of, k], mesh[of, (k + 1) % 3]
         outward = np.cross(b - a, normals[of])
         outward /= np.linalg.norm(outward, axis=1)[:, None]
-        rest, inside, outside, beyond = cut(rest, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
+        inside, within, outside, beyond = cut(inside, outward, np.einsum("ij,ij->i", outward, a), solid.rounding)
         parts.append(outside)
         origins.append(of[beyond])
-        of = of[inside]
-    return np.concatenate(parts), np.concatenate(origins), np.where(flat, height, 0.0)
+        of = of[within]
+    # A cell that stands on an edge of the triangle may lie in the plane that cuts along it: nothing is inside then.
+    cut_up = np.zeros(len(cells), dtype=bool)
+    cut_up[of] = True
+    keep = [cut_up[origin] for origin in origins]
+    whole = np.flatnonzero(~cut_up)
+    parts = [part[k] for part, k in zip(parts, keep, strict=True)] + [halved(cells[whole], edge[whole])]
+    origins = [origin[k] for origin, k in zip(origins, keep, strict=True)] + [whole, whole]
+    # Distance to one triangle is convex: greatest at a corner of what is inside.
+    far = squared_distances(inside.reshape(-1, 3), solid.triangles[np.repeat(nearest[of], 3)])
+    bound = np.zeros(len(cells))
+    np.maximum.at(bound, of, np.sqrt(far.reshape(-1, 3).max(axis=1)) + solid.rounding)
+    return np.concatenate(parts), np.concatenate(origins), bound
 
 
 def _over(points: Floats, triangles: Floats, normals: Floats) -> Bools:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loewner._native import entries
 from loewner._validate import Floats, Ints
 
 # A triangle whose height is less than this share of its longest edge has no direction of its own: it counts as its
@@ -83,16 +84,8 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     return parts[0], origins[0], parts[1], origins[1]
 
 
-def squared_distances(points: Floats, triangles: Floats, normals: Floats) -> Floats:
-    """Squared distance of each point to its triangle, from three edges and the inside; `normals` zero for slivers."""
-    least = np.full(len(points), np.inf)
-    above = normals.any(axis=1)
-    for k in range(3):
-        a, edge = triangles[:, k], triangles[:, (k + 1) % 3] - triangles[:, k]
-        x = points - a
-        length = np.einsum("ij,ij->i", edge, edge)
-        along = np.clip(np.einsum("ij,ij->i", x, edge) / np.where(length > 0, length, 1.0), 0, 1)
-        least = np.minimum(least, ((x - along[:, None] * edge) ** 2).sum(axis=1))
-        above &= np.einsum("ij,ij->i", np.cross(normals, edge), x) >= 0
-    height = np.einsum("ij,ij->i", points - triangles[:, 0], normals)
-    return np.where(above, np.minimum(least, height**2), least)
+def squared_distances(points: Floats, triangles: Floats) -> Floats:
+    """Squared distance of each point to its triangle, shapes (n, 3) and (n, 3, 3), however thin that is."""
+    squared = np.empty(len(points))
+    entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
+    return squared

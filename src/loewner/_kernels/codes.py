@@ -16,6 +16,9 @@ RIGID, NOT_FINITE, LAST_ROW, NOT_ORTHONORMAL, REFLECTION = 0, 1, 2, 3, 4
 RIMON_BOYD, LIN_HAN, CENTER_LINE = 0, 1, 2
 SEPARATE, OVERLAP, UNCONVERGED = 0, 1, 2
 
+# What stands for a winding number that no ray tells.
+UNCOUNTED = -(2**62)
+
 # How a fit ended (0 is success), ...
 FLAT, STALLED, UNBOUNDED = 1, 2, 3
 

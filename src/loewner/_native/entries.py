@@ -48,6 +48,12 @@ ENTRIES = {
         Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
         Entry("pipeline.distances", "memory_of_distances", "", "i"),
         Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
+        # -- points and meshes
+        Entry("narrow.mesh_points", "points_memory", "", "i"),
+        Entry("narrow.mesh_points", "squared_distances_of", "cF2 cF3 F1", ""),
+        Entry("narrow.mesh_points", "nearest_triangles", "i f cF2 F1 I1 i", ""),
+        Entry("narrow.mesh_points", "winding_numbers", "i f cF2 I1 i", ""),
+        Entry("narrow.mesh_points", "facing_one_way", "i f cF2 cF1 cF2 b f i T1 F2 i", ""),
         # -- ellipsoids
         Entry("ellipsoids.contact_robust", "contact_of_pairs", "F2 F3 F3 F1", ""),
         Entry("ellipsoids.near_points", "near_points_of_pairs", "i F2 F3 F3 f F2 F2 F1 I1 I1", ""),
@@ -55,7 +61,7 @@ ENTRIES = {
         Entry("pieces.rigid", "first_fault", "F3", "i i f"),
         Entry("pieces.directions", "direction_map", "F2", "I1 F2"),
         Entry("trees.piece_tree", "piece_trees", "I1 F2 F2", "F1 I1 I1"),
-        Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1"),
+        Entry("trees.triangle_tree", "triangle_tree", "cF2 cI2", "F1 I1 F1 F1 F1 I1"),
         Entry("trees.triangle_mesh", "equal_vertices", "cF2", "i I1"),
         Entry("trees.triangle_mesh", "part_vertices", "i cI2", "I1"),
         Entry("trees.boxes", "body_boxes", "i i i i i F3 F2 F2", ""),

@@ -56,7 +56,7 @@ class SurfaceTree:
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
         """Build the tree over some triangles, at least one, that share vertices where they hang together."""
-        boxes, children, blocks, diagonals, ellipsoids = entries.triangle_tree(vertices, triangles)
+        boxes, children, blocks, diagonals, ellipsoids, _ = entries.triangle_tree(vertices, triangles)
         parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
         inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
         if solid and len(triangles) >= FEWEST_TRIANGLES:

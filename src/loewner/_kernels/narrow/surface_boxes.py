@@ -74,7 +74,13 @@ def is_solid(P):
 @inline
 def surface_of(P):
     """Tree of a surface that is a piece."""
-    t = integers_at(P.layout[P.piece, SURFACE_AT], (5, ENTRIES))
+    return tree_at(P.layout[P.piece, SURFACE_AT])
+
+
+@inline
+def tree_at(table):
+    """Tree by the address of the table of its arrays."""
+    t = integers_at(table, (5, ENTRIES))
     return Tree(
         singles_at(t[0, 0], (t[0, 1],)),
         integers_at(t[1, 0], (t[1, 1],)),

@@ -69,13 +69,12 @@ from loewner._kernels.narrow.surfaces import (
 from loewner._kernels.narrow.surfaces import SIZE as WALK
 from loewner._kernels.narrow.triangles import (
     doubt,
-    from_face,
     length1,
     longest_edge,
+    nearest_on,
     same_side,
     sides,
     squared_distances,
-    upright,
 )
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import placed_support, radius, reach, rotation_of
@@ -86,9 +85,7 @@ from loewner._kernels.simd.vectors import (
     load,
     lowest_bit,
     maximum,
-    minimum,
     movemask,
-    select,
     store,
 )
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
@@ -290,7 +287,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
             middles, halves = boxes_of(a.boxes, child_a)
             t = between(about, middles, middle)
             gaps = _larger(squared_gaps(about, t, halves, half), along)
-            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_a, slot_b, True)
+            height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_a, slot_b, True)
         else:
             along = (away - reach_at(a, slot_a, way_a)) - reaches_of(b, child_b, way_b)
             if movemask(_single_near(along, best)) == 0:
@@ -299,7 +296,7 @@ def _nearest_triangles(A, B, shift, limit, memory):
             middles, halves = boxes_of(b.boxes, child_b)
             t = between(about, middle, middles)
             gaps = _larger(squared_gaps(about, t, half, halves), along)
-            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_b, slot_a, False)
+            height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child_b, slot_a, False)
     return found_a, found_b
 
 
@@ -325,11 +322,11 @@ def _near_along(gap, best):
 def _single_near(gap, best):
     """The same in single precision."""
     gap = maximum(gap, np.float32(0.0))
-    return gap * gap <= _rounded_up(best)
+    return gap * gap <= rounded_up(best)
 
 
 @inline
-def _rounded_up(best):
+def rounded_up(best):
     """What a squared lower bound in single precision may be, to be believed and not above the best."""
     return np.float32(best * (1.0 + 2e-5) + 1e-37)
 
@@ -361,12 +358,12 @@ def _larger(squared, gap):
 
 
 @inline
-def _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, other, first):
+def push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, other, first):
     """Put the boxes of a node that may be near enough on the stack, the most promising on top.
 
     Bounds of large boxes are 0 for many at a time; how far their middles are apart, t, still tells which to begin with.
     """
-    bits = movemask((gaps <= _rounded_up(best)) & (halves[0] >= np.float32(0.0)))
+    bits = movemask((gaps <= rounded_up(best)) & (halves[0] >= np.float32(0.0)))
     if bits == 0:
         return height
     store(lanes, 0, gaps)
@@ -438,7 +435,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             t = minus(middles, single)
             gaps = squared_gap(t, halves, wide)
             none = np.int64(0)
-            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best * best, child, none, True)
+            height = push_near(stack, bounds, lanes, height, gaps, t, halves, best * best, child, none, True)
             continue
         leaf = leaf_of(child)
         near = gap_to_box(a.blocks, leaf, middle, half) * BELIEVED <= best * best
@@ -720,10 +717,10 @@ def nearest_point(A, x, limit, size, memory):
             middles, halves = boxes_of(a.boxes, child)
             t = minus(middles, single)
             gaps, none = squared_gap(t, halves, (slack, slack, slack)), np.int64(0)
-            height = _push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
+            height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
             continue
         corners = placed_corners(A, a.blocks, leaf_of(child), (0.0, 0.0, 0.0))
-        u, v, w = _nearest_on(corners, x)
+        u, v, w = nearest_on(corners, x)
         squared = (u - x[0]) * (u - x[0]) + (v - x[1]) * (v - x[1]) + (w - x[2]) * (w - x[2])
         bits = movemask(squared <= best) & ((1 << size_of(child)) - 1)
         if bits == 0:
@@ -739,35 +736,3 @@ def nearest_point(A, x, limit, size, memory):
                 best, found = lanes[lane], lane
                 near = placed[lane], placed[LEAF + lane], placed[2 * LEAF + lane]
     return (np.sqrt(best) if found >= 0 else np.inf), near
-
-
-@inline
-def _nearest_on(corners, x):
-    """Nearest points of eight triangles to a point: on an edge, or the foot on the plane where that lies inside."""
-    a, b, c = corners
-    edges = minus(b, a), minus(c, b), minus(a, c)
-    p, squared = _nearest_on_edge(a, edges[0], x)
-    other, less = _nearest_on_edge(b, edges[1], x)
-    p, squared = _nearer(p, squared, other, less)
-    other, less = _nearest_on_edge(c, edges[2], x)
-    p, squared = _nearer(p, squared, other, less)
-    inside, d = from_face(x, upright(corners, edges))
-    nearer = inside & (dot(d, d) < squared)
-    return select(nearer, x[0] - d[0], p[0]), select(nearer, x[1] - d[1], p[1]), select(nearer, x[2] - d[2], p[2])
-
-
-@inline
-def _nearest_on_edge(a, edge, x):
-    t = minimum(maximum(dot(minus(x, a), edge) / dot(edge, edge), 0.0), 1.0)
-    p = a[0] + t * edge[0], a[1] + t * edge[1], a[2] + t * edge[2]
-    d = minus(p, x)
-    return p, dot(d, d)
-
-
-@inline
-def _nearer(p, squared, q, other):
-    less = other < squared
-    return (
-        (select(less, q[0], p[0]), select(less, q[1], p[1]), select(less, q[2], p[2])),
-        select(less, other, squared),
-    )

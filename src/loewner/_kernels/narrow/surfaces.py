@@ -11,7 +11,7 @@ body tells: by the winding number, which counts how often the surface is met on 
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
+from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, UNCOUNTED
 from loewner._kernels.linalg3 import apply, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, place_piece
@@ -309,13 +309,23 @@ def point_within(A, x, size, memory):
     u, v, w = (R[0], R[3], R[6]), (R[1], R[4], R[7]), (R[2], R[5], R[8])
     volume = dot(cross(u, v), w)
     q = dot(cross(v, w), x) / volume, dot(cross(w, u), x) / volume, dot(cross(u, v), x) / volume
+    number = winding_number(a, q, size, memory)
+    return UNKNOWN if number == UNCOUNTED else WITHIN if number != 0 else OUTSIDE
+
+
+@njit()
+def winding_number(a, q, size, memory):
+    """How often a surface goes around a point of its frame; UNCOUNTED if no ray tells.
+
+    `size` is a sum of lengths that bounds coordinates; the point may be off by CORNER_ERROR of it.
+    """
     slack = ROUNDINGS * size
     middle, half = box_at(a.boxes, 0)
     nearest, first = np.inf, 0
     for axis in range(3):
         gap = float(half[axis]) - abs(q[axis] - float(middle[axis]))
         if gap < -slack:
-            return OUTSIDE
+            return 0
         if gap < nearest:
             nearest, first = gap, 2 * axis + (q[axis] < float(middle[axis]))
     for turn in range(6):
@@ -327,14 +337,14 @@ def point_within(A, x, size, memory):
             found = _windings(a, (q[2], q[0], q[1]), 2, 0, 1, way & 1, lean, size, memory)
         else:
             found = _windings(a, (q[0], q[1], q[2]), 0, 1, 2, way & 1, lean, size, memory)
-        if found != UNKNOWN:
+        if found != UNCOUNTED:
             return found
-    return UNKNOWN
+    return UNCOUNTED
 
 
 @njit()
 def _windings(a, q, i, j, k, backward, lean, size, memory):
-    """Follow a ray from a point, given by its coordinates i, j and k, along axis k or against it.
+    """How often a ray from a point, given by its coordinates i, j and k, along axis k or against it, meets a surface.
 
     It leans towards axes i and j by so much: the coordinates along these, less that share of the third, stay the same.
     """
@@ -389,9 +399,9 @@ def _windings(a, q, i, j, k, backward, lean, size, memory):
         lanes = (1 << size_of(child)) - 1
         forth, back = movemask(left & (where > doubtful)) & lanes, movemask(right & (where < -doubtful)) & lanes
         if (movemask(beside | behind | beyond) | forth | back) & lanes != lanes:
-            return UNKNOWN
+            return UNCOUNTED
         windings += _count(forth) - _count(back)
-    return WITHIN if windings != 0 else OUTSIDE
+    return -windings if backward == 1 else windings
 
 
 @inline

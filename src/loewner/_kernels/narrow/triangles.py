@@ -241,3 +241,38 @@ def squared_distances(a, b):
         least = _to_face(b[k], upright_a, least)
         least = _to_face(a[k], upright_b, least)
     return least
+
+
+@inline
+def nearest_on(corners, x):
+    """Nearest points of triangles to a point: on an edge, or the foot on the plane where that lies inside.
+
+    Each is a point of the triangle but for rounding, however thin that is, and the nearest one likewise.
+    """
+    a, b, c = corners
+    edges = minus(b, a), minus(c, b), minus(a, c)
+    p, squared = _nearest_on_edge(a, edges[0], x)
+    other, less = _nearest_on_edge(b, edges[1], x)
+    p, squared = _nearer(p, squared, other, less)
+    other, less = _nearest_on_edge(c, edges[2], x)
+    p, squared = _nearer(p, squared, other, less)
+    inside, d = from_face(x, upright(corners, edges))
+    nearer = inside & (dot(d, d) < squared)
+    return select(nearer, x[0] - d[0], p[0]), select(nearer, x[1] - d[1], p[1]), select(nearer, x[2] - d[2], p[2])
+
+
+@inline
+def _nearest_on_edge(a, edge, x):
+    t = minimum(maximum(dot(minus(x, a), edge) / dot(edge, edge), 0.0), 1.0)
+    p = a[0] + t * edge[0], a[1] + t * edge[1], a[2] + t * edge[2]
+    d = minus(p, x)
+    return p, dot(d, d)
+
+
+@inline
+def _nearer(p, squared, q, other):
+    less = other < squared
+    return (
+        (select(less, q[0], p[0]), select(less, q[1], p[1]), select(less, q[2], p[2])),
+        select(less, other, squared),
+    )

@@ -102,6 +102,8 @@ def triangle_tree(vertices, triangles):
         DIAGONALS for each node, of single precision likewise.
     ellipsoids : ndarray
         OVAL, of single precision likewise.
+    numbers : ndarray of int64
+        LEAF for each leaf: which triangles are in its block.
     """
     count = triangles.shape[0]
     box, order = np.empty(BOX * count), np.arange(count)
@@ -168,7 +170,7 @@ def triangle_tree(vertices, triangles):
             waiting[left] = (ranges[k, 0], ranges[k, 1], ranges[k, 2], nodes * WIDE + k)
             left += 1
         nodes += 1
-    blocks = np.empty(leaves * BLOCK)
+    blocks, numbers = np.empty(leaves * BLOCK), np.empty(leaves * LEAF, np.int64)
     for slot in range(nodes * WIDE):
         child = children[slot]
         if child >= 0:
@@ -176,12 +178,13 @@ def triangle_tree(vertices, triangles):
         leaf, size = leaf_of(child), size_of(child)
         for lane in range(LEAF):
             t = order[leaf_from[leaf] + min(lane, size - 1)]
+            numbers[leaf * LEAF + lane] = t
             for corner in range(3):
                 for axis in range(3):
                     at = leaf * BLOCK + (3 * corner + axis) * LEAF + lane
                     blocks[at] = vertices[triangles[t, corner], axis]
     boxes, children = boxes[: nodes * ROWS].copy(), children[: nodes * WIDE].copy()
-    return boxes, children, blocks, _diagonals(boxes, children, blocks), ellipsoids
+    return boxes, children, blocks, _diagonals(boxes, children, blocks), ellipsoids, numbers
 
 
 @njit()
