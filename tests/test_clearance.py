@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from checker_oracle import composed_bodies, random_robot, random_scene, simple_bodies
+from checker_oracle import composed_bodies, random_robot, random_scene, robot_of, simple_bodies
 from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene
 from test_gradients import nudged
 
@@ -195,3 +195,34 @@ def test_runaway_configurations(tmp_path: Path):
         value, gradient = checker.clearance(np.where(np.abs(q) < 7, q * 1e9, q), gradient=True)
         assert np.isfinite(value)
         assert np.isfinite(gradient).all()
+
+
+def test_gradients_through_mimicking_joints(tmp_path: Path):
+    """A joint's value moves all that mimic it, each by its multiplier: turning, sliding, and both at once."""
+    bodies = {f"l{k}": Body.capsule(0.04, 0.3) for k in range(1, 4)}
+    robot = robot_of(
+        tmp_path,
+        [
+            ("revolute", 0, '<origin xyz="0 0 0.3"/><axis xyz="0 0.6 0.8"/><limit lower="-2" upper="2"/>'),
+            ("prismatic", 1, '<origin xyz="0.2 0 0.3"/><axis xyz="1 0 0"/><limit lower="-2" upper="2"/>'
+                             '<mimic joint="j1" multiplier="-0.5" offset="0.1"/>'),
+            ("revolute", 2, '<origin xyz="0 0.1 0.3"/><axis xyz="0 1 0"/><limit lower="-2" upper="2"/>'
+                            '<mimic joint="j1" multiplier="3"/>'),
+        ],
+        bodies,
+    )  # fmt: skip
+    scene = Scene()
+    scene.add(
+        "post", Body.box([0.2, 0.3, 0.4]), np.array([[1.0, 0, 0, 0.7], [0, 1, 0, 0.2], [0, 0, 1, 0.5], [0, 0, 0, 1]])
+    )
+    checker = CollisionChecker(robot, scene)
+    assert robot.dof == 1
+    for q in np.linspace(-0.6, 0.4, 6)[:, None]:
+        _, slope = checker.clearance(q, gradient=True)
+        exact = checker.distance(q, exact=True, gradient=True).gradient
+        for found, query in (
+            (slope, checker.clearance),
+            (exact, lambda x: checker.distance(x, exact=True).distance),
+        ):
+            difference = (query(q + 1e-6) - query(q - 1e-6)) / 2e-6
+            assert found[0] == pytest.approx(difference, abs=1e-6)
