@@ -40,14 +40,13 @@ def wide() -> Iterator[None]:
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[int, ...], bool]]:
     """Shapes that the checker is asked about, and whether with gradients."""
-    seen = []
-    for name in MEASURES:
+    seen, ask = [], CollisionChecker.clearance
 
-        def counted(self: Any, Q: Any, *, ask: Any = getattr(CollisionChecker, name), **options: Any) -> Any:
-            seen.append((Q.shape, options.get("gradient", False)))
-            return ask(self, Q, **options)
+    def counted(self: Any, Q: Any, **options: Any) -> Any:
+        seen.append((Q.shape, options["gradient"]))
+        return ask(self, Q, **options)
 
-        monkeypatch.setattr(CollisionChecker, name, counted)
+    monkeypatch.setattr(CollisionChecker, "clearance", counted)
     return seen
 
 
@@ -171,7 +170,8 @@ def test_compiled_functions_see_the_scene_as_it_is(tmp_path: Path):
     scene = scene_with_post()
     checker = cube_on_a_leash(tmp_path, scene)
     function, q = loewner.jax.clearance(checker), np.array([3, 0, 0, 1, 0, 0, 0], dtype=np.float32)
-    asks: list[Callable[[], Any]] = [lambda compiled=jax.jit(function): compiled(q), jax.jit(lambda: function(q))]
+    compiled = jax.jit(function)
+    asks: list[Callable[[], Any]] = [lambda: compiled(q), jax.jit(lambda: function(q))]
     before = [float(ask()) for ask in asks]
     T = np.eye(4)
     T[0, 3] = -5.0
@@ -198,7 +198,7 @@ def test_second_derivatives_are_refused(name: str, twice: str, checker: Collisio
 
 @pytest.mark.parametrize("name", MEASURES)
 def test_bad_configurations(name: str, checker: CollisionChecker, Q: np.ndarray):
-    """What is no array, of another type or width, or not finite is refused by name, in JAX's words where it compiles."""
+    """What is no array, of another type or width, or not finite is refused by name; compiled functions say so too."""
     function, good = getattr(loewner.jax, name)(checker), jnp.asarray(Q, jnp.float32)
     dof = checker.robot.dof
     for bad in (None, "x", 1.5, [0.0] * dof, Q.astype(object), good.astype(jnp.int32)):
@@ -227,7 +227,7 @@ def test_bad_configurations(name: str, checker: CollisionChecker, Q: np.ndarray)
 
 @pytest.mark.parametrize("name", MEASURES)
 def test_bad_checkers(name: str, tmp_path: Path):
-    """What is no checker is refused at once, and one without pairs when it is asked: its scene may be filled by then."""
+    """What is no checker is refused at once, one without pairs when it is asked: its scene may be filled by then."""
     for bad in (None, "checker", CollisionChecker):
         with pytest.raises(InputError, match=r"checker: expected loewner\.CollisionChecker, found"):
             getattr(loewner.jax, name)(bad)

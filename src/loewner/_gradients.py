@@ -54,7 +54,7 @@ def clearance(checker: Any, softness: Any) -> Measure:
     def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
         if gradient:
             return checked.clearance(Q, softness=soft, gradient=True)
-        return checked.clearance(Q, softness=soft), None
+        return checked.clearance(Q, softness=soft, gradient=False), None
 
     return Measure("clearance", checked, ask)
 

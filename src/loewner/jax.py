@@ -55,8 +55,8 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
     into float32: the function refuses them where it sees them, since the answer would be about other configurations.
     It cannot see what ``jit`` or ``grad`` has turned already: there, the answer is about the float32 configuration.
 
-    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) come as errors of JAX, a ValueError or
-    a RuntimeError, whose text has the message.
+    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) come as errors of JAX, a ValueError
+    or a RuntimeError, whose text has the message.
 
     Examples
     --------
