@@ -148,8 +148,9 @@ def _is_differentiated(Q: Any) -> bool:
 def _functions() -> tuple[Any, Any]:
     """The two functions that PyTorch differentiates; made when it is there."""
     torch = _torch()
+    Function: Any = torch.autograd.Function
 
-    class Asked(torch.autograd.Function):  # type: ignore[name-defined]
+    class Asked(Function):  # type: ignore[misc]
         """Values of a measure, and its gradients: of no columns where they are not wanted."""
 
         @staticmethod
@@ -178,7 +179,7 @@ def _functions() -> tuple[Any, Any]:
             # Seen from outside of vmap, Q may be differentiated though its rows are not.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
 
-    class Times(torch.autograd.Function):  # type: ignore[name-defined]
+    class Times(Function):  # type: ignore[misc]
         """Something times the gradients, which depend on Q: whoever differentiates that is told, and gets no zeros."""
 
         generate_vmap_rule = True
