@@ -3,7 +3,7 @@
 python examples/bend_a_path.py [--seed 2] [--points 24]
 
 The cost is the length of the path, and how far its points come nearer than two centimetres to anything. Then every
-motion between the points is proven. bend_a_path_jax.py and bend_a_path_torch.py do the same with those.
+motion between the points is proven. bend_a_path_jax.py and bend_a_path_torch.py leave the gradient to JAX and PyTorch.
 """
 
 import argparse
@@ -25,7 +25,7 @@ Bend = Callable[[np.ndarray, loewner.CollisionChecker], tuple[np.ndarray, int]]
 
 def main(bend: Bend) -> None:
     """Draw starts and goals until a straight line collides, bend it, and prove what came out."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(description="A straight line through obstacles, bent until it is free.")
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--points", type=int, default=24)
     asked = parser.parse_args()

@@ -212,6 +212,24 @@ def test_graphs_of_gradients_do_no_harm(name: str, checker: CollisionChecker, Q:
 
 
 @pytest.mark.parametrize("name", MEASURES)
+def test_derivatives_within_derivatives_by_something_else(name: str, checker: CollisionChecker, Q: np.ndarray):
+    """Once by the configurations and once by a factor, one within the other: both as they should be."""
+    function, func, tensor = getattr(loewner.torch, name)(checker), torch.func, torch.tensor(Q)
+    slope, one = torch.tensor(told(checker, name, Q)[1]).sum(dim=-1).sum(), torch.tensor(1.0, dtype=torch.float64)
+
+    def by_factor(Q: Any) -> Any:
+        return func.jvp(lambda factor: factor * function(Q).sum(), (one,), (one,))[1]
+
+    def rows_by_factor(Q: Any) -> Any:
+        return func.jvp(lambda factor: factor * torch.vmap(function)(Q).sum(), (one,), (one,))[1]
+
+    for inner in (by_factor, rows_by_factor):
+        _, forwards = func.jvp(inner, (tensor,), (torch.ones_like(tensor),))
+        np.testing.assert_allclose(forwards, slope, rtol=1e-12)
+        np.testing.assert_allclose(func.grad(inner)(tensor).sum(), slope, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", MEASURES)
 def test_bad_configurations(name: str, checker: CollisionChecker, Q: np.ndarray):
     """What is no tensor, of another type, width or place, or not finite is refused by name."""
     function, good = getattr(loewner.torch, name)(checker), torch.tensor(Q)

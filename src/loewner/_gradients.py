@@ -32,8 +32,9 @@ class Measure:
     def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
         """Values in metres, shape (...), of configurations, shape (..., dof); and their derivatives if wanted."""
         values, gradients = self.ask(Q, gradient)
-        down = rounded_down(values, Q.dtype)
-        return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
+        with np.errstate(over="ignore"):  # of float32: infinite then
+            down = rounded_down(values, Q.dtype)
+            return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
 
     def expect_width(self, shape: tuple[int, ...]) -> None:
         """Refuse configurations of another robot before they have values."""
@@ -73,8 +74,7 @@ def distance(checker: Any) -> Measure:
 def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Values in another type, never above what they were: a lower bound stays one."""
     exact = np.asarray(values, dtype=np.float64)
-    with np.errstate(over="ignore"):  # to infinity, and from there to the largest number
-        rounded = exact.astype(dtype)
+    rounded = exact.astype(dtype)
     return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)
 
 

@@ -134,7 +134,7 @@ def _expect_configurations(Q: Any, measure: Measure) -> None:
 
 
 def _is_differentiated(Q: Any) -> bool:
-    """Whether derivatives by these configurations may be asked for."""
+    """Whether derivatives by these configurations will probably be asked for."""
     torch = _torch()
     if torch.is_grad_enabled() and Q.requires_grad:
         return True
@@ -167,17 +167,24 @@ def _functions() -> tuple[Any, Any]:
 
         @staticmethod
         def backward(ctx: Any, up: Any, _: Any) -> Any:
-            return Times.apply(up[..., None], *ctx.saved_tensors, ctx.measure), None, None
+            return Times.apply(up[..., None], *kept(ctx), ctx.measure), None, None
 
         @staticmethod
         def jvp(ctx: Any, tangent: Any, *_: Any) -> Any:
-            return Times.apply(tangent, *ctx.saved_tensors, ctx.measure).sum(dim=-1), None
+            return Times.apply(tangent, *kept(ctx), ctx.measure).sum(dim=-1), None
 
         @staticmethod
         def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
             Q = Q.movedim(in_dims[0], 0)
             # Seen from outside of vmap, Q may be differentiated though its rows are not.
             return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
+
+    def kept(ctx: Any) -> tuple[Any, Any]:
+        """Configurations and gradients; the latter asked for now if nobody knew that they would be wanted."""
+        Q, gradients = ctx.saved_tensors
+        if gradients.shape != Q.shape:
+            _, gradients = Asked.apply(Q, ctx.measure, True)
+        return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
         """Something times the gradients, which depend on Q: whoever differentiates that is told, and gets no zeros."""
