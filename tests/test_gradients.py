@@ -248,11 +248,12 @@ def test_distances_do_not_depend_on_the_batch(seed: int, tmp_path_factory):
 
 def test_bounds_are_rounded_down():
     """To the next float32 below, or the number itself; what is too large for float32 becomes its largest number."""
-    exact = np.array([0.1, -0.1, 0.5, 0.0, 1e-60, -1e-60, 1e39, -1e39])
-    with np.errstate(over="ignore"):
-        found = rounded_down(exact, np.dtype(np.float32))
-    assert found.dtype == np.float32
+    single, exact = np.dtype(np.float32), np.array([0.1, -0.1, 0.5, 0.0, 1e-60, -1e-60])
+    found = rounded_down(exact, single)
+    assert found.dtype == single
     assert (found <= exact).all()
     assert (np.nextafter(found, np.float32(np.inf)) > exact).all()
     np.testing.assert_array_equal(found[2:4], exact[2:4])
     np.testing.assert_array_equal(rounded_down(exact, np.dtype(np.float64)), exact)
+    with np.errstate(over="ignore"):
+        assert rounded_down([1e39, -1e39], single).tolist() == [np.finfo(single).max, -np.inf]
