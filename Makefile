@@ -4,6 +4,7 @@
 #   make verify   the long proofs          make bench    the benchmarks
 #   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
+#   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
 #   make docs     the documentation, as pages in docs/_build/html
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
 #   make test-wheel    the quick suite against that wheel, installed
@@ -23,9 +24,9 @@ THREADS ?= 2
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test verify fuzz bounds bench check docs wheel sdist test-wheel clean
+.PHONY: help demo test test-torch verify fuzz bounds bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 10
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 11
 
 # What compiling does not need is installed beside it.
 demo: $(VENV)/.compiler
@@ -38,6 +39,11 @@ test: $(VENV)/.dev
 	$(BUILD)
 	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
+
+test-torch: $(VENV)/.torch
+	$(BUILD)
+	$(PYTEST) tests/test_torch.py src/loewner/torch.py
+	$(PYTEST) -k "torch or frameworks" tests/test_docs.py tests/test_site.py
 
 verify: $(VENV)/.dev
 	$(BUILD)
@@ -130,6 +136,10 @@ $(VENV)/.demo: requirements/demo.txt requirements/data.txt $(VENV)/.core
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 	$(PIP) -r requirements/dev.txt
 	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true  # tests start hundreds of interpreters
+	@touch $@
+
+$(VENV)/.torch: requirements/torch.txt $(VENV)/.dev
+	$(PIP) -r requirements/torch.txt
 	@touch $@
 
 $(VENV)/.bench: requirements/bench.txt $(VENV)/.dev

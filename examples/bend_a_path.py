@@ -1,12 +1,13 @@
 """A straight line through obstacles, bent until it is free: SciPy with gradients of the exact distance.
 
-python examples/bend_a_path.py [--seed 1] [--points 24]
+python examples/bend_a_path.py [--seed 2] [--points 24]
 
-The cost is the length of the path, and how far its points come nearer than a centimetre to anything. Then every motion
-between the points is proven.
+The cost is the length of the path, and how far its points come nearer than two centimetres to anything. Then every
+motion between the points is proven. bend_a_path_jax.py and bend_a_path_torch.py leave the gradient to JAX and PyTorch.
 """
 
 import argparse
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import minimize
@@ -14,14 +15,18 @@ from scipy.optimize import minimize
 import loewner
 from robot_meshes import panda_robot
 
-KEEP = 0.01  # metres from everything
+KEEP = 0.02  # metres from everything
+SCALE = 0.01  # metres that a lack of distance is measured in
 ARM = slice(0, 7)
 
+# From a path and a checker, the bent path and how often its cost was evaluated.
+Bend = Callable[[np.ndarray, loewner.CollisionChecker], tuple[np.ndarray, int]]
 
-def main() -> None:
+
+def main(bend: Bend) -> None:
     """Draw starts and goals until a straight line collides, bend it, and prove what came out."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1)
+    parser = argparse.ArgumentParser(description="A straight line through obstacles, bent until it is free.")
+    parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--points", type=int, default=24)
     asked = parser.parse_args()
 
@@ -31,10 +36,9 @@ def main() -> None:
     distances = checker.distance(straight, exact=True).distance
     print(f"straight: {length(straight):.2f} rad, nearest {1000 * distances.min():.1f} mm")
 
-    found = minimize(cost, straight[1:-1, ARM].ravel(), args=(straight, checker), jac=True, method="L-BFGS-B")
-    bent = with_inner(straight, found.x)
+    bent, evaluations = bend(straight, checker)
     distances = checker.distance(bent, exact=True).distance
-    print(f"bent:     {length(bent):.2f} rad, nearest {1000 * distances.min():.1f} mm, {found.nfev} evaluations")
+    print(f"bent:     {length(bent):.2f} rad, nearest {1000 * distances.min():.1f} mm, {evaluations} evaluations")
     verdicts = checker.certify_edges(bent[:-1], bent[1:]).verdict
     proven = sum(verdict == loewner.Verdict.FREE for verdict in verdicts)
     print(f"{proven} of {len(verdicts)} motions between its points are proven free")
@@ -64,6 +68,12 @@ def colliding_line(robot: loewner.Robot, checker: loewner.CollisionChecker, poin
             return line
 
 
+def bend_with_scipy(straight: np.ndarray, checker: loewner.CollisionChecker) -> tuple[np.ndarray, int]:
+    """The points between the ends moved by L-BFGS."""
+    found = minimize(cost, straight[1:-1, ARM].ravel(), args=(straight, checker), jac=True, method="L-BFGS-B")
+    return with_inner(straight, found.x), found.nfev
+
+
 def with_inner(path: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """The path with other values of the arm between its ends."""
     path = path.copy()
@@ -79,8 +89,8 @@ def cost(inner: np.ndarray, straight: np.ndarray, checker: loewner.CollisionChec
     gradient[:-1] -= 2 * steps
     gradient[1:] += 2 * steps
     found = checker.distance(path, exact=True, gradient=True)
-    lacking = np.maximum(2 * KEEP - found.distance, 0.0) / KEEP
-    gradient -= (2 / KEEP) * lacking[:, None] * found.gradient
+    lacking = np.maximum(KEEP - found.distance, 0.0) / SCALE
+    gradient -= (2 / SCALE) * lacking[:, None] * found.gradient
     return float((steps**2).sum() + (lacking**2).sum()), gradient[1:-1, ARM].ravel()
 
 
@@ -90,4 +100,4 @@ def length(path: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    main(bend_with_scipy)

@@ -1,8 +1,12 @@
 """Where the examples in docstrings run: an empty folder with a small robot and a planning problem for it."""
 
 import json
+from importlib.util import find_spec
 
 import pytest
+
+# PyTorch is too large to be there for the usual checks; where it is, its examples run.
+collect_ignore = [] if find_spec("torch") else ["loewner/torch.py"]
 
 # A cart on a rail of 2 m along x; on it an arm, beside the cart at y = 0.3, that turns without limit.
 ARM = """<robot name="arm">

@@ -16,6 +16,7 @@ import accuracy
 import clearance
 import clock
 import crowd
+import frameworks
 import growth
 import loewner
 import memory
@@ -203,6 +204,19 @@ def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         assert (entry["differing"], entry["grazing differing"], entry["certified wrongly"]) == (0, 0, 0)
     for entry in found["tiers"]:
         assert sum(entry[verdict.name] for verdict in loewner.Verdict) == 40
+
+
+def test_frameworks_are_benchmarked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """The checker and JAX are asked for values and gradients, of one configuration and of several, and agree."""
+    jax = pytest.importorskip("jax")
+    monkeypatch.setattr(frameworks, "SIZES", {1: 1, 3: 1})
+    try:
+        frameworks.main()
+    finally:
+        jax.config.update("jax_enable_x64", False)
+    lines = capsys.readouterr().out.splitlines()
+    for who in ("checker", "JAX"):
+        assert sum(who in line for line in lines) == 4
 
 
 def test_accuracy_counts_add_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -197,6 +197,31 @@ def test_example_plan_with_grasped_object(tmp_path):
     assert min(apart) >= 10
 
 
+@pytest.mark.parametrize(
+    ("name", "package"), [("bend_a_path.py", "scipy"), ("bend_a_path_jax.py", "jax"), ("bend_a_path_torch.py", "torch")]
+)
+def test_example_bend_a_path(name, package, tmp_path):
+    """A line that collides becomes a path that keeps two centimetres, every motion of it proven."""
+    pytest.importorskip(package)
+    out = example(name, cwd=tmp_path)
+    straight, bent = (float(x) for x in re.findall(r"nearest ([-0-9.]+) mm", out))
+    assert straight < -10
+    assert bent >= 19.9
+    proven, motions = re.search(r"(\d+) of (\d+) motions between its points are proven free", out).groups()
+    assert proven == motions == "23"
+
+
+def test_example_reach_with_clearance(tmp_path):
+    """The hand is where it is to be both times; without looking the arm collides, with clearance it keeps that."""
+    without, kept = example("reach_with_clearance.py", cwd=tmp_path).splitlines()
+    for line in (without, kept):
+        off = [float(x) for x in re.search(r"hand ([0-9.]+) mm and ([0-9.]+)° off", line).groups()]
+        assert max(off) < 0.1
+    assert float(re.search(r"distance ([-0-9.]+) mm", without)[1]) < 0
+    clearance, distance = (float(x) for x in re.findall(r"(?:clearance|distance) ([-0-9.]+) mm", kept))
+    assert 19.9 <= clearance <= distance
+
+
 def test_example_humanoid_self_collision(tmp_path):
     """The humanoid is free where it stands, and fewer pairs are checked than without sampling."""
     out = example("humanoid_self_collision.py", "--samples", "300", cwd=tmp_path)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from checker_oracle import composed_bodies, pairwise, pose, random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, UnknownNameError, distance
+from loewner._gradients import rounded_down
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEP = 1e-6
@@ -258,3 +259,16 @@ def test_distances_do_not_depend_on_the_batch(seed: int, tmp_path_factory):
     for k in range(0, len(Q), 7):
         one = checker.distance(Q[k], exact=True)
         assert (one.lower, one.upper, one.distance) == (many.lower[k], many.upper[k], many.distance[k])
+
+
+def test_bounds_are_rounded_down():
+    """To the next float32 below, or the number itself; what is too large for float32 becomes its largest number."""
+    single, exact = np.dtype(np.float32), np.array([0.1, -0.1, 0.5, 0.0, 1e-60, -1e-60])
+    found = rounded_down(exact, single)
+    assert found.dtype == single
+    assert (found <= exact).all()
+    assert (np.nextafter(found, np.float32(np.inf)) > exact).all()
+    np.testing.assert_array_equal(found[2:4], exact[2:4])
+    np.testing.assert_array_equal(rounded_down(exact, np.dtype(np.float64)), exact)
+    with np.errstate(over="ignore"):
+        assert rounded_down([1e39, -1e39], single).tolist() == [np.finfo(single).max, -np.inf]

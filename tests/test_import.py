@@ -4,10 +4,17 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 import loewner
+import loewner.jax
+import loewner.torch
 from gantry import gantry
 
-OPTIONAL = ("trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl", "viser")
+OPTIONAL = (
+    "trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl", "viser", "jax",
+    "torch",
+)  # fmt: skip
 
 
 def modules_after(code: str) -> set[str]:
@@ -68,6 +75,9 @@ LATE = (
     "planners",
     "plots",
     "viewer",
+    "jax",
+    "torch",
+    "_gradients",
     "bodies.files",
     "mesh_files.gltf",
     "mesh_files.dae",
@@ -89,6 +99,19 @@ def test_checking_saved_bodies_needs_no_optional_package(tmp_path):
     path = str(tmp_path / "a.npz")
     loaded = modules_after(f"import loewner.cli; assert loewner.cli.main(['check', {path!r}, {path!r}]) == 1")
     assert loaded.isdisjoint(OPTIONAL)
+
+
+@pytest.mark.parametrize(("module", "package"), [(loewner.jax, "JAX"), (loewner.torch, "PyTorch")])
+def test_missing_frameworks_are_named(module, package, tmp_path, monkeypatch):
+    """Without them, modules that need them can be imported, and their functions name what to install."""
+    name = module.__name__.removeprefix("loewner.")
+    loewner.torch._functions.cache_clear()
+    monkeypatch.setitem(sys.modules, name, None)
+    urdf, _ = gantry(tmp_path)
+    checker = loewner.CollisionChecker(loewner.Robot.from_urdf(urdf), skip_adjacent=False)
+    for make in (module.clearance, module.distance):
+        with pytest.raises(loewner.MissingExtraError, match=rf'{package}: pip install "loewner\[{name}\]"'):
+            make(checker)
 
 
 def test_public_names_exist_and_are_listed_once():

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,13 @@ from families import box_corners, translation
 from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
 from loewner import compilation as compiling
+from loewner import jax as for_jax
 from loewner import plots as drawing
+from loewner import torch as for_torch
 from loewner import viewer as viewing
+
+# Modules for frameworks that are there.
+FRAMEWORKS = {name: module for name, module in {"jax": for_jax, "torch": for_torch}.items() if find_spec(name)}
 
 # -- bad values ----------------------------------------------------------------------------------------------------
 
@@ -1054,6 +1060,11 @@ CALLS: dict[str, Call] = {
     "cli.main": Call(command, {"arguments": arg(lambda: ["check", "part.npz", "part.npz"], NONE)}),
 }
 
+# The functions that they make have tests of their own: JAX and PyTorch do not run in forked processes.
+for _name, _module in FRAMEWORKS.items():
+    CALLS[f"{_name}.clearance"] = Call(_module.clearance, {"checker": arg(checker), "softness": positive(0.005)})
+    CALLS[f"{_name}.distance"] = Call(_module.distance, {"checker": arg(checker)})
+
 # The parameters of commands are words. What may come as one, whatever it is wanted for:
 WORDS = {
     text: (lambda text=text: text)
@@ -1178,6 +1189,7 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
         "meshes.": _own(meshes),
         "plots.": _own(drawing),
         "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},
+        **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
         "cli.": {"main": cli.main},
         "": {name: getattr(loewner, name) for name in loewner.__all__} | {"compile_kernels": compiling.compile_kernels},

@@ -24,6 +24,8 @@ EXTRAS = {
     "planners": ("ompl",),
     "plots": ("matplotlib",),
     "viewer": ("viser",),
+    "jax": ("jax",),
+    "torch": ("torch",),
 }
 
 MISSING = "not installed"

@@ -642,7 +642,7 @@ class CollisionChecker:
 
         Notes
         -----
-        Two ellipsoids have a gap between the planes that support them across their contact normal, n·r (1 - 1/√F) / |n|
+        Two ellipsoids have a gap between the planes that support them across their contact normal, n·r (1 - 1/√F) / ‖n‖
         with the contact function F of Perram and Wertheim. It is no more than their signed distance, and analytic
         except where centers coincide. Of the gaps g of all pairs of pieces, whose outer ellipsoids these are,
         -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Where centers of two

@@ -458,11 +458,7 @@ class Robot:
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
         array = _validate.float_array(Q, name)
-        if array.ndim == 0 or array.shape[-1] != self.dof:
-            raise InputError(
-                f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
-                f"found {_validate.shape_text(array.shape)}"
-            )
+        self._expect_width(array.shape, name)
         if not self._watch.passes(array):
             refused = self._watch.refused(array)
             if refused is not None:
@@ -478,6 +474,13 @@ class Robot:
                 worst = norm.flat[np.abs(norm - 1).argmax()]
                 raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
         return array if array.flags.carray else array.copy()  # read-only: to Numba another type
+
+    def _expect_width(self, shape: tuple[int, ...], name: str) -> None:
+        if not shape or shape[-1] != self.dof:
+            raise InputError(
+                f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
+                f"found {_validate.shape_text(shape)}"
+            )
 
     def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
         """One configuration as kernels take it.

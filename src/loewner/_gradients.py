@@ -1,0 +1,84 @@
+"""Clearances and distances of a checker with their gradients, in the numbers of who asks.
+
+What `loewner.jax` and `loewner.torch` share: NumPy arrays of float32 or float64 in, the same out. The checker computes
+in float64, and a float32 number is a float64 number too, so that the answer is about exactly the configuration given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _validate
+from loewner.errors import InputError
+from loewner.robots import CollisionChecker
+
+# Configurations, and whether gradients are wanted, to values and gradients (anything where they are not).
+Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """How near a robot is to touching, as a function of configurations that has a gradient."""
+
+    name: str
+    checker: CollisionChecker
+    ask: Ask
+
+    def __call__(self, Q: NDArray[Any], gradient: bool) -> tuple[NDArray[Any], ...]:
+        """Values in metres, shape (...), of configurations, shape (..., dof); and their derivatives if wanted."""
+        values, gradients = self.ask(Q, gradient)
+        with np.errstate(over="ignore"):  # of float32: infinite then
+            down = rounded_down(values, Q.dtype)
+            return (down, gradients.astype(Q.dtype, copy=False)) if gradient else (down,)
+
+    def expect_width(self, shape: tuple[int, ...]) -> None:
+        """Refuse configurations of another robot before they have values."""
+        self.checker.robot._expect_width(shape, "Q")
+
+    def no_second_derivatives(self) -> InputError:
+        """What is raised where they are asked for: zeros would be wrong, and nobody would notice."""
+        return InputError(
+            f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
+            "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"
+        )
+
+
+def clearance(checker: Any, softness: Any) -> Measure:
+    """`CollisionChecker.clearance` of this softness."""
+    checked, soft = _checker(checker), _validate.positive_scalar(softness, "softness")
+
+    def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
+        if gradient:
+            return checked.clearance(Q, softness=soft, gradient=True)
+        return checked.clearance(Q, softness=soft, gradient=False), None
+
+    return Measure("clearance", checked, ask)
+
+
+def distance(checker: Any) -> Measure:
+    """The exact distance of `CollisionChecker.distance`."""
+    checked = _checker(checker)
+
+    def ask(Q: NDArray[Any], gradient: bool) -> tuple[Any, Any]:
+        found = checked.distance(Q, exact=True, gradient=gradient)
+        return found.distance, found.gradient
+
+    return Measure("distance", checked, ask)
+
+
+def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Values in another type, never above what they were: a lower bound stays one."""
+    exact = np.asarray(values, dtype=np.float64)
+    rounded = exact.astype(dtype)
+    return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)
+
+
+def _checker(x: Any) -> CollisionChecker:
+    if not isinstance(x, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {type(x).__name__}")
+    return x

@@ -1,0 +1,182 @@
+"""Clearances and distances of a checker as functions that JAX differentiates, compiles and vectorises.
+
+JAX is imported when a function here is called, and not before: ``pip install "loewner[jax]"``. Import this module by
+its whole name, ``import loewner.jax``: ``from loewner import jax`` would take the name of JAX itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from loewner import _gradients, _validate
+from loewner._gradients import Measure
+from loewner.errors import InputError, MissingExtraError, installing
+from loewner.robots import CollisionChecker
+
+__all__ = ["clearance", "distance"]
+
+
+def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
+    """Make a function for JAX of `CollisionChecker.clearance`: a certified lower bound that is smooth.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Its scene may change between calls; each call asks about the scene as it is then, a compiled one too.
+    softness : float
+        Metres; see `CollisionChecker.clearance`.
+
+    Returns
+    -------
+    function
+        Of configurations, an array of JAX or NumPy of shape (..., dof), to clearances, shape (...), in metres.
+
+    Raises
+    ------
+    InputError
+        If `checker` is none, or the softness is not positive and finite. The function raises it if configurations are
+        no array of float32 or float64, their width is not dof, an entry is not finite, there is no pair to check, or a
+        second derivative is asked for.
+    MissingExtraError
+        If JAX is not installed.
+
+    Notes
+    -----
+    It works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by ``pure_callback``: a
+    batch is one call of the kernel, under ``vmap`` too, and a value and its gradient are one. The kernel runs on the
+    CPU; from other devices JAX copies configurations there and results back. There are no second derivatives:
+    ``hessian`` raises.
+
+    Results have the type of the configurations. In float32 the bound is that of exactly these float32 numbers, rounded
+    down, so that it is still one. While JAX's 64-bit numbers are off, which is its default, it turns float64 arrays
+    into float32: the function refuses them where it sees them, since the answer would be about other configurations.
+    It cannot see what ``jit`` or ``grad`` has turned already: there, the answer is about the float32 configuration.
+
+    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) come as errors of JAX, a ValueError
+    or a RuntimeError, whose text has the message.
+
+    Examples
+    --------
+    >>> import jax, jax.numpy as jnp
+    >>> import loewner.jax
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("ball", Body.sphere(0.1), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> near = loewner.jax.clearance(checker)
+    >>> q = jnp.array([1.9, 3.0])
+    >>> value, gradient = jax.jit(jax.value_and_grad(near))(q)
+    >>> bool(value <= checker.clearance(q)), gradient.shape
+    (True, (2,))
+    """
+    return _differentiable(_gradients.clearance(checker, softness))
+
+
+def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
+    """Make a function for JAX of the exact distance of `CollisionChecker.distance`, which has kinks.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+
+    Returns
+    -------
+    function
+        Of configurations, an array of JAX or NumPy of shape (..., dof), to distances, shape (...), in metres; negative
+        is a depth.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        As for `clearance`.
+    ConvergenceError
+        By the function, as for `loewner.distance`.
+
+    Notes
+    -----
+    As for `clearance`; float32 distances are rounded down too. The gradient is that of `CollisionChecker.distance`.
+
+    Examples
+    --------
+    >>> import jax, jax.numpy as jnp
+    >>> import loewner.jax
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> distance = loewner.jax.distance(CollisionChecker(Robot.from_urdf("arm.urdf"), scene))
+    >>> jax.grad(distance)(jnp.array([2.0, 3.0])).round(6).tolist()
+    [-1.0, 0.0]
+    """
+    return _differentiable(_gradients.distance(checker))
+
+
+def _differentiable(measure: Measure) -> Callable[[Any], Any]:
+    """A measure as a function for JAX: values by one callback; with their gradients, where those are wanted, by one."""
+    jax = _jax()
+
+    @jax.custom_jvp
+    def values(Q: Any) -> Any:
+        return _called(measure, Q, False)[0]
+
+    @jax.custom_jvp
+    def with_gradients(Q: Any) -> Any:
+        return _called(measure, Q, True)
+
+    @values.defjvp
+    def once(primals: Any, tangents: Any) -> Any:
+        found, gradients = with_gradients(*primals)
+        return found, (gradients * tangents[0]).sum(axis=-1)  # linear in the tangent: JAX transposes it by itself
+
+    @with_gradients.defjvp
+    def twice(primals: Any, tangents: Any) -> Any:
+        raise measure.no_second_derivatives()
+
+    def function(Q: Any) -> Any:
+        return values(_checked(Q, measure))
+
+    function.__name__ = function.__qualname__ = measure.name
+    function.__doc__ = f"The {measure.name} of configurations Q, shape (..., dof), in metres, shape (...)."
+    return function
+
+
+def _checked(Q: Any, measure: Measure) -> Any:
+    """Configurations as an array of JAX that is exactly what was given."""
+    jax = _jax()
+    if not isinstance(Q, (jax.Array, np.ndarray)):
+        raise InputError(f"Q: expected an array of JAX or NumPy, found {_validate.short(Q)}")
+    if isinstance(Q, np.ndarray):
+        Q = _validate.plain_array(Q, "Q")
+    if Q.dtype not in (np.float32, np.float64):
+        raise InputError(f"Q: expected float32 or float64, found {Q.dtype}")
+    if jax.dtypes.canonicalize_dtype(Q.dtype) != Q.dtype:
+        raise InputError(
+            "Q: expected float32 while JAX's 64-bit numbers are off, found float64: JAX would round the configuration, "
+            'and the answer would be about another one; call jax.config.update("jax_enable_x64", True) first, or ask '
+            "about Q.astype(numpy.float32)"
+        )
+    measure.expect_width(Q.shape)
+    return jax.numpy.asarray(Q)
+
+
+def _called(measure: Measure, Q: Any, gradient: bool) -> Any:
+    """Values, and gradients if they are wanted: at once where Q has values already, else when it has, by a callback."""
+    jax = _jax()
+
+    def call(Q: Any) -> Any:
+        return measure(np.asarray(Q), gradient)
+
+    if not isinstance(Q, jax.core.Tracer):
+        return tuple(map(jax.numpy.asarray, call(Q)))
+    results = tuple(jax.ShapeDtypeStruct(shape, Q.dtype) for shape in (Q.shape[:-1], Q.shape)[: 1 + gradient])
+    return jax.pure_callback(call, results, Q, vmap_method="expand_dims")
+
+
+def _jax() -> Any:
+    try:
+        import jax
+    except ImportError:
+        raise MissingExtraError(f"functions for JAX need JAX: {installing('jax')}") from None
+    return jax

@@ -1,0 +1,218 @@
+"""Clearances and distances of a checker as functions that PyTorch differentiates.
+
+PyTorch is imported when a function here is called, and not before: ``pip install "loewner[torch]"``. Import this module
+by its whole name, ``import loewner.torch``: ``from loewner import torch`` would take the name of PyTorch itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from loewner import _gradients, _validate
+from loewner._gradients import Measure
+from loewner.errors import InputError, MissingExtraError, installing
+from loewner.robots import CollisionChecker
+
+__all__ = ["clearance", "distance"]
+
+
+def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
+    """Make a function for PyTorch of `CollisionChecker.clearance`: a certified lower bound that is smooth.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Its scene may change between calls; each call asks about the scene as it is then.
+    softness : float
+        Metres; see `CollisionChecker.clearance`.
+
+    Returns
+    -------
+    function
+        Of configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
+
+    Raises
+    ------
+    InputError
+        If `checker` is none, or the softness is not positive and finite. The function raises it if configurations are
+        no dense tensor of float32 or float64 on the CPU, their width is not dof, an entry is not finite, there is no
+        pair to check, or a second derivative is asked for.
+    MissingExtraError
+        If PyTorch is not installed.
+
+    Notes
+    -----
+    It is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp`` and
+    ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, under ``vmap`` too; gradients are computed with the
+    values if they can be needed. There are no second derivatives: differentiating twice raises.
+
+    Results have the type of the configurations. In float32 the bound is that of exactly these float32 numbers, rounded
+    down, so that it is still one.
+
+    Examples
+    --------
+    >>> import torch
+    >>> import loewner.torch
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("ball", Body.sphere(0.1), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> near = loewner.torch.clearance(checker)
+    >>> q = torch.tensor([1.9, 3.0], dtype=torch.float64, requires_grad=True)
+    >>> near(q).backward()
+    >>> near(q).item() == checker.clearance([1.9, 3.0]), q.grad.shape
+    (True, torch.Size([2]))
+    """
+    return _differentiable(_gradients.clearance(checker, softness))
+
+
+def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
+    """Make a function for PyTorch of the exact distance of `CollisionChecker.distance`, which has kinks.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+
+    Returns
+    -------
+    function
+        Of configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; negative is a depth.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        As for `clearance`.
+    ConvergenceError
+        By the function, as for `loewner.distance`.
+
+    Notes
+    -----
+    As for `clearance`; float32 distances are rounded down too. The gradient is that of `CollisionChecker.distance`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> import loewner.torch
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 2.6], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> distance = loewner.torch.distance(CollisionChecker(Robot.from_urdf("arm.urdf"), scene))
+    >>> torch.func.grad(distance)(torch.tensor([2.0, 3.0])).round(decimals=6).abs().tolist()
+    [1.0, 0.0]
+    """
+    return _differentiable(_gradients.distance(checker))
+
+
+def _differentiable(measure: Measure) -> Callable[[Any], Any]:
+    """A measure as a function for PyTorch."""
+    asked, _ = _functions()
+
+    def function(Q: Any) -> Any:
+        _expect_configurations(Q, measure)
+        return asked.apply(Q, measure, _is_differentiated(Q))[0]
+
+    function.__name__ = function.__qualname__ = measure.name
+    function.__doc__ = f"The {measure.name} of configurations Q, shape (..., dof), in metres, shape (...)."
+    return function
+
+
+def _expect_configurations(Q: Any, measure: Measure) -> None:
+    torch = _torch()
+    if not isinstance(Q, torch.Tensor):
+        raise InputError(f"Q: expected a tensor of PyTorch, found {_validate.short(Q)}")
+    if Q.device.type != "cpu":
+        raise InputError(f"Q: expected a tensor on the CPU, found one on {Q.device}: pass Q.cpu()")
+    if Q.dtype not in (torch.float32, torch.float64):
+        raise InputError(f"Q: expected float32 or float64, found {Q.dtype}")
+    if Q.layout != torch.strided:
+        raise InputError(f"Q: expected a dense tensor, found {Q.layout}")
+    measure.expect_width(tuple(Q.shape))
+
+
+def _is_differentiated(Q: Any) -> bool:
+    """Whether derivatives by these configurations will probably be asked for."""
+    torch = _torch()
+    if torch.is_grad_enabled() and Q.requires_grad:
+        return True
+    try:
+        return torch.autograd.forward_ad.unpack_dual(Q).tangent is not None
+    except RuntimeError:  # within jvp of vmap, where PyTorch cannot tell
+        return True
+
+
+@cache
+def _functions() -> tuple[Any, Any]:
+    """The two functions that PyTorch differentiates; made when it is there."""
+    torch = _torch()
+    Function: Any = torch.autograd.Function
+
+    class Asked(Function):  # type: ignore[misc]
+        """Values of a measure, and its gradients: of no columns where they are not wanted."""
+
+        @staticmethod
+        def forward(Q: Any, measure: Measure, gradient: bool) -> Any:
+            values, *gradients = measure(Q.numpy(force=True), gradient)
+            return torch.from_numpy(values), torch.from_numpy(*gradients or [np.empty((*Q.shape[:-1], 0))])
+
+        @staticmethod
+        def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+            Q, ctx.measure, _ = inputs
+            ctx.mark_non_differentiable(output[1])
+            ctx.save_for_backward(Q, output[1])
+            ctx.save_for_forward(Q, output[1])
+
+        @staticmethod
+        def backward(ctx: Any, up: Any, _: Any) -> Any:
+            return Times.apply(up[..., None], *kept(ctx), ctx.measure), None, None
+
+        @staticmethod
+        def jvp(ctx: Any, tangent: Any, *_: Any) -> Any:
+            return Times.apply(tangent, *kept(ctx), ctx.measure).sum(dim=-1), None
+
+        @staticmethod
+        def vmap(info: Any, in_dims: Any, Q: Any, measure: Measure, gradient: bool) -> Any:
+            Q = Q.movedim(in_dims[0], 0)
+            # Seen from outside of vmap, Q may be differentiated though its rows are not.
+            return Asked.apply(Q, measure, gradient or _is_differentiated(Q)), (0, 0)
+
+    def kept(ctx: Any) -> tuple[Any, Any]:
+        """Configurations and gradients; the latter asked for now if nobody knew that they would be wanted."""
+        Q, gradients = ctx.saved_tensors
+        if gradients.shape != Q.shape:
+            _, gradients = Asked.apply(Q, ctx.measure, True)
+        return Q, gradients
+
+    class Times(Function):  # type: ignore[misc]
+        """Something times the gradients, which depend on Q: whoever differentiates that is told, and gets no zeros."""
+
+        generate_vmap_rule = True
+
+        @staticmethod
+        def forward(factor: Any, Q: Any, gradients: Any, measure: Measure) -> Any:
+            return factor * gradients
+
+        @staticmethod
+        def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+            ctx.measure = inputs[-1]
+
+        @staticmethod
+        def backward(ctx: Any, *_: Any) -> Any:
+            raise ctx.measure.no_second_derivatives()
+
+        @staticmethod
+        def jvp(ctx: Any, *_: Any) -> Any:
+            raise ctx.measure.no_second_derivatives()
+
+    return Asked, Times
+
+
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError:
+        raise MissingExtraError(f"functions for PyTorch need PyTorch: {installing('torch')}") from None
+    return torch
