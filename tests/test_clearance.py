@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from checker_oracle import composed_bodies, random_robot, random_scene, robot_of, simple_bodies
+from checker_oracle import composed_bodies, pose, random_robot, random_scene, robot_of, simple_bodies
 from loewner import Body, CollisionChecker, ConvergenceError, InputError, Robot, Scene
 from test_gradients import nudged
 
@@ -94,20 +94,21 @@ def test_gradients_of_clearances_are_differences(seed: int, pieces: int, softnes
             assert gradient[column] == pytest.approx(difference, abs=1e-6 * (1 + abs(difference)))
 
 
-def test_clearances_do_not_depend_on_the_batch(tmp_path: Path):
-    """To the bit, alone, in batches of every size and in another order."""
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize(("softness", "seed"), [(0.005, 3), (0.02, 3), (0.1, 3), (0.1, 5), (0.02, 7)])
+def test_clearances_do_not_depend_on_the_batch(softness: float, seed: int, tmp_path: Path):
+    """To the bit, alone, in batches of every size and in another order; also of more pairs of pieces than a run."""
+    rng = np.random.default_rng(seed)
     checker = random_checker(rng, tmp_path, 3)
     Q = checker.robot.random_configurations(30, seed=4)
-    value, gradient = checker.clearance(Q, gradient=True)
+    value, gradient = checker.clearance(Q, softness=softness, gradient=True)
     order = rng.permutation(len(Q))
     for size in (1, 3, 8, 11):
         for k in range(0, len(Q), size):
             rows = order[k : k + size]
-            some, slopes = checker.clearance(Q[rows], gradient=True)
+            some, slopes = checker.clearance(Q[rows], softness=softness, gradient=True)
             np.testing.assert_array_equal(some, value[rows])
             np.testing.assert_array_equal(slopes, gradient[rows])
-    alone, slope = checker.clearance(Q[0], gradient=True)
+    alone, slope = checker.clearance(Q[0], softness=softness, gradient=True)
     assert isinstance(alone, float)
     assert alone == value[0]
     np.testing.assert_array_equal(slope, gradient[0])
@@ -138,6 +139,28 @@ def test_more_pieces_than_a_run(tmp_path: Path):
     step = np.array([1e-5, 0, 0, 0, 0, 0, 0])
     after, before = (checker.clearance(q + way * step, softness=softness) for way in (1, -1))
     assert gradient[0] == pytest.approx((after - before) / 2e-5, abs=1e-7)
+
+
+@pytest.mark.filterwarnings("ignore:body 'other'. expected lengths in metres")
+@pytest.mark.parametrize(("thin", "rough"), [(1e-3, 1e-8), (1e-4, 1e-6), (1e-5, 1e-4), (1e-6, 1e-2)])
+def test_needles(thin: float, rough: float, tmp_path: Path):
+    """Of a needle and a speck, or two needles, neighbouring configurations have neighbouring clearances."""
+    for other in (Body.sphere(thin), Body.capsule(thin, 1.0), Body.box([1.0, 0.01, thin])):
+        scene = Scene()
+        scene.add("other", other, pose(np.random.default_rng(1), 0.0))
+        text = f"""<robot name="r"><link name="world"/><link name="rod"><collision><origin rpy="0.3 0.5 0.7"/><geometry>
+        <capsule radius="{thin}" length="1"/></geometry></collision></link><joint name="free" type="floating">
+        <parent link="world"/><child link="rod"/></joint></robot>"""
+        (tmp_path / "rod.urdf").write_text(text)
+        checker = CollisionChecker(Robot.from_urdf(tmp_path / "rod.urdf"), scene)
+        rng = np.random.default_rng(2)
+        for _ in range(40):
+            q = np.array([*rng.normal(size=3) * rng.choice([0.3, 1.0, 4.0]), 1, 0, 0, 0])
+            near = np.tile(q, (16, 1))
+            near[:, :3] += rng.uniform(-1e-9, 1e-9, size=(16, 3))
+            found = checker.clearance(near)
+            assert np.ptp(found) <= rough
+            assert (found <= checker.distance(near, exact=True).distance).all()
 
 
 def test_concentric_ellipsoids(tmp_path: Path):

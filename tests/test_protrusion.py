@@ -1,5 +1,6 @@
 """How far pieces stick out of a mesh: a proven bound beside samples; closed parts; pieces within a tolerance."""
 
+import itertools
 import sys
 from types import SimpleNamespace
 
@@ -447,3 +448,28 @@ def test_tolerance_of_a_thin_wall(sections):
     assert covering.exact
     assert covering.max_protrusion <= 0.002
     assert len(pieces) <= sections
+
+
+@pytest.mark.parametrize("times", [2, 10])
+def test_a_limit_that_suffices_costs_nothing(times, mug_body):
+    """With twice as many pieces allowed as come out without a limit, or more, the tolerance is kept too."""
+    pieces, covering = meshes.convex_pieces(mug(), tolerance=0.002, max_pieces=times * len(mug_body.pieces))
+    assert len(pieces) <= times * len(mug_body.pieces)
+    assert covering.max_protrusion <= 0.002
+
+
+def test_a_limit_that_is_too_small():
+    """There are no more pieces than are allowed, and with more of them it does not get worse."""
+    out = []
+    for most in (1, 4, 8, 16):
+        with pytest.warns(UserWarning, match="mesh: expected pieces that stick out by at most tolerance=0.002 m"):
+            pieces, covering = meshes.convex_pieces(mug(), tolerance=0.002, max_pieces=most)
+        assert len(pieces) <= most
+        out.append(covering.max_protrusion)
+    assert all(later <= 1.3 * sooner for sooner, later in itertools.pairwise(out))  # bounds are known to a quarter
+
+
+def test_tolerances_near_rounding_end():
+    """Where the deepest point lies on the mesh but for rounding, planes are found without dividing by nothing."""
+    with pytest.warns(UserWarning, match="mesh: expected pieces that stick out"):
+        meshes.convex_pieces(mug(), tolerance=1e-6, max_pieces=60)

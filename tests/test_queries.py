@@ -745,3 +745,24 @@ def test_a_batch_with_a_pair_that_cannot_be_settled(monkeypatch):
     again = pickle.loads(pickle.dumps(caught.value))
     assert (again.indices == [2]).all()
     assert str(again) == str(caught.value)
+
+
+def test_depths_of_a_tiny_cone_in_a_thin_rod():
+    """Cores that overlap by a thousandth of the rod's length are not taken for touching, whichever comes first."""
+    Ta = np.array([
+        [-0.6369902816922081, -0.3587840222744617, 0.6822883601456495, 0],
+        [-0.4086459781345084, 0.9076536082907519, 0.09577782578065132, 0],
+        [-0.6536450455592637, -0.21780485007762446, -0.7247821753454559, 0], [0, 0, 0, 1],
+    ])  # fmt: skip
+    Tb = np.array([
+        [0.09723266753177133, -0.9819521829666185, 0.16222120308932653, 0],
+        [-0.7516058770747649, 0.03439769291865229, 0.658714964357534, 0],
+        [-0.6524066323324198, -0.18597502275565556, -0.7346964522846862, 0], [0, 0, 0, 1],
+    ])  # fmt: skip
+    cone = Body.cone(0.0008554679367887097, 0.0005991331779436729)
+    rod = Body.capsule(8.766485707887911e-05, 0.6954557035608326)
+    for found in (distance(cone, Ta, rod, Tb, exact=True), distance(rod, Tb, cone, Ta, exact=True)):
+        assert found.distance == pytest.approx(-0.00047977658, abs=1e-10)
+        np.testing.assert_allclose(
+            found.witness_b - found.witness_a, found.distance * np.asarray(found.normal), atol=1e-9
+        )

@@ -272,7 +272,8 @@ def test_open_and_ill_oriented_meshes_are_skins_by_default():
     """Without a face, or with one turned over, a mesh winds around nothing: what is within it does not collide."""
     cube = box(2.0)
     for faces in (cube.faces[1:], np.vstack([cube.faces[1:], cube.faces[:1, ::-1]])):
-        body = Body.from_surface(trimesh.Trimesh(cube.vertices, faces, process=False))
+        with pytest.warns(UserWarning, match="mesh: nearly closed"):
+            body = Body.from_surface(trimesh.Trimesh(cube.vertices, faces, process=False))
         assert not collide(body, None, Body.sphere(0.1), None)
         assert collide(body, None, Body.sphere(0.1), translation(1.0, 0.3, 0.4))
 
@@ -1040,7 +1041,8 @@ def test_an_open_mesh_is_no_solid(what: str):
     source = trimesh.Trimesh(cube.vertices, faces, process=False)
     with pytest.raises(GeometryError, match=r"(?s)edge.*\d"):
         Body.from_surface(source, solid=True)
-    Body.from_surface(source)
+    with pytest.warns(UserWarning, match="mesh: nearly closed"):
+        Body.from_surface(source)
     Body.from_surface(source, solid=False)
 
 
@@ -1089,3 +1091,43 @@ def test_the_source_may_change_afterwards():
     source.vertices *= 10.0
     exact = distance(body, None, Body.sphere(0.1), translation(2.0), exact=True).distance
     assert exact == pytest.approx(float(Fraction(14, 10)), abs=TIGHT)
+
+
+def dented(triangles: int, flipped: bool) -> trimesh.Trimesh:
+    """A ball of 320 triangles without some of them, or with those turned over."""
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    faces = mesh.faces.copy()
+    if flipped:
+        faces[:triangles] = faces[:triangles, ::-1]
+        return trimesh.Trimesh(mesh.vertices, faces, process=False)
+    return trimesh.Trimesh(mesh.vertices, faces[triangles:], process=False)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_a_nearly_closed_mesh_is_told(flipped, tmp_path):
+    """It has no inside, which nobody expects of a ball with a hole; the warning names the mesh and the first edge."""
+    with pytest.warns(UserWarning, match=r"mesh: nearly closed, but for \d+ edges that do not join triangles"):
+        body = Body.from_surface(dented(2, flipped))
+    assert body.pieces[0].kind == "surface"
+    dented(1, flipped).export(tmp_path / "ball.stl")
+    with pytest.warns(UserWarning, match=r"ball.stl: nearly closed, but for 3 edges"):
+        Body.from_surface(tmp_path / "ball.stl")
+    Body.from_surface(dented(2, flipped), solid=False)  # is meant so
+
+
+def test_open_meshes_are_not_told():
+    """A terrain, a half ball and loose triangles are not taken for closed meshes with a hole."""
+    x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
+    z = np.sin(x) + np.cos(y)
+    corners = np.arange(400).reshape(20, 20)
+    a, b, c, d = (at.ravel() for at in (corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]))
+    terrain = (
+        np.column_stack([x.ravel(), y.ravel(), z.ravel()]),
+        np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]),
+    )
+    Body.from_surface(terrain)
+    half = trimesh.creation.icosphere(subdivisions=2)
+    half.update_faces(half.triangles_center[:, 2] > 0)
+    Body.from_surface(half)
+    rng = np.random.default_rng(0)
+    Body.from_surface((rng.normal(size=(300, 3)), np.arange(300).reshape(-1, 3)))

@@ -265,12 +265,17 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
     if not factors.all():
         raise InputError(f"scale: expected factors other than 0, found {_validate.short(scale)}")
     vertices, triangles = load(source)
-    name = shown(source) if isinstance(source, str | PathLike) else "mesh"
+    name = name_of(source)
     with np.errstate(over="ignore"):
         vertices = vertices * factors
     _expect_finite(vertices, name)
     _ask_about_units(vertices[triangles].reshape(-1, 3), name)
     return vertices, triangles
+
+
+def name_of(source: Source) -> str:
+    """What to call a mesh in a message."""
+    return shown(source) if isinstance(source, str | PathLike) else "mesh"
 
 
 def convex_polytopes(
@@ -294,6 +299,7 @@ def convex_polytopes(
     seed = _validate.whole_number(seed, "seed", 0, LARGEST_NUMBER)
     decompose, cover = _validate.flag(decompose, "decompose"), _validate.flag(cover, "cover")
     _validate.callback(progress, "progress")
+    name = name_of(source)
     vertices, triangles = scaled_mesh(source, scale)
     vertices, triangles = _welded(vertices, triangles)
     parts = closed_parts(vertices, triangles) or []  # none of a mesh that is not closed
@@ -312,11 +318,11 @@ def convex_polytopes(
         reached = protrusion_of_hulls(corners, pieces) if kind == "convex" else _protrusion(pieces, solid)
         if within is None or reached <= within or not decompose:
             excess = _excess_volume(pieces, mesh_volume)
-            return _told(pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
+            return _told(name, pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
 
     if _has_holes(triangles):
         warn(
-            "mesh: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
+            f"{name}: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
             "them, or take its convex hull (decompose=False). Decomposing may take minutes"
         )
     if within is None:
@@ -332,14 +338,16 @@ def convex_polytopes(
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
     excess = _excess_volume(pieces, mesh_volume)
-    return _told(pieces, replace(covering, excess_volume=excess, max_protrusion=reached), within)
+    return _told(name, pieces, replace(covering, excess_volume=excess, max_protrusion=reached), within)
 
 
-def _told(pieces: list[Polytope], covering: Covering, tolerance: float | None) -> tuple[list[Polytope], Covering]:
+def _told(
+    name: str, pieces: list[Polytope], covering: Covering, tolerance: float | None
+) -> tuple[list[Polytope], Covering]:
     """Pieces and covering, with a warning if they stick out by more than a tolerance."""
     if tolerance is not None and covering.max_protrusion > tolerance:
         warn(
-            f"mesh: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
+            f"{name}: expected pieces that stick out by at most tolerance={tolerance:.4g} m, found {len(pieces)} that "
             f"stick out by up to {covering.max_protrusion:.4g} m; more pieces (max_pieces), a closed mesh, or "
             "decompose=True may do it"
         )

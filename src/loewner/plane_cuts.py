@@ -6,7 +6,7 @@ section lie on its surface. So the pieces hold the mesh without being grown, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -38,13 +38,38 @@ PLATE = 0.25
 MOST = 2000
 
 
+# Cells that stick out by less than this share of the largest bound wait until the others are cut.
+FARTHEST = 0.5
+
+# Cells are cut, joined and cut again at most so often, where a limit on the number of pieces leaves room for it.
+PASSES = 20
+
+
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The part of the surface in one convex cell, its hull, and a proven bound on how far that sticks out."""
+    """The part of the surface in one convex cell, its hull, and a proven bound on how far that sticks out.
+
+    Attributes
+    ----------
+    triangles : ndarray, shape (t, 3, 3)
+    hull : Polytope
+    bound : float
+        Metres; infinite before it is measured.
+    deepest : ndarray, shape (3,)
+        The point of the hull that was found to stick out most.
+    whole : bool
+        Whether nothing is found to stick out, or no plane makes progress.
+    """
 
     triangles: Floats
     hull: Polytope
     bound: float = np.inf
+    deepest: Floats = field(default_factory=lambda: np.full(3, np.nan))
+    whole: bool = False
+
+    def is_out(self, tolerance: float) -> bool:
+        """Whether it sticks out too far and may be cut."""
+        return self.bound > tolerance and not self.whole
 
 
 def pieces_within(
@@ -61,7 +86,7 @@ def pieces_within(
     tolerance : float
         In metres.
     most : int, optional
-        Limit on the number of cells.
+        Limit on the number of cells; those that stick out most are cut first.
     progress : callable, optional
         Called as ``progress(done, total)``, in pieces that are there.
     """
@@ -71,33 +96,57 @@ def pieces_within(
     rng = np.random.default_rng(0)
     plate = PLATE * tolerance
     cells = [_cell(part, plate) for part in parts]
-    done: list[Cell] = []
-    while cells:
-        found = protrusions([cell.hull for cell in cells], solid, floor=tolerance, relative=ACCURACY)
-        order = np.argsort(-found.bounds)
-        todo: list[Cell] = []
-        for rank, k in enumerate(order):
-            cell = Cell(cells[k].triangles, cells[k].hull, float(found.bounds[k]))
-            # Every cell that is not yet looked at counts as one piece, and a cut makes one more.
-            room = len(done) + len(todo) + len(order) - rank < limit
-            open_to_cut = cell.bound > tolerance and room and found.found[k] > 0
-            halves = _cut(cell, found.points[k], solid, plate, rng) if open_to_cut else None
-            if halves is None:
-                done.append(cell)
-            else:
-                todo += halves
-            if progress is not None:
-                progress(len(done), len(done) + len(todo) + len(order) - rank - 1)
-        cells = todo
-    return _merged(done, solid, tolerance, rng)
+    for _ in range(PASSES):
+        cells = _merged(_cut_up(cells, solid, tolerance, limit, plate, progress, rng), solid, tolerance, rng)
+        # Joining makes room for more cuts.
+        if len(cells) >= limit or not any(cell.is_out(tolerance) for cell in cells):
+            break
+    return cells
 
 
-def _cut(cell: Cell, deepest: Floats, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
+def _cut_up(
+    cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: Progress | None,
+    rng: np.random.Generator,
+) -> list[Cell]:  # fmt: skip
+    """Cut cells that stick out too far until none does, or there are as many as the limit allows."""
+    while True:
+        cells = _measured(cells, solid, tolerance)
+        out = sorted((cell for cell in cells if cell.is_out(tolerance)), key=lambda cell: -cell.bound)
+        room = limit - len(cells)
+        farthest = [cell for cell in out if cell.bound >= FARTHEST * out[0].bound]
+        if progress is not None:
+            progress(len(cells) - len(out), len(cells))
+        if not out or room <= 0:
+            return cells
+        chosen = {id(cell) for cell in farthest[:room]}
+        cells = [
+            part
+            for cell in cells
+            for part in (
+                (_cut(cell, solid, plate, rng) or [replace(cell, whole=True)]) if id(cell) in chosen else [cell]
+            )
+        ]
+
+
+def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
+    """The same with bounds on how far they stick out, and where."""
+    new = [k for k, cell in enumerate(cells) if not np.isfinite(cell.bound)]
+    if new:
+        found = protrusions([cells[k].hull for k in new], solid, floor=tolerance, relative=ACCURACY)
+        cells = list(cells)
+        for at, k in enumerate(new):
+            cells[k] = replace(
+                cells[k], bound=float(found.bounds[at]), deepest=found.points[at], whole=not found.found[at] > 0
+            )
+    return cells
+
+
+def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
     """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
     whole = _volume(cell.hull)
     ones = np.ones(len(cell.triangles))
     options, shares, samples = [], [], []
-    for normal, offset in _planes(cell, deepest, solid, plate):
+    for normal, offset in _planes(cell, solid, plate):
         below, _, above, _ = cut(cell.triangles, ones[:, None] * normal, ones * offset, solid.rounding)
         try:
             halves = [_cell(half, plate) for half in (below, above)]
@@ -130,19 +179,21 @@ def _hull(points: Floats, plate: float) -> Polytope:
     return Polytope.from_points(np.concatenate([points - plate * thin, points + plate * thin]))
 
 
-def _planes(cell: Cell, deepest: Floats, solid: Solid, plate: float) -> list[tuple[Floats, float]]:
+def _planes(cell: Cell, solid: Solid, plate: float) -> list[tuple[Floats, float]]:
     """Planes that may cut off what sticks out, as unit normals and offsets."""
+    deepest = cell.deepest
     _, nearest = solid.signed_distances(deepest[None])
     out = deepest - _foot(deepest, solid.triangles[nearest[0]])
     out /= max(float(np.linalg.norm(out)), np.finfo(float).tiny)
     corners = cell.triangles.reshape(-1, 3)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     principal = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
-    across = np.cross(out, principal[np.abs(principal @ out).argmin()])
-    across /= np.linalg.norm(across)
-    angles = np.pi * np.arange(TURNS) / TURNS
-    turned = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(out, across)
-    normals = [*turned, *np.eye(3), *principal]
+    normals = [*np.eye(3), *principal]
+    if out.any():
+        across = np.cross(out, principal[np.abs(principal @ out).argmin()])
+        across /= np.linalg.norm(across)
+        angles = np.pi * np.arange(TURNS) / TURNS
+        normals = [*(np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(out, across)), *normals]
     planes = [(n, float(n @ deepest)) for n in normals] + [(n, float(n @ middle)) for n in (*np.eye(3), *principal)]
     faces = unit_normals(cell.triangles)
     squared = squared_distances(np.broadcast_to(deepest, (len(faces), 3)), cell.triangles)

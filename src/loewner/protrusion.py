@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,10 @@ LARGEST_LOOKED_INTO = 0.1
 # Triangles face into one half-space if their normals have this much in common with a direction, which is looked for in
 # so many steps.
 FACING, FACING_STEPS = 1e-6, 6
+
+# Where triangles are looked at from both sides, and from how far, as a share of the diagonal.
+SEEN_AT = np.array([[1, 1, 1], [2.4, 0.3, 0.3], [0.3, 2.4, 0.3], [0.3, 0.3, 2.4]]) / 3
+LOOKED_ASIDE = 1e-7
 
 # Points in one call of a kernel, between which an interrupt is noticed.
 CHUNK = 16_384
@@ -106,6 +111,8 @@ class Solid:
         `outside` of it: then the one that the point is on.
         """
         answers = np.zeros(len(points), dtype=bool)
+        if self.closed and not self._turned_alike:
+            return answers
         asked = np.arange(len(points)) if self.closed else np.flatnonzero(outside)
         memory, near = workspace(entries.points_memory()), np.empty((len(self.triangles), 3))
         for k in range(0, len(asked), CHUNK):
@@ -118,6 +125,18 @@ class Solid:
             )  # fmt: skip
             answers[some] = found
         return answers
+
+    @cached_property
+    def _turned_alike(self) -> bool:
+        """Whether each triangle has the solid on its inner side, as far as four points of each tell.
+
+        Where a cavity reaches out of the part that it belongs to, a triangle may have the solid on its outer side.
+        """
+        seen = self.normals.any(axis=1)
+        points = SEEN_AT @ self.triangles[seen]
+        step = np.repeat(self.normals[seen], len(SEEN_AT), axis=0) * max(LOOKED_ASIDE * self.size, 16 * self.rounding)
+        outer, inner = (self.winding_numbers(points.reshape(-1, 3) + side * step) for side in (1, -1))
+        return bool(((outer >= 0) & (inner >= 1)).all())
 
     def winding_numbers(self, points: Floats) -> Ints:
         """How often the surface goes around each point; a closed mesh only."""
@@ -188,8 +207,8 @@ def protrusions(
     Inside of a piece, in a cavity or a groove that it fills, distance may be greater still, at a local maximum. There
     the directions from the nearest points of the surface surround the point; and each is a combination of outward
     normals of triangles that the nearest point belongs to. So a cube has no local maximum if all triangles in reach
-    face into one half-space. Other cubes have the bound above, or are divided. (Where a cavity reaches out of the part
-    that it belongs to, a triangle may have outside on both sides, and this does not hold.)
+    face into one half-space. Other cubes have the bound above, or are divided. So have all cubes of a mesh with
+    triangles that have the solid on their outer side, as where a cavity reaches out of the part that it belongs to.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])

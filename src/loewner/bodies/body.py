@@ -322,7 +322,7 @@ class Body(_Bodies):
         solid : bool, optional
             Whether what the mesh encloses belongs to the body: all points that it winds around. A body inside a solid
             collides with it, one in a cavity does not. Default: if the mesh is closed, that is, if all its edges are
-            passed as often one way as the other.
+            passed as often one way as the other. A warning tells of a mesh that is so only nearly: it has no inside.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
 
@@ -352,7 +352,8 @@ class Body(_Bodies):
         if solid is not None:
             solid = _validate.flag(solid, "solid")
         vertices, triangles = meshes.scaled_mesh(source, scale)
-        return cls(Packed.of(surfaces.surface_pieces(vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)))
+        name = meshes.name_of(source)
+        return cls(Packed.of(surfaces.surface_pieces(name, vertices, triangles, length, solid, fits.DEFAULT_TOLERANCE)))
 
     @classmethod
     def box(cls, size: ArrayLike) -> Body:

@@ -388,7 +388,7 @@ def _check_one_surface(arrays: dict[str, Any], i: int, points: Floats, triangles
     surfaces.expect_sizes(points)
     surfaces.expect_radius(radius)
     if arrays["layout"][i, columns.KIND] == columns.SOLID:
-        surfaces.expect_closed(points, triangles)
+        surfaces.expect_closed("mesh", points, triangles)
     core, doubt = _core(factor, radius, np.array([i]))
     away = (points - arrays["outer_center"][i]) @ np.linalg.inv(core).T
     farthest = np.sqrt((away * away).sum(axis=1).max())

@@ -7,6 +7,7 @@ import numpy as np
 from loewner import _validate
 from loewner._kernels import columns
 from loewner._native import entries
+from loewner._plausible import warn
 from loewner._validate import Floats, Ints
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.surface_trees import around_point, around_sums
@@ -16,15 +17,22 @@ from loewner.polytopes import FLATNESS
 # Sizes of surfaces, for boxes in single precision square lengths.
 SMALLEST, LARGEST = 1e-12, 1e12
 
+# Of a mesh that is nearly closed: the share of its edges that are open, and of its area that does not cancel, at most.
+FEW_OPEN, NEARLY_CANCELLED = 0.25, 0.2
+
 # A flat surface's outer ellipsoid is as thick as this, relative to its size: more than rounding, less than matters.
 THICKNESS = 1e-6
 
 
-def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float) -> PieceArrays:
+def surface_pieces(
+    name: str, vertices: Floats, triangles: Ints, radius: float, solid: bool | None, tol: float
+) -> PieceArrays:
     """One body of one piece: all triangles of a mesh, with a radius around them.
 
     Parameters
     ----------
+    name : str
+        What to call the mesh in a message.
     vertices, triangles : ndarray
         A mesh as `meshes.load` reads it.
     radius : float
@@ -43,9 +51,15 @@ def surface_pieces(vertices: Floats, triangles: Ints, radius: float, solid: bool
     expect_sizes(vertices)
     expect_radius(radius)
     if solid:
-        expect_closed(vertices, triangles)
+        expect_closed(name, vertices, triangles)
     elif solid is None:
-        solid = len(_open_edges(len(vertices), triangles)) == 0
+        edges = _open_edges(len(vertices), triangles)
+        solid = len(edges) == 0
+        if not solid and _nearly_closed(vertices, triangles, len(edges)):
+            warn(
+                f"{name}: nearly closed, but for {_told(vertices, edges)}. So it has no inside: what lies wholly "
+                "within it counts as free. Close it, or say solid=False if it is meant so"
+            )
     center, factor, gap = _outer(vertices, tol)
     if radius > 0:
         center, factor, gap = _with_radius(center, factor, gap, radius)
@@ -95,16 +109,35 @@ def expect_radius(radius: float) -> None:
         raise GeometryError(f"radius: expected at most {LARGEST:g} m, found {radius:g}")
 
 
-def expect_closed(vertices: Floats, triangles: Ints) -> None:
+def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
     """Refuse a mesh that is open, or whose triangles are not turned alike: it winds around nothing."""
     edges = _open_edges(len(vertices), triangles)
     if len(edges) == 0:
         return
-    a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
     raise GeometryError(
-        f"solid: expected a closed mesh with triangles turned alike, found {len(edges)} edges that are passed more "
-        f"often one way than the other, first from {a} to {b}; solid=False takes the triangles alone"
+        f"solid: {name}: expected a closed mesh with triangles turned alike, found {_told(vertices, edges)}; "
+        "solid=False takes the triangles alone"
     )
+
+
+def _told(vertices: Floats, edges: Ints) -> str:
+    a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
+    return (
+        f"{len(edges)} edges that do not join triangles turned alike (holes, or flipped triangles), the first from "
+        f"{a} to {b}"
+    )
+
+
+def _nearly_closed(vertices: Floats, triangles: Ints, open_edges: int) -> bool:
+    """Whether a mesh with open edges looks like one that was meant to be closed.
+
+    Few of its edges are open, and the areas of its triangles nearly cancel as vectors, as those of a closed mesh do.
+    """
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    areas = np.cross(b - a, c - a)
+    total = float(np.linalg.norm(areas, axis=1).sum())
+    left = float(np.linalg.norm(areas.sum(axis=0)))
+    return open_edges <= FEW_OPEN * 1.5 * len(triangles) and left <= NEARLY_CANCELLED * total
 
 
 def _open_edges(count: int, triangles: Ints) -> Ints:

@@ -92,7 +92,7 @@ def model_text(body: loewner.Body) -> str:
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
     kinds = " and ".join(sorted({piece.kind for piece in body.pieces}))
-    hollow = ", nothing inside counts" if any(piece.kind == "surface" for piece in body.pieces) else ""
+    hollow = ", what lies wholly inside counts as free" if any(piece.kind == "surface" for piece in body.pieces) else ""
     return f"{kinds} of the mesh's {count:,} triangles{hollow}"
 
 

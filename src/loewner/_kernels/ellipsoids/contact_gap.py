@@ -11,25 +11,23 @@ which is a lower bound on the signed distance like the gap along any direction. 
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.ellipsoids.contact import gap_bound, newton_step, normal_at, outward_width, polynomials
+from loewner._kernels.ellipsoids.contact import gap_bound, newton_step, outward_width, polynomials
 from loewner._kernels.linalg3 import adjugate, along, apply_symmetric, cross, dot, minus, plus, scaled, selected
 from loewner._kernels.simd.vectors import (
     ALL,
     absolute,
     broadcast,
     mask_of,
-    maximum,
-    minimum,
     movemask,
     select,
     sqrt,
 )
 
-STEPS = 12
+# Steps by the polynomials, and by slopes themselves: mostly four and one; of needles, half of the interval at a time.
+STEPS, SLOPES = 12, 60
 
-# A step of Newton's method that moves s by less than this share of s (1 - s) is the last but one: the error is its
-# square.
-SETTLED = 1e-5
+# A step of Newton's method that moves s by less than this share of s (1 - s) is the last: the error is its square.
+SETTLED, SETTLED_SLOPE = 1e-5, 1e-6
 
 
 @inline
@@ -39,7 +37,7 @@ def _slope(P, Q, r, s):
     Returns
     -------
     A : adjugate of K(s)
-    inverse : one over its determinant
+    inverse : one over its determinant, which is positive
     n : K⁻¹ r
     Pn, Qn : vectors
     p, q : nᵀPn, nᵀQn
@@ -52,7 +50,8 @@ def _slope(P, Q, r, s):
         u * P[3] + s * Q[3], u * P[4] + s * Q[4], u * P[5] + s * Q[5],
     )  # fmt: skip
     A = adjugate(K)
-    inverse = 1.0 / (K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
+    # Of needles the determinant has no digits, perhaps not even its sign; the adjugate has, and n its direction.
+    inverse = 1.0 / absolute(K[0] * A[0] + K[1] * A[1] + K[2] * A[2])
     n = scaled(inverse, apply_symmetric(A, r))
     Pn, Qn = apply_symmetric(P, n), apply_symmetric(Q, n)
     p, q = dot(Pn, n), dot(Qn, n)
@@ -73,10 +72,20 @@ def contact_parameter(P, Q, r):
         live &= movemask(moves)
         if live == 0:
             break
-    # The coefficients of the polynomials have lost digits of thin ellipsoids; the last step does without them.
-    _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
-    t = s - slope / bend
-    return minimum(maximum(t, 0.125 * s), 0.875 + 0.125 * s)
+    # The coefficients of the polynomials have lost digits of thin ellipsoids, of needles all: from there on by slopes.
+    low, high, live = broadcast(0.0), broadcast(1.0), np.int64(ALL)
+    for _ in range(SLOPES):
+        _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
+        rises = slope > 0.0
+        low, high = select(rises, s, low), select(rises, high, s)
+        t = s - slope / bend
+        t = select((t >= low) & (t <= high), t, 0.5 * (low + high))
+        moves = absolute(t - s) > SETTLED_SLOPE * (t - t * t)
+        s = select(mask_of(live), t, s)
+        live &= movemask(moves)
+        if live == 0:
+            break
+    return s
 
 
 @inline
@@ -85,7 +94,7 @@ def contact_gap(P, Q, r, s, size):
 
     `size` is the sum of the lengths that went into r. Where something overflows the bound is -inf.
     """
-    _, n = normal_at(P, Q, r, s)
+    _, _, n, _, _, _, _, _, _, _ = _slope(P, Q, r, s)
     concentric = dot(r, r) <= 0.0  # any direction gives a valid bound
     n = selected(concentric, (broadcast(1.0), broadcast(0.0), broadcast(0.0)), n)
     squared = dot(n, n)

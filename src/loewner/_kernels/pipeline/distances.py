@@ -167,7 +167,8 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if not inside:
         status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     ra, rb = radius(A), radius(B)
-    if k < 4 and upper + ra + rb > 4.0 * error and status != UNSETTLED:
+    # Apart: proven, for a search that stalls may have found points apart of cores that overlap.
+    if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
@@ -319,8 +320,9 @@ def measure_near(count, queue, operands, S, searches, exact):
         error = position_error(size, UNIT_ROUNDOFF)
         ends = begin(A, B, shift, vertices)
         status, below, above = measure(A, B, shift, vertices, ends, n, error, -np.inf, np.inf, result)
-        if status == NEAREST:
-            ra, rb = radius(A), radius(B)
+        ra, rb = radius(A), radius(B)
+        # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
+        if status == NEAREST and above - ra - rb <= S[ABOVE * LANES + lane] + SETTLED * size:
             _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
         else:
             queue[LATE, late], queue[INSIDE, late] = lane, status == CORES_OVERLAP

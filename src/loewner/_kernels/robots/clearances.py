@@ -347,13 +347,19 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
         store(to.totals, _LEAST, near)
         store(to.totals, _SUM, broadcast(0.0))
         clear(to.wrenches, WRENCH * links)
-        count = np.int64(0)
+        count = run = passed = np.int64(0)
         for p in range(len(problem.pairs)):
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if _bodies_far(to, one, other, near + FAR * softness):
+                passed += (piece_start[one + 1] - piece_start[one]) * (piece_start[other + 1] - piece_start[other])
                 continue
             for i in range(piece_start[one], piece_start[one + 1]):
                 for j in range(piece_start[other], piece_start[other + 1]):
+                    # Runs end after so many pairs, left out or not: which are depends on the other configurations.
+                    if passed // RUN > run:
+                        _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
+                        count, run = np.int64(0), passed // RUN
+                    passed += 1
                     a, b = _ellipsoids(to, i, moving_pieces), _ellipsoids(to, j, moving_pieces)
                     r = minus(b.center, a.center)
                     if _pieces_far(a, b, r, hot[i, OUTER_SIGMA] + hot[j, OUTER_SIGMA], near + FAR * softness):
@@ -366,9 +372,6 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                     at = _WHICH * count
                     to.which[at], to.which[at + 1], to.which[at + 2], to.which[at + 3] = one, other, i, j
                     count += 1
-                    if count == RUN:
-                        _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
-                        count = np.int64(0)
         if count > 0:
             _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
         if gradient:
