@@ -176,6 +176,7 @@ def test_every_benchmark_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     assert {f"{name}.svg" for name in run.FIGURES} <= written
 
 
+@pytest.mark.filterwarnings("ignore:.*nearly closed")  # the visual meshes of robots
 def test_surfaces_are_benchmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Sections run on tiny sizes, their figures are in the file, and no answer differs from the oracle's."""
     two = [

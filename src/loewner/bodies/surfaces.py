@@ -115,7 +115,7 @@ def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
     if len(edges) == 0:
         return
     raise GeometryError(
-        f"solid: {name}: expected a closed mesh with triangles turned alike, found {_told(vertices, edges)}; "
+        f"solid: expected a closed mesh with triangles turned alike, found {_told(vertices, edges)}, in {name}; "
         "solid=False takes the triangles alone"
     )
 
