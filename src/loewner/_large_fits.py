@@ -78,7 +78,7 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
     GeometryError
         On points in a flat.
     """
-    _memory.expect_place(_memory.SCIPY)
+    _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     m, n = points.shape
     sample = _spaced(m, FIRST * (n + 1))
     origin, frame, chosen = _spread(points, sample)
@@ -96,6 +96,8 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
     for _ in range(MAX_ROUNDS):
         taken, reached = _solve(active, target)
         steps += taken
+        if not reached < np.inf:
+            return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
         inverse = _inverse(factor)
         radii = _squared_radii(pool, center, inverse)
@@ -156,10 +158,9 @@ def _spread(points: Floats, sample: Ints) -> tuple[Floats, Floats, Ints]:
             chosen, differences, narrowest = _extremes(points, noise, FLATNESS)
     if narrowest == 0.0:
         raise flat_error("points", points)
-    triangle = np.linalg.qr(differences, mode="r")
-    frame = (triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T
+    frame = _lower_root(differences)
     origin = points[chosen[0]] + (points[chosen] - points[chosen[0]]).mean(axis=0)
-    return origin, np.ascontiguousarray(frame), np.unique(chosen)
+    return origin, frame, np.unique(chosen)
 
 
 def _extremes(points: Floats, noise: float, flatness: float) -> tuple[Ints, Floats, float]:
@@ -205,7 +206,11 @@ def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
     n = active.Q.shape[1] - 1
     spent, steps = 0.0, 0
     for _ in range(MAX_ASCENTS):
-        inverse, w = _inverse_and_variances(active.Q, active.u)
+        root = _root_of_inverse(active.Q, active.u)
+        if root is None:
+            return steps, np.inf
+        W = active.Q @ root.T
+        w = np.einsum("ij,ij->i", W, W)
         gap = 0.5 * n * np.log((w.max() - 1.0) / n)
         if gap <= target:
             return steps, gap
@@ -220,16 +225,17 @@ def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
             taken, gap = _interior_point(active, target)
             return steps + taken, gap
         count = n + 50 if k > LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
-        _ascend(active, inverse, w, count, target)
+        _ascend(active, root.T @ root, w, count, target)
         spent, steps = spent + count * each, steps + count
     return steps, gap
 
 
-def _inverse_and_variances(Q: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """M⁻¹ and w, anew."""
-    root = _inverse(np.linalg.cholesky((Q * u[:, None]).T @ Q))
-    W = Q @ root.T
-    return root.T @ root, np.einsum("ij,ij->i", W, W)
+def _root_of_inverse(Q: Floats, u: Floats) -> Floats | None:
+    """Lower triangular H with Hᵀ H = M⁻¹, so that w_i = |H q_i|²; None if M is singular to rounding."""
+    try:
+        return _inverse(np.linalg.cholesky((Q * u[:, None]).T @ Q))
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _least_of_support(largest: float, N: int) -> float:
@@ -272,60 +278,62 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
 def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
     """As `_kernels.fits.mvce.solve_dual`, with a matrix of a row for each point: steps and gap.
 
-    Points that cannot have weight leave on the way.
+    Points that cannot have weight leave on the way. The working set is left with the best weights seen.
     """
-    from scipy.linalg.lapack import dpotrf, dpotrs
-
     n = active.Q.shape[1] - 1
-    N = n + 1
     index, Q = active.index, active.Q
-    u, s = np.full(len(Q), 1.0 / len(Q)), None
+    u, s = np.full(len(Q), 1.0 / len(Q)), np.empty(0)
     best, since_best = np.inf, 0
-    step = 0
-    for step in range(MAX_STEPS):  # noqa: B007
-        try:
-            root = _inverse(np.linalg.cholesky((Q * u[:, None]).T @ Q))
-        except np.linalg.LinAlgError:
-            break
+    for step in range(MAX_STEPS):
+        root = _root_of_inverse(Q, u)
+        if root is None:
+            return step, best
         W = Q @ root.T
         w = np.einsum("ij,ij->i", W, W)
-        total = u.sum()
-        largest = total * w.max()
-        gap = 0.5 * n * np.log((largest - 1.0) / n)
-        if not gap < np.inf:
-            break
+        total = float(u.sum())
+        gap = 0.5 * n * np.log((total * w.max() - 1.0) / n)
         since_best += 1
         if gap < best:
             best, since_best = gap, 0
             active.index, active.Q, active.u = index, Q, np.where(u * len(u) > NOTHING * total, u, 0.0)
             active.u /= active.u.sum()
-        if gap <= target or since_best > 8:
-            break
-        if s is None:
-            s = np.maximum(0.1 * N, N - w)
-        keep = total * w >= _least_of_support(largest, N)
+        if not gap < np.inf or gap <= target or since_best > 8:
+            return step, best
+        if step == 0:
+            s = np.maximum(0.1 * (n + 1), n + 1 - w)
+        keep = total * w >= _least_of_support(total * w.max(), n + 1)
         if keep.sum() < 0.9 * len(w) and u[~keep] @ w[~keep] < LOSS:
-            index, Q, W, u, s, w = index[keep], Q[keep], W[keep], u[keep], s[keep], w[keep]
-        mean = float(u @ s) / len(u)
-        matrix = W @ W.T
-        matrix *= matrix
-        matrix.ravel()[:: len(u) + 1] += s / u
-        lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
-        if failed:
-            break
+            index, Q, W, w, u, s = index[keep], Q[keep], W[keep], w[keep], u[keep], s[keep]
+        moved = _newton_step(W, w, u, s)
+        if moved is None:
+            return step, best
+        u, s = moved
+    return MAX_STEPS, best
 
-        def towards(extra: Floats, lower: Any = lower, u: Floats = u, s: Floats = s, w: Floats = w) -> tuple[Floats, Floats]:
-            du = dpotrs(lower, w - N + extra, lower=1)[0]
-            return du, extra - s - s / u * du
 
-        du, ds = towards(np.zeros(len(u)))
-        after = float((u + min(1.0, _room(u, du)) * du) @ (s + min(1.0, _room(s, ds)) * ds)) / len(u)
-        mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
-        du, ds = towards((mu - du * ds) / u)
-        share = min(STEP_CAP, max(0.9, 1.0 - mean * len(u)))
-        u = u + min(1.0, share * _room(u, du)) * du
-        s = s + min(1.0, share * _room(s, ds)) * ds
-    return step, best
+def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Floats] | None:
+    """Weights and slacks after Mehrotra's predictor and corrector; None if the matrix is singular to rounding."""
+    from scipy.linalg.lapack import dpotrf, dpotrs
+
+    k, N = W.shape
+    matrix = W @ W.T
+    matrix *= matrix
+    matrix.ravel()[:: k + 1] += s / u
+    lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
+    if failed:
+        return None
+
+    def direction(extra: Floats) -> tuple[Floats, Floats]:
+        du = dpotrs(lower, w - N + extra, lower=1)[0]
+        return du, extra - s - s / u * du
+
+    mean = float(u @ s) / k
+    du, ds = direction(np.zeros(k))
+    after = float((u + min(1.0, _room(u, du)) * du) @ (s + min(1.0, _room(s, ds)) * ds)) / k
+    mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
+    du, ds = direction((mu - du * ds) / u)
+    share = min(STEP_CAP, max(0.9, 1.0 - mean * k))
+    return u + min(1.0, share * _room(u, du)) * du, s + min(1.0, share * _room(s, ds)) * ds
 
 
 def _room(x: Floats, dx: Floats) -> float:
@@ -343,12 +351,16 @@ def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floa
     mean = u @ X
     offsets = X - mean
     # By QR, not from the matrix of second moments, which has the condition squared.
-    triangle = np.linalg.qr(np.sqrt(len(mean) * u)[:, None] * offsets, mode="r")
-    low = (triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T
-    return origin + frame @ mean, np.tril(frame @ low)
+    return origin + frame @ mean, np.tril(frame @ _lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
 
 
-def _inverse(lower: Floats) -> Floats:
+def _lower_root(rows: Floats) -> Floats:
+    """Lower triangular L, diagonal positive, with L Lᵀ = rowsᵀ rows."""
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    return np.ascontiguousarray((triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T)
+
+
+def _inverse(lower: Any) -> Floats:
     """Inverse of a lower triangular matrix."""
     from scipy.linalg.lapack import dtrtri
 
@@ -389,9 +401,9 @@ def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, th
 def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, float, float]:
     """Scale `factor` until it holds every point for certain: the factor, the scale, and what rounding does to radii.
 
-    With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Entry i of the
-    computed X d, X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in whatever order it is summed,
-    and entries of the computed R err likewise, so that |y| (1 - error) is at most the computed |X d| / s.
+    With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Entry i of
+    the computed X d, X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in whatever order it is
+    summed, and entries of the computed R err likewise, so that |y| (1 - error) is at most the computed |X d| / s.
     """
     n = len(factor)
     terms = 2.0 * np.arange(n)[:, None] + 10.0
@@ -437,4 +449,4 @@ def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats,
     if not change < 0.1:
         return np.inf
     gap = -float(np.log(diagonal).sum()) - 0.5 * n * np.log(n)
-    return gap + 0.53 * change + 1.1 * np.sqrt(n) * error + n * (k + n + 8) * ROUNDING
+    return float(gap + 0.53 * change + 1.1 * np.sqrt(n) * error + n * (k + n + 8) * ROUNDING)
