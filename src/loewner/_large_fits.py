@@ -239,7 +239,7 @@ def _root_of_inverse(Q: Floats, u: Floats) -> Floats | None:
 
 
 def _least_of_support(largest: float, N: int) -> float:
-    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007, theorem 1), less a little."""
+    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), less a little."""
     excess = max(largest / N - 1.0, 0.0)
     bound = 1.0 + 0.5 * excess - 0.5 * np.sqrt(excess * (4.0 + excess - 4.0 / N))
     return float(N * bound * (1.0 - 1e-9))
