@@ -158,7 +158,7 @@ def check_enough(points: Floats, name: str, least_dim: int = 1) -> None:
         raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
     if m < n + 1:
         raise GeometryError(f"{name}: expected at least {n + 1} points in dimension {n}, found {m}")
-    check_size(float(np.abs(points).max()), name)
+    check_size(max(float(points.max()), -float(points.min())), name)  # no copy of a million points for their sizes
 
 
 def check_size(size: float, name: str) -> None:

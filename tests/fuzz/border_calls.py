@@ -544,7 +544,7 @@ CALLS: dict[str, Call] = {
         item(_ellipsoids),
         {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple", "Scene")},
     ),
-    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL}),
+    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL, "weights": flag()}),
     "mvie": Call(
         loewner.mvie,
         {

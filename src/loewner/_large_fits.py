@@ -1,0 +1,452 @@
+"""Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior point, in NumPy.
+
+The dual asks for weights u >= 0, Σ u = 1, that maximise log det M, M = Σ u_i q_i q_iᵀ, q = (1, x) of length N = n + 1.
+With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere and w = N wherever u > 0.
+
+- Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight
+  to the point of largest w, or from the one of smallest, whichever is farther from N; M⁻¹ and w follow by rank one.
+- A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
+  2007, doi:10.1016/j.spl.2006.05.014): such points leave.
+- On the points left, Newton's method for u s = 0, s = N - w: its matrix is diag(s/u) + (W Wᵀ)∘(W Wᵀ), one row for
+  each point, and not one for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
+
+All three see a working set only. One pass over all points per round finds those outside the ellipsoid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loewner import _memory
+from loewner._validate import Bools, Floats, Ints
+from loewner.polytopes import FLATNESS, flat_error
+
+ROUNDING = 2.0**-53  # unit roundoff of float64
+
+# Points that the working set starts with, and that may join it in a round, times N.
+FIRST, MORE = 10, 4
+# Numbers in a block of points: few enough for the cache, enough for a call of NumPy not to count.
+BLOCK = 2**16
+# As soon as no more points than this, times the working set, may touch the ellipsoid, it takes all of them.
+ENOUGH = 2
+MAX_ROUNDS, MAX_STEPS = 100, 60
+# Most points of the interior point: its matrix has a row for each, and takes 390 MB then.
+LARGEST_SYSTEM = 7000
+# Ascents without an end: where more points than that matter.
+MAX_ASCENTS = 400
+# Seconds of one core, measured: a step of the ascent, and of the interior point, by themselves and for each number or
+# multiplication. They say when to change from one to the other; clocks do not, so that results can be had again.
+ASCENT_STEP, ASCENT_NUMBER = 1.5e-5, 4.0e-10
+NEWTON_STEP, NEWTON_FLOP, NEWTON_STEPS = 2.0e-4, 3.0e-11, 10
+# The ascent may cost this share of the interior point that it makes cheaper.
+SHARE = 0.35
+# The interior point leaves this much of a mean weight on points that have none.
+NOTHING = 1e-9
+# Points leave the interior point once they make up less than this of M, so that it stays regular.
+LOSS = 0.5
+STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
+
+
+@dataclass
+class _WorkingSet:
+    """Some of the points, lifted, in coordinates of unit size, with weights whose sum is 1."""
+
+    index: Ints
+    Q: Floats  # (k, N), first column 1
+    u: Floats
+
+    def keep(self, rows: Bools) -> None:
+        if not rows.all():
+            self.index, self.Q, self.u = self.index[rows], self.Q[rows], self.u[rows]
+
+    def add(self, index: Ints, Q: Floats) -> None:
+        self.index, self.Q = np.concatenate([self.index, index]), np.concatenate([self.Q, Q])
+        self.u = np.concatenate([self.u, np.zeros(len(index))])
+
+
+def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, int, Floats]:
+    """Center, lower triangular factor, certified gap, steps and weights of the smallest ellipsoid around `points`.
+
+    The gap may be above `tol`, or infinite.
+
+    Raises
+    ------
+    GeometryError
+        On points in a flat.
+    """
+    _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
+    m, n = points.shape
+    sample = _spaced(m, FIRST * (n + 1))
+    origin, frame, chosen = _spread(points, sample)
+    unframe = _inverse(frame)
+
+    def lifted(index: Ints) -> Floats:
+        return np.column_stack([np.ones(len(index)), (points[index] - origin) @ unframe.T])
+
+    first = np.union1d(sample, chosen)
+    u = np.isin(first, chosen) / len(chosen)
+    active = _WorkingSet(first, lifted(first), u)
+    pool, names = points, None  # those that may touch the ellipsoid, and which they are; None: all, in their order
+    target = 0.25 * tol if len(first) == m else max(0.25 * tol, 0.02 * n)
+    steps = 0
+    for _ in range(MAX_ROUNDS):
+        taken, reached = _solve(active, target)
+        steps += taken
+        if not reached < np.inf:
+            return origin, frame, np.inf, steps, np.zeros(m)
+        center, factor = _ellipsoid(active, origin, frame)
+        inverse = _inverse(factor)
+        radii = _squared_radii(pool, center, inverse)
+        gap = 0.5 * n * np.log(radii.max())
+        if gap <= 0.5 * tol:
+            if names is None:
+                break
+            pool, names = points, None  # those left out are looked at once more
+            continue
+        bound = _least_of_support(radii.max() * n + 1.0, n + 1)
+        may_touch = np.flatnonzero(1.0 + n * radii >= bound)
+        if finish := len(may_touch) <= ENOUGH * len(active.u):
+            fresh = may_touch  # among them is all that the optimum needs
+        else:
+            fresh = _farthest(pool, radii, center, inverse, np.exp(tol / n))
+        fresh = np.setdiff1d(fresh if names is None else names[fresh], active.index)
+        if len(fresh) == 0 and names is None and reached > target:
+            break  # no better for rounding
+        if 8 * len(may_touch) <= len(pool):
+            pool, names = pool[may_touch], may_touch if names is None else names[may_touch]
+        active.add(fresh, lifted(fresh))
+        # No round is solved much better than what the points outside it deserve.
+        target = 0.25 * tol if finish else max(0.25 * tol, min(target, 0.1 * gap))
+    weights = np.zeros(m)
+    weights[active.index] = active.u
+    reach = np.sqrt(radii.max()) if names is None else np.inf
+    factor, scale, error = _enclosing(factor, inverse, reach)
+    return center, factor, _certified(points, weights, center, inverse / scale, error), steps, weights
+
+
+# -- the start ------------------------------------------------------------------------------------
+
+
+def _spaced(m: int, count: int) -> Ints:
+    """At most `count` of m points, evenly spaced."""
+    return np.arange(m) if m <= count else np.linspace(0, m - 1, count).astype(np.int64)
+
+
+def _blocks(points: Floats) -> Iterator[tuple[int, Floats]]:
+    size = max(1, BLOCK // points.shape[1])
+    for first in range(0, len(points), size):
+        yield first, points[first : first + size]
+
+
+def _spread(points: Floats, sample: Ints) -> tuple[Floats, Floats, Ints]:
+    """Points far apart, as `_kernels.fits.mvce.spread_points` finds them: origin, frame and which they are.
+
+    A sample does if it is far from flat; in one that is not, all points are asked.
+    """
+    m, n = points.shape
+    size = max(float(points.max()), -float(points.min()))
+    noise = 4.0 * n * ROUNDING * size
+    few = points if len(sample) == m else points[sample]
+    chosen, differences, narrowest = _extremes(few, noise, FLATNESS)
+    if len(sample) < m:
+        chosen = sample[chosen]
+        if narrowest < 1e-6:
+            chosen, differences, narrowest = _extremes(points, noise, FLATNESS)
+    if narrowest == 0.0:
+        raise flat_error("points", points)
+    frame = _lower_root(differences)
+    origin = points[chosen[0]] + (points[chosen] - points[chosen[0]]).mean(axis=0)
+    return origin, frame, np.unique(chosen)
+
+
+def _extremes(points: Floats, noise: float, flatness: float) -> tuple[Ints, Floats, float]:
+    """Kumar and Yıldırım's 2n points, n differences, and the least width by the largest; 0 if they are flat."""
+    n = points.shape[1]
+    basis, differences = np.zeros((n, n)), np.zeros((n, n))
+    chosen = np.zeros(2 * n, np.int64)
+    widest, narrowest = 0.0, np.inf
+    small = [(0, points - points[0])] if points.size <= 2**22 else None
+    for j in range(n):
+        direction = np.zeros(n)
+        direction[np.argmin((basis[:j] ** 2).sum(axis=0))] = 1.0
+        direction = _orthonormal(direction, basis[:j])
+        low, high = (np.inf, 0), (-np.inf, 0)
+        for first, block in small or ((k, b - points[0]) for k, b in _blocks(points)):
+            along = block @ direction
+            i, k = int(along.argmin()), int(along.argmax())
+            low, high = min(low, (along[i], first + i)), max(high, (along[k], first + k))
+        differences[j] = points[high[1]] - points[low[1]]
+        widest = max(widest, float(np.linalg.norm(differences[j])))
+        width = high[0] - low[0]
+        if not width > max(flatness * widest, noise):
+            return chosen, differences, 0.0
+        # In noise's neighbourhood a width is hardly known: as good as narrow.
+        narrowest = min(narrowest, width if width > 100 * noise else 0.5 * flatness * widest)
+        basis[j] = _orthonormal(differences[j], basis[:j])
+        chosen[2 * j : 2 * j + 2] = low[1], high[1]
+    return chosen, differences, narrowest / widest
+
+
+def _orthonormal(v: Floats, basis: Floats) -> Floats:
+    """`v` made orthogonal to the rows of `basis`, twice since once loses digits, and of unit length."""
+    for _ in range(2):
+        v = v - (basis @ v) @ basis
+    return np.asarray(v / np.linalg.norm(v))
+
+
+# -- the working set ------------------------------------------------------------------------------
+
+
+def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
+    """Weights of the working set to a gap of `target`: steps taken, and the gap reached. Points inside leave."""
+    n = active.Q.shape[1] - 1
+    spent, steps = 0.0, 0
+    for _ in range(MAX_ASCENTS):
+        root = _root_of_inverse(active.Q, active.u)
+        if root is None:
+            return steps, np.inf
+        W = active.Q @ root.T
+        w = np.einsum("ij,ij->i", W, W)
+        gap = 0.5 * n * np.log((w.max() - 1.0) / n)
+        if gap <= target:
+            return steps, gap
+        may_touch = (w >= _least_of_support(w.max(), n + 1)) | (active.u > 0)
+        if may_touch.sum() < 0.9 * len(w):
+            active.keep(may_touch)
+            w = w[may_touch]
+        k = len(w)
+        left = SHARE * NEWTON_STEPS * (NEWTON_STEP + NEWTON_FLOP * (k**3 / 3 + k**2 * n)) - spent
+        each = ASCENT_STEP + ASCENT_NUMBER * active.Q.size
+        if left < each and k <= LARGEST_SYSTEM:
+            taken, gap = _interior_point(active, target)
+            return steps + taken, gap
+        count = n + 50 if k > LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
+        _ascend(active, root.T @ root, w, count, target)
+        spent, steps = spent + count * each, steps + count
+    return steps, gap
+
+
+def _root_of_inverse(Q: Floats, u: Floats) -> Floats | None:
+    """Lower triangular H with Hᵀ H = M⁻¹, so that w_i = |H q_i|²; None if M is singular to rounding."""
+    try:
+        return _inverse(np.linalg.cholesky((Q * u[:, None]).T @ Q))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _least_of_support(largest: float, N: int) -> float:
+    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), less a little."""
+    excess = max(largest / N - 1.0, 0.0)
+    bound = 1.0 + 0.5 * excess - 0.5 * np.sqrt(excess * (4.0 + excess - 4.0 / N))
+    return float(N * bound * (1.0 - 1e-9))
+
+
+def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target: float) -> None:
+    """At most `count` steps towards the farthest point or away from the nearest one that has weight."""
+    Q, u = active.Q, active.u.copy()
+    N = Q.shape[1]
+    enough = 1.0 + (N - 1) * np.exp(2.0 * target / (N - 1))
+    nearest = np.where(u > 0, w, np.inf)
+    for _ in range(count):
+        j = int(w.argmax())
+        if w[j] <= enough:
+            break
+        np.copyto(nearest, w)
+        nearest[u <= 0] = np.inf
+        k = int(nearest.argmin())
+        if N - w[k] > w[j] - N:
+            j = k
+        share = max((w[j] - N) / (N * (w[j] - 1.0)), -u[j] / (1.0 - u[j]))
+        g = inverse @ Q[j]
+        z = Q @ g
+        by = share / (1.0 - share + share * w[j])
+        u *= 1.0 - share
+        u[j] = max(u[j] + share, 0.0) if share > 0 or u[j] + share > 1e-15 else 0.0
+        inverse -= np.outer(by * g, g)
+        inverse /= 1.0 - share
+        z *= z
+        z *= by
+        w -= z
+        w /= 1.0 - share
+    active.u = u / u.sum()
+
+
+def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
+    """As `_kernels.fits.mvce.solve_dual`, with a matrix of a row for each point: steps and gap.
+
+    Points that cannot have weight leave on the way. The working set is left with the best weights seen.
+    """
+    n = active.Q.shape[1] - 1
+    index, Q = active.index, active.Q
+    u, s = np.full(len(Q), 1.0 / len(Q)), np.empty(0)
+    best, since_best = np.inf, 0
+    for step in range(MAX_STEPS):
+        root = _root_of_inverse(Q, u)
+        if root is None:
+            return step, best
+        W = Q @ root.T
+        w = np.einsum("ij,ij->i", W, W)
+        total = float(u.sum())
+        gap = 0.5 * n * np.log((total * w.max() - 1.0) / n)
+        since_best += 1
+        if gap < best:
+            best, since_best = gap, 0
+            active.index, active.Q, active.u = index, Q, np.where(u * len(u) > NOTHING * total, u, 0.0)
+            active.u /= active.u.sum()
+        if not gap < np.inf or gap <= target or since_best > 8:
+            return step, best
+        if step == 0:
+            s = np.maximum(0.1 * (n + 1), n + 1 - w)
+        keep = total * w >= _least_of_support(total * w.max(), n + 1)
+        if keep.sum() < 0.9 * len(w) and u[~keep] @ w[~keep] < LOSS:
+            index, Q, W, w, u, s = index[keep], Q[keep], W[keep], w[keep], u[keep], s[keep]
+        moved = _newton_step(W, w, u, s)
+        if moved is None:
+            return step, best
+        u, s = moved
+    return MAX_STEPS, best
+
+
+def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Floats] | None:
+    """Weights and slacks after Mehrotra's predictor and corrector; None if the matrix is singular to rounding."""
+    from scipy.linalg.lapack import dpotrf, dpotrs
+
+    k, N = W.shape
+    matrix = W @ W.T
+    matrix *= matrix
+    matrix.ravel()[:: k + 1] += s / u
+    lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
+    if failed:
+        return None
+
+    def direction(extra: Floats) -> tuple[Floats, Floats]:
+        du = dpotrs(lower, w - N + extra, lower=1)[0]
+        return du, extra - s - s / u * du
+
+    mean = float(u @ s) / k
+    du, ds = direction(np.zeros(k))
+    after = float((u + min(1.0, _room(u, du)) * du) @ (s + min(1.0, _room(s, ds)) * ds)) / k
+    mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
+    du, ds = direction((mu - du * ds) / u)
+    share = min(STEP_CAP, max(0.9, 1.0 - mean * k))
+    return u + min(1.0, share * _room(u, du)) * du, s + min(1.0, share * _room(s, ds)) * ds
+
+
+def _room(x: Floats, dx: Floats) -> float:
+    """How far x may go along dx and stay positive."""
+    down = dx < 0
+    return float((x[down] / -dx[down]).min(initial=np.inf))
+
+
+# -- all points -----------------------------------------------------------------------------------
+
+
+def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floats, Floats]:
+    """Center and factor in which w = N is the boundary."""
+    X, u = active.Q[:, 1:], active.u
+    mean = u @ X
+    offsets = X - mean
+    # By QR, not from the matrix of second moments, which has the condition squared.
+    return origin + frame @ mean, np.tril(frame @ _lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
+
+
+def _lower_root(rows: Floats) -> Floats:
+    """Lower triangular L, diagonal positive, with L Lᵀ = rowsᵀ rows."""
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    return np.ascontiguousarray((triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T)
+
+
+def _inverse(lower: Any) -> Floats:
+    """Inverse of a lower triangular matrix."""
+    from scipy.linalg.lapack import dtrtri
+
+    return np.ascontiguousarray(np.tril(dtrtri(lower, lower=1)[0]))
+
+
+def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
+    """|inverse (x - center)|² of all points, block by block."""
+    radii = np.empty(len(points))
+    for first, block in _blocks(points):
+        y = (block - center) @ inverse.T
+        np.einsum("ij,ij->i", y, y, out=radii[first : first + len(y)])
+    return radii
+
+
+def _farthest(points: Floats, radii: Floats, center: Floats, inverse: Floats, threshold: float) -> Ints:
+    """Points above `threshold` that point different ways: of each sector the farthest.
+
+    A sector is the signed axis, of the ellipsoid's own, nearest to a point.
+    """
+    n = points.shape[1]
+    outside = np.flatnonzero(radii > threshold)
+    many = 16 * MORE * (n + 1)
+    if len(outside) > many:
+        outside = outside[np.argpartition(radii[outside], -many)[-many:]]
+    y = (points[outside] - center) @ inverse.T
+    axis = np.abs(y).argmax(axis=1)
+    sector = 2 * axis + (y[np.arange(len(y)), axis] < 0)
+    order = np.lexsort((-radii[outside], sector))
+    starts = np.flatnonzero(np.diff(sector[order], prepend=-1))
+    place = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
+    return np.sort(outside[order[place < MORE // 2]])
+
+
+# -- the proof ------------------------------------------------------------------------------------
+
+
+def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, float, float]:
+    """Scale `factor` until it holds every point for certain: the factor, the scale, and what rounding does to radii.
+
+    With X = `inverse`, L the factor, d = x - c, y = L⁻¹ d, s > 0 and R = 1 - X L / s: X d / s = (1 - R) y. Entry i of
+    the computed X d, X lower triangular, errs by (i + 3) u |X| |d| <= (i + 3) u |X| |L| |y| in whatever order it is
+    summed, and entries of the computed R err likewise, so that |y| (1 - error) is at most the computed |X d| / s.
+    """
+    n = len(factor)
+    terms = 2.0 * np.arange(n)[:, None] + 10.0
+    scale = reach
+    for _ in range(6):
+        if not scale < np.inf:
+            break
+        scaled = np.tril(factor * scale)
+        off = np.linalg.norm(np.eye(n) - (inverse @ scaled) / scale)
+        spread = np.linalg.norm(terms * (np.abs(inverse) @ np.abs(scaled))) / scale
+        error = 1.01 * float(off + (spread + n + 4) * ROUNDING)
+        if not error < 0.1:
+            break
+        if reach <= scale * (1.0 - error):
+            return scaled, scale, error
+        scale = reach * (1.0 + 1.02 * error)
+    return factor, reach, np.inf
+
+
+def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats, error: float) -> float:
+    """Certified log(volume / smallest volume), from weights of the points; see `_kernels.fits.mvce.outer_gap`.
+
+    y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The first
+    changes ½ log det S by at most 1.1 √n errors, the second changes S by 3 errors in the nuclear norm, and sums and
+    Cholesky's rounding by (2 k + 2 n + 16) u √n; half of their quotient by the least eigenvalue of S is what log det S
+    feels. That eigenvalue is known to far less than 1e-11, as S has trace 1.
+    """
+    if not error < 0.1:
+        return np.inf
+    n = len(center)
+    support = np.flatnonzero(weights)
+    y = (points[support] - center) @ inverse.T
+    u = weights[support]
+    y -= u @ y
+    S = (y * u[:, None]).T @ y
+    try:
+        diagonal = np.diagonal(np.linalg.cholesky(S))
+    except np.linalg.LinAlgError:
+        return np.inf
+    k = len(support)
+    least = 0.99 * float(np.linalg.eigvalsh(S)[0]) - 1e-11
+    change = (3.0 * error + 2.0 * np.sqrt(n) * (k + n + 8) * ROUNDING) / least if least > 0 else np.inf
+    if not change < 0.1:
+        return np.inf
+    gap = -float(np.log(diagonal).sum()) - 0.5 * n * np.log(n)
+    return float(gap + 0.53 * change + 1.1 * np.sqrt(n) * error + n * (k + n + 8) * ROUNDING)
