@@ -105,6 +105,7 @@ HARD = {
     "n + 1 points, some again": lambda rng, n: rng.normal(size=(n + 1, n))[np.arange(2 * n) % (n + 1)],
     "few on a sphere": lambda rng, n: on_sphere(rng, 4 * n, n),
     "many on a sphere": lambda rng, n: on_sphere(rng, 5000, n),
+    "in a cube": lambda rng, n: rng.uniform(-1, 1, size=(3000, n)),
     "on a grid": lambda rng, n: np.round(2 * rng.normal(size=(3000, n))),
     "heavy tails": lambda rng, n: rng.standard_cauchy(size=(3000, n)),
     "far from the origin": lambda rng, n: rng.normal(size=(20 * n, n)) + 1e5,
@@ -131,6 +132,38 @@ def test_points_left_out_do_not_matter(rng: np.random.Generator) -> None:
     assert radii.max() <= 1 + 1e-12
     few = mvce(points[radii > 0.8], tol=1e-7)
     assert abs(fit.ellipsoid.log_volume - few.ellipsoid.log_volume) <= 1e-7
+
+
+@pytest.mark.parametrize("n", [3, 12])
+def test_a_wrong_guess_is_taken_back(n: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where points are dropped that matter, they come back, and the theorem alone decides from then on."""
+    points = rng.uniform(-1, 1, size=(20_000, n))
+    right = mvce(points, tol=1e-7, weights=True)
+    theorem = _large_fits._least_of_support
+    guesses = []
+
+    def wrong(largest: float, N: int, bold: bool) -> float:
+        guesses.append(bold)
+        return N * (1 - 1e-4) if bold else theorem(largest, N, bold)
+
+    monkeypatch.setattr(_large_fits, "_least_of_support", wrong)
+    fit = mvce(points, tol=1e-7, weights=True)
+    assert abs(fit.ellipsoid.log_volume - right.ellipsoid.log_volume) <= 1e-7
+    assert guesses[0]
+    assert not guesses[-1]
+
+
+def test_theorem_keeps_the_support(rng: np.random.Generator) -> None:
+    """From any weights, no point that has weight at the optimum is below the bound: Harman and Pronzato's theorem."""
+    for n in (2, 5, 12):
+        points = rng.uniform(-1, 1, size=(200, n))
+        support = mvce(points, tol=1e-10, weights=True).weights > 1e-4
+        Q = np.column_stack([np.ones(200), points])
+        for spread in (0.0, 1.0, 10.0):
+            u = rng.dirichlet(np.ones(200)) * np.exp(spread * support)
+            u /= u.sum()
+            w = np.einsum("ij,ij->i", Q @ np.linalg.inv((Q * u[:, None]).T @ Q), Q)
+            assert (w[support] >= _large_fits._least_of_support(w.max(), n + 1, False)).all()
 
 
 def test_temporary_memory_is_a_part_of_the_points(rng: np.random.Generator) -> None:

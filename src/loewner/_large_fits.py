@@ -6,7 +6,7 @@ With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere and w = N whereve
 - Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight
   to the point of largest w, or from the one of smallest, whichever is farther from N; M⁻¹ and w follow by rank one.
 - A point with w below N times a bound that depends on max w alone has no weight at the optimum (Harman and Pronzato
-  2007, doi:10.1016/j.spl.2006.05.014): such points leave.
+  2007, doi:10.1016/j.spl.2006.05.014): such points leave. A bolder bound comes first, and all points are asked later.
 - On the points left, Newton's method for u s = 0, s = N - w: its matrix is diag(s/u) + (W Wᵀ)∘(W Wᵀ), one row for
   each point, and not one for each of the N (N + 1) / 2 entries of M as in `_kernels.fits.mvce`.
 
@@ -33,7 +33,8 @@ FIRST, MORE = 10, 4
 BLOCK = 2**16
 # As soon as no more points than this, times the working set, may touch the ellipsoid, it takes all of them.
 ENOUGH = 2
-MAX_ROUNDS, MAX_STEPS = 100, 60
+# Rounds at most, and those in which points may leave by a guess; steps of the interior point at most.
+MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 30, 60
 # Most points of the interior point: its matrix has a row for each, and takes 390 MB then.
 LARGEST_SYSTEM = 7000
 # Ascents without an end: where more points than that matter.
@@ -44,6 +45,8 @@ ASCENT_STEP, ASCENT_NUMBER = 1.5e-5, 4.0e-10
 NEWTON_STEP, NEWTON_FLOP, NEWTON_STEPS = 2.0e-4, 3.0e-11, 10
 # The ascent may cost this share of the interior point that it makes cheaper.
 SHARE = 0.35
+# The interior point starts with the ascent's weights, and this share spread evenly: one step in eight is saved.
+EVEN = 0.2
 # The interior point leaves this much of a mean weight on points that have none.
 NOTHING = 1e-9
 # Points leave the interior point once they make up less than this of M, so that it stays regular.
@@ -58,6 +61,7 @@ class _WorkingSet:
     index: Ints
     Q: Floats  # (k, N), first column 1
     u: Floats
+    bold: bool = True  # points leave by a guess, until one that left turns out to matter
 
     def keep(self, rows: Bools) -> None:
         if not rows.all():
@@ -93,21 +97,27 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
     pool, names = points, None  # those that may touch the ellipsoid, and which they are; None: all, in their order
     target = 0.25 * tol if len(first) == m else max(0.25 * tol, 0.02 * n)
     steps = 0
-    for _ in range(MAX_ROUNDS):
+    volume = -np.inf
+    for turn in range(MAX_ROUNDS):
         taken, reached = _solve(active, target)
         steps += taken
         if not reached < np.inf:
             return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
         inverse = _inverse(factor)
+        # More points have larger ellipsoids around them: if not, some that left mattered.
+        volume, before = float(np.log(np.diagonal(factor)).sum()), volume
+        if volume + reached < before or turn > BOLD_ROUNDS:
+            active.bold = False
         radii = _squared_radii(pool, center, inverse)
         gap = 0.5 * n * np.log(radii.max())
         if gap <= 0.5 * tol:
             if names is None:
                 break
-            pool, names = points, None  # those left out are looked at once more
+            pool, names = points, None  # those left out are looked at once more; should they matter, no guess again
+            active.bold = False
             continue
-        bound = _least_of_support(radii.max() * n + 1.0, n + 1)
+        bound = _least_of_support(radii.max() * n + 1.0, n + 1, active.bold)
         may_touch = np.flatnonzero(1.0 + n * radii >= bound)
         if finish := len(may_touch) <= ENOUGH * len(active.u):
             fresh = may_touch  # among them is all that the optimum needs
@@ -214,7 +224,7 @@ def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
         gap = 0.5 * n * np.log((w.max() - 1.0) / n)
         if gap <= target:
             return steps, gap
-        may_touch = (w >= _least_of_support(w.max(), n + 1)) | (active.u > 0)
+        may_touch = (w >= _least_of_support(w.max(), n + 1, active.bold)) | (active.u > 0)
         if may_touch.sum() < 0.9 * len(w):
             active.keep(may_touch)
             w = w[may_touch]
@@ -238,9 +248,13 @@ def _root_of_inverse(Q: Floats, u: Floats) -> Floats | None:
         return None
 
 
-def _least_of_support(largest: float, N: int) -> float:
-    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), less a little."""
-    excess = max(largest / N - 1.0, 0.0)
+def _least_of_support(largest: float, N: int, bold: bool) -> float:
+    """Where w is below this, u is zero at the optimum (Harman and Pronzato 2007), less a little; or a guess of it.
+
+    The theorem fears that all that the largest w exceeds N by is owed to one direction, the bold guess that it is an
+    Nth of that. The guess leaves far fewer points in high dimension, and is nearly always right.
+    """
+    excess = max(largest - N, 0.0) / (N if bold else 1)
     bound = 1.0 + 0.5 * excess - 0.5 * np.sqrt(excess * (4.0 + excess - 4.0 / N))
     return float(N * bound * (1.0 - 1e-9))
 
@@ -282,7 +296,7 @@ def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
     """
     n = active.Q.shape[1] - 1
     index, Q = active.index, active.Q
-    u, s = np.full(len(Q), 1.0 / len(Q)), np.empty(0)
+    u, s = (1.0 - EVEN) * active.u + EVEN / len(Q), np.empty(0)
     best, since_best = np.inf, 0
     for step in range(MAX_STEPS):
         root = _root_of_inverse(Q, u)
@@ -301,7 +315,7 @@ def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
             return step, best
         if step == 0:
             s = np.maximum(0.1 * (n + 1), n + 1 - w)
-        keep = total * w >= _least_of_support(total * w.max(), n + 1)
+        keep = total * w >= _least_of_support(total * w.max(), n + 1, active.bold)
         if keep.sum() < 0.9 * len(w) and u[~keep] @ w[~keep] < LOSS:
             index, Q, W, w, u, s = index[keep], Q[keep], W[keep], w[keep], u[keep], s[keep]
         moved = _newton_step(W, w, u, s)
