@@ -220,6 +220,14 @@ def test_weights_are_of_the_points_in_their_order(rng: np.random.Generator) -> N
         mvce(points, weights=[1.0] * 5)
 
 
+def test_triangles_are_enclosed_however_their_last_bits_fall(rng: np.random.Generator) -> None:
+    """Where the proof's error is a few roundings, scaling by it must not be lost in rounding: 300 fits in the plane."""
+    for k in range(300):
+        points = rng.standard_cauchy(size=(4 + k % 6, 2))
+        fit = mvce(points, tol=1e-6, weights=True)
+        assert points_outside(points, fit.ellipsoid.center, fit.ellipsoid.factor) == 0
+
+
 def test_flat_points_are_named(rng: np.random.Generator) -> None:
     """A flat of any dimension is an error that says so; one point beside it, which no sample sees, is enough."""
     points = rng.normal(size=(5000, 12)) @ rng.normal(size=(12, 20))
