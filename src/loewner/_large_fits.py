@@ -274,7 +274,8 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
         k = int(nearest.argmin())
         if N - w[k] > w[j] - N:
             j = k
-        share = max((w[j] - N) / (N * (w[j] - 1.0)), -u[j] / (1.0 - u[j]))
+        # w is 1 at the center, where rounding would turn the sign; away from there all its weight goes.
+        share = max((w[j] - N) / (N * max(w[j] - 1.0, ROUNDING)), -u[j] / (1.0 - u[j]))
         g = inverse @ Q[j]
         z = Q @ g
         by = share / (1.0 - share + share * w[j])
@@ -433,7 +434,7 @@ def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, f
             break
         if reach <= scale * (1.0 - error):
             return scaled, scale, error
-        scale = reach * (1.0 + 1.02 * error)
+        scale = reach * (1.0 + 1.02 * error + 8.0 * ROUNDING)
     return factor, reach, np.inf
 
 
