@@ -67,8 +67,8 @@ class _WorkingSet:
         if not rows.all():
             self.index, self.Q, self.u = self.index[rows], self.Q[rows], self.u[rows]
 
-    def add(self, index: Ints, Q: Floats) -> None:
-        self.index, self.Q = np.concatenate([self.index, index]), np.concatenate([self.Q, Q])
+    def add(self, index: Ints) -> None:
+        self.index = np.concatenate([self.index, index])
         self.u = np.concatenate([self.u, np.zeros(len(index))])
 
 
@@ -86,7 +86,7 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
     m, n = points.shape
     sample = _spaced(m, FIRST * (n + 1))
     origin, frame, chosen = _spread(points, sample)
-    unframe = _inverse(frame)
+    first_frame, unframe = frame, _inverse(frame)
 
     def lifted(index: Ints) -> Floats:
         return np.column_stack([np.ones(len(index)), (points[index] - origin) @ unframe.T])
@@ -124,11 +124,14 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
         else:
             fresh = _farthest(pool, radii, center, inverse, np.exp(tol / n))
         fresh = np.setdiff1d(fresh if names is None else names[fresh], active.index)
-        if len(fresh) == 0 and names is None and reached > target:
+        if len(fresh) == 0 and names is None and reached > target and frame is not first_frame:
             break  # no better for rounding
         if 8 * len(may_touch) <= len(pool):
             pool, names = pool[may_touch], may_touch if names is None else names[may_touch]
-        active.add(fresh, lifted(fresh))
+        # Into the coordinates of this ellipsoid: with heavy tails those of the start are skewed.
+        origin, frame, unframe = center, factor, inverse
+        active.add(fresh)
+        active.Q = lifted(active.index)
         # No round is solved much better than what the points outside it deserve.
         target = 0.25 * tol if finish else max(0.25 * tol, min(target, 0.1 * gap))
     weights = np.zeros(m)
