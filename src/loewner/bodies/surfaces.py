@@ -121,6 +121,7 @@ def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
 
 
 def _told(vertices: Floats, edges: Ints) -> str:
+    """How many edges are open, and where the first one is."""
     a, b = (_validate.short(np.round(vertices[v], 6).tolist()) for v in edges[0])
     return (
         f"{len(edges)} edges that do not join triangles turned alike (holes, or flipped triangles), the first from "

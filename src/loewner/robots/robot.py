@@ -24,7 +24,6 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
-from loewner.robots.jacobians import Joints
 from loewner.robots.link_bodies import MODELS, link_bodies
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
@@ -416,14 +415,14 @@ class Robot:
             raise _validate.unknown_name("link in jacobian", link, self.link_names)
         x = np.zeros(3) if point is None else _validate.finite_array(point, "point", (3,))
         checked = self.checked(Q)
-        flat = checked.reshape(-1, self.dof) if self.dof else checked.reshape(int(np.prod(checked.shape[:-1])), 0)
-        T = self.forward_kinematics(flat)
-        number = self.link_names.index(link)
-        twists = self._joints.twists(flat, T)
-        J = np.where(self._joints.moves[number], np.swapaxes(twists, 1, 2), 0.0) @ self._joints.sums
-        at = T[:, number, :3, :3] @ x + T[:, number, :3, 3]
-        J[:, :3] += np.cross(J[:, 3:], at[:, :, None], axis=1)
-        return J.reshape(*checked.shape[:-1], 6, self.dof)
+        batch, number = checked.shape[:-1], self.link_names.index(link)
+        count = math.prod(batch)
+        _validate.fits_memory(count * 6 * 8 * self.dof, f"Jacobians of {count} configurations")
+        flat, J = checked.reshape(count, self.dof), np.empty((count, 6, self.dof))
+        in_shares(
+            lambda first, last: entries.link_jacobians(*self.tree, flat, first, last, number, x, J), count, LEAST_SHARE
+        )
+        return J.reshape(*batch, 6, self.dof)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
         """Configurations as kernels take them: C-order float64, finite, quaternions of norm 1.
@@ -647,11 +646,6 @@ class Robot:
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1]})
         return self._distances(a, b)
-
-    @cached_property
-    def _joints(self) -> Joints:
-        """What each value of a configuration moves."""
-        return Joints.of(self.tree, self.dof)
 
     def _distances(self, a: Floats, b: Floats) -> OneOrMany:
         if a.ndim == b.ndim == 1 and self.runs_straight:

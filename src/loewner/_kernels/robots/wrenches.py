@@ -2,13 +2,26 @@
 
 A wrench is a force and its moment about the world's origin, both in the world's axes; it is the gradient of something
 by the motion of a link. The gradient by a value of the configuration is the power of the wrenches on all that it moves
-along the twist that it moves them by.
+along the twist that it moves them by. The power of unit wrenches on one link is its Jacobian.
+
+References
+----------
+Lynch and Park, Modern Robotics (2017), chapter 5: space Jacobians and wrenches.
 """
 
-from loewner._kernels._jit import borrowed, inline
+import numpy as np
+
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.columns import ACROSS, ALONG, COSINE, FIXED, FLOATING, PLANAR, PRISMATIC, REVOLUTE, ROTATION, SINE
-from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, product
-from loewner._kernels.robots.kinematics import POSE, rotation_of_link, translation_of_link
+from loewner._kernels.linalg3 import along, apply, apply_transposed, cross, dot, image, minus, product, scaled
+from loewner._kernels.records import Tree
+from loewner._kernels.robots.kinematics import (
+    POSE,
+    place_links,
+    rotation_of_link,
+    translation_of_link,
+    workspace_size,
+)
 from loewner._kernels.simd.vectors import LANES, broadcast, load, store
 
 WRENCH = 6  # vectors a link: force, moment
@@ -126,3 +139,30 @@ def _by_quaternion(slopes, q, shift, turn, W, at):
         _add(slopes, q + k * LANES, shift[k])
         _add(slopes, q + (4 + k) * LANES, scale * (w * turn[k] + turned[k]))
     _add(slopes, q + 3 * LANES, -scale * dot(v, turn))
+
+
+@njit()
+def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start, stop, link, point, out):
+    """Write how a point of a link moves with the configurations start .. stop to out, shape (N, 6, dof).
+
+    The tree comes in its six arrays, as in `kinematics.link_poses`. Rows are the velocity of the point and the angular
+    velocity of the link: the powers of unit forces at the point, and of unit moments.
+    """
+    tree = Tree(parent, kind, column, multiplier, offset, constants)
+    links, dof = parent.size, Q.shape[1]
+    W, rows = np.empty(workspace_size(links, dof)), np.empty(LANES, np.int64)
+    wrenches, slopes = np.empty(WRENCH * LANES * links), np.empty(LANES * dof)
+    for first in range(start, stop, LANES):
+        for lane in range(LANES):
+            rows[lane] = min(first + lane, stop - 1)  # filled up with repeats of the last
+        place_links(tree, Q, rows, np.int64(0), W)
+        at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
+        for row in range(6):
+            unit = broadcast(1.0 * (row % 3 == 0)), broadcast(1.0 * (row % 3 == 1)), broadcast(1.0 * (row % 3 == 2))
+            pushed = 1.0 * (row < 3)
+            clear(wrenches, WRENCH * links)
+            push(wrenches, link, scaled(pushed, unit), along(scaled(1.0 - pushed, unit), pushed, cross(at, unit)))
+            powers(tree, W, wrenches, dof, slopes)
+            for lane in range(min(LANES, stop - first)):
+                for k in range(dof):
+                    out[first + lane, row, k] = slopes[k * LANES + lane]
