@@ -1,11 +1,14 @@
 """Fits of hulls of 20 random points, loewner beside cvxpy + Clarabel, in one run, on one thread.
 
     python benchmarks/fits.py [hulls]
-    python benchmarks/fits.py large     only smallest ellipsoids in high dimension, and of many points
+    python benchmarks/fits.py large      only smallest ellipsoids in high dimension, and of many points
+    python benchmarks/fits.py inside     only largest ellipsoids in many half-spaces, in high dimension
+    python benchmarks/fits.py outliers   only outliers among points, beside scikit-learn's MinCovDet
 
 Prints medians per fit and their ratios. Large fits are compared with the ascent of Wolfe and Atwood, as Todd and
 Yıldırım give it, in plain NumPy and in processor time. cvxpy is timed as a first user writes it, the problem built anew
-for each hull with the faces in one vectorised constraint, and by the solver's own clock alone.
+for each hull with the faces in one vectorised constraint, and by the solver's own clock alone. MinCovDet answers a like
+question, where most of the points are, by another ellipsoid; scikit-learn is in requirements/bench.txt.
 """
 
 import os
@@ -28,12 +31,22 @@ TOL = 1e-4
 # Points and dimension of the large fits, their tolerance, and the seconds after which the rival is stopped.
 LARGE = ((300, 100), (2000, 100), (5000, 500), (100_000, 30), (1_000_000, 10), (10_000_000, 3))
 LARGE_TOL, PATIENCE = 1e-6, 60.0
+# Half-spaces and dimension of the large fits inside them, and whether conic solvers are asked as well.
+INSIDE = ((100, 10, True), (500, 20, True), (1000, 50, False), (100_000, 10, False), (10_000, 100, False))
 
 
 def hull_points(rng: np.random.Generator) -> np.ndarray:
     """20 points uniform in the unit ball."""
     x = rng.normal(size=(20, 3))
     return x / np.linalg.norm(x, axis=1, keepdims=True) * rng.uniform(size=(20, 1)) ** (1 / 3)
+
+
+def conic_inside(A: np.ndarray, b: np.ndarray, solver: str) -> float:
+    """Log-volume that cvxpy reports, by its vectorised model."""
+    n = A.shape[1]
+    E, c = cp.Variable((n, n), PSD=True), cp.Variable(n)
+    problem = cp.Problem(cp.Maximize(cp.log_det(E)), [cp.norm(A @ E, axis=1) + A @ c <= b])
+    return float(problem.solve(solver=solver))
 
 
 def median_time(run: Callable[[object], object], items: Iterable[object]) -> float:
@@ -145,9 +158,66 @@ def large_fits() -> None:
         print(f"ascent {rival:.2f}{more}, {rival / own:.1f} times", flush=True)
 
 
+def inside() -> None:
+    rng = np.random.default_rng(0)
+    fits.mvie(rng.normal(size=(3000, 10)), np.ones(3000))  # import what it imports
+    print(f"mvie of normal half-spaces to {TOL:g}, processor seconds, beside cvxpy")
+    for m, n, conic in INSIDE:
+        A, b = rng.normal(size=(m, n)), rng.uniform(1, 2, size=m)
+        times, log_det = [], 0.0
+        for _ in range(5 if m * n < 1e6 else 1):
+            start = time.process_time()
+            fit = fits.mvie(A, b, tol=TOL)
+            times.append(time.process_time() - start)
+            log_det = np.linalg.slogdet(fit.ellipsoid.factor)[1]
+        print(f"{m:9} half-spaces, dimension {n:4}: {min(times):8.4f}, gap {fit.gap:.0e}", end="", flush=True)
+        for solver in (cp.CLARABEL, cp.SCS) if conic else ():
+            start = time.process_time()
+            value = conic_inside(A, b, solver)
+            rival = time.process_time() - start
+            print(
+                f"; {solver} {rival:.2f}, off by {value - log_det:+.0e}, {rival / min(times):.0f} times",
+                end="",
+                flush=True,
+            )
+        print()
+
+
+def outliers() -> None:
+    from sklearn.covariance import MinCovDet
+
+    rng = np.random.default_rng(0)
+    print("normal points, a share of them four times as wide: how many of these are found, processor seconds")
+    for m, n, share in ((500, 5, 0.1), (2000, 10, 0.1), (2000, 30, 0.2)):
+        points = rng.normal(size=(m, n))
+        bad = np.arange(m) < share * m
+        points[bad] *= 4.0
+        start = time.process_time()
+        kept = peeled(points, int((1 - share) * m))
+        own = time.process_time() - start
+        start = time.process_time()
+        distance = MinCovDet(support_fraction=1 - share, random_state=0).fit(points).mahalanobis(points)
+        rival = time.process_time() - start
+        named = np.argsort(-distance)[: int(bad.sum())]
+        print(f"{m} points, dimension {n}, {share:.0%} wide: ", end="")
+        print(f"mvce, peeled: {bad[~kept].sum() / bad.sum():.0%} in {own:.2f}; ", end="")
+        print(f"MinCovDet: {bad[named].sum() / bad.sum():.0%} in {rival:.2f}, {rival / own:.1f} times", flush=True)
+
+
+def peeled(points: np.ndarray, count: int) -> np.ndarray:
+    """Which points are left after those with most weight have been taken off, round by round (Titterington 1978)."""
+    kept = np.ones(len(points), bool)
+    while kept.sum() > count:
+        weights = np.zeros(len(points))
+        weights[kept] = fits.mvce(points[kept], tol=1e-2, weights=True).weights
+        most = min(int(kept.sum()) - count, max(1, int((weights > 0).sum()) // 2))
+        kept[np.argsort(-weights)[:most]] = False
+    return kept
+
+
 def main() -> None:
-    if sys.argv[1:] == ["large"]:
-        return large_fits()
+    if sys.argv[1:] in (["large"], ["inside"], ["outliers"]):
+        return {"large": large_fits, "inside": inside, "outliers": outliers}[sys.argv[1]]()
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     rng = np.random.default_rng(0)
     available = loewner.get_num_threads()
@@ -205,6 +275,7 @@ def main() -> None:
         gap = fits.mvce(x, tol=1e-7).gap
         print(f"mvce of {m} normal points in dimension {n}: {time.perf_counter() - start:.3f} s, gap {gap:.1e}")
     large_fits()
+    inside()
 
 
 if __name__ == "__main__":

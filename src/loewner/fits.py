@@ -11,9 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loewner import _large_fits, _validate
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
+from loewner._large_fits import inner as large_inner
+from loewner._large_fits import outer as large_outer
+from loewner._large_fits.dense import Reporter, inverse_of, lower_root
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
@@ -38,8 +41,9 @@ DEFAULT_TOLERANCE = 1e-4
 SMALLEST_TOLERANCE = 1e-12
 
 # `_large_fits` is the quicker way to the outer ellipsoid from this dimension on; from the next one on where the points
-# times the fourth power of the dimension are this many. Measured: docs/design/fits.md.
-HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS = 15, 5, 1.5e8
+# times the fourth power of the dimension are this many. To the inner one it is where the half-spaces times the third
+# power of the dimension are as many as the last number. Measured: docs/design/fits.md.
+HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,14 @@ class Fit:
 
 
 @guarded
-def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, *, weights: bool = False) -> Fit:
+def mvce(
+    points: ArrayLike,
+    tol: float = DEFAULT_TOLERANCE,
+    *,
+    center: ArrayLike | None = None,
+    weights: bool = False,
+    progress: Progress | None = None,
+) -> Fit:
     """Smallest ellipsoid around points (minimum-volume circumscribed ellipsoid).
 
     Parameters
@@ -85,8 +96,13 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, *, weights: bool = F
         m > n >= 1, in metres.
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
+    center : array_like, shape (n,), or a number
+        Where the center has to be, such as ``center=0`` for the origin. Then n points that span the space with it are
+        enough. By default the center that makes the ellipsoid smallest is found.
     weights : bool
         Also return the points' weights, an optimal design for experiments at these points.
+    progress : callable, optional
+        Called as ``progress(done, 100)`` from time to time: how many of the digits asked for are there, in percent.
 
     Returns
     -------
@@ -98,7 +114,7 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, *, weights: bool = F
     InputError
         On a wrong shape, entries that are not finite or a tolerance out of range.
     GeometryError
-        On fewer than n + 1 points or points in a flat.
+        On fewer than n + 1 points or points in a flat, with the given center as one more.
     ConvergenceError
         If the gap asked for was not reached.
 
@@ -111,7 +127,7 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, *, weights: bool = F
 
     The weights are those of a D-optimal design for a linear model with a constant term, whose experiments are the
     points: they maximise the determinant of the information matrix (Titterington), to within twice the gap in its
-    logarithm.
+    logarithm. With ``center=0`` the model has no constant term.
 
     References
     ----------
@@ -126,19 +142,30 @@ def mvce(points: ArrayLike, tol: float = DEFAULT_TOLERANCE, *, weights: bool = F
     array([1.4142, 1.4142])
     >>> mvce([[1, 1], [1, -1], [-1, 1], [-1, -1], [0, 0]], weights=True).weights.round(3)
     array([0.25, 0.25, 0.25, 0.25, 0.  ])
+    >>> mvce([[3, 0], [0, 1]], center=0).ellipsoid.semi_axes.round(4)
+    array([3., 1.])
     """
     x = _validate.finite_array(points, "points", ("m", "n"))
-    check_enough(x, "points")
+    given = _checked_center(center, x.shape[1])
+    check_enough(x, "points", given=given)
     tolerance = checked_tolerance(tol)
-    if _validate.flag(weights, "weights") or _is_large(*x.shape):
-        center, factor, gap, iterations, u = _large_fits.smallest_around(x, tolerance)
-        return certified_fit("mvce", center, factor, gap, iterations, tolerance, u if weights else None)
+    reporter = Reporter(_validate.callback(progress, "progress"), tolerance)
+    if _validate.flag(weights, "weights") or given is not None or _is_large(*x.shape):
+        c, factor, gap, iterations, u = large_outer.smallest_around(x, tolerance, given, reporter)
+        return certified_fit("mvce", c, factor, gap, iterations, tolerance, u if weights else None, reporter)
     x, n = writeable(x), x.shape[1]
-    center, factor = np.empty(n), np.empty((n, n))
-    code, gap, iterations, _, _, _ = entries.fit_outer(x, tolerance, FLATNESS, center, factor)
+    c, factor = np.empty(n), np.empty((n, n))
+    code, gap, iterations, _, _, _ = entries.fit_outer(x, tolerance, FLATNESS, c, factor)
     if code == codes.FLAT:
         raise flat_error("points", x)
-    return certified_fit("mvce", center, factor, gap, iterations, tolerance)
+    return certified_fit("mvce", c, factor, gap, iterations, tolerance, reporter=reporter)
+
+
+def _checked_center(center: ArrayLike | None, n: int) -> Floats | None:
+    if center is None:
+        return None
+    array = _validate.float_array(center, "center")
+    return _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
 
 
 def _is_large(m: int, n: int) -> bool:
@@ -146,7 +173,14 @@ def _is_large(m: int, n: int) -> bool:
 
 
 @guarded
-def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANCE) -> Fit:
+def mvie(
+    A: ArrayLike,
+    b: ArrayLike | None = None,
+    tol: float = DEFAULT_TOLERANCE,
+    *,
+    center: ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> Fit:
     """Largest ellipsoid inside a polytope (maximum-volume inscribed ellipsoid).
 
     Parameters
@@ -156,6 +190,11 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     b : array_like, shape (m,), optional
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
+    center : array_like, shape (n,), or a number, optional
+        Where the center has to be, such as ``center=0`` for the origin; with half-spaces only. The half-spaces need not
+        be bounded, as long as no line through the center is inside all of them.
+    progress : callable, optional
+        Called as ``progress(done, 100)`` from time to time: how many of the digits asked for are there, in percent.
 
     Returns
     -------
@@ -168,9 +207,15 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     InputError
         On wrong shapes, entries that are not finite or a tolerance out of range.
     GeometryError
-        If the polytope is empty, flat or unbounded.
+        If the polytope is empty, flat or unbounded, or the given center is not inside.
     ConvergenceError
         If the gap asked for was not reached.
+
+    Notes
+    -----
+    Zhang and Gao's method. In high dimension, or with very many half-spaces, it works on few of them: those that turn
+    out to cut the ellipsoid join, those far away leave. About a given center the ellipsoid is the polar of the smallest
+    one around the polar points, which `mvce` finds.
 
     References
     ----------
@@ -181,28 +226,63 @@ def mvie(A: ArrayLike, b: ArrayLike | None = None, tol: float = DEFAULT_TOLERANC
     >>> fit = mvie([[1, 0], [-1, 0], [0, 1], [0, -1]], [3, 3, 1, 1])
     >>> fit.ellipsoid.semi_axes.round(4)
     array([3., 1.])
+    >>> mvie([[1, 0], [-1, 0], [0, 1], [0, -1]], [3, 5, 1, 1], center=0).ellipsoid.semi_axes.round(4)
+    array([3., 1.])
     """
     tolerance = checked_tolerance(tol)
+    reporter = Reporter(_validate.callback(progress, "progress"), tolerance)
     if b is not None:
-        return _mvie_of_halfspaces(*check_halfspaces(A, b), tolerance)
+        rows, bounds = check_halfspaces(A, b)
+        given = _checked_center(center, rows.shape[1])
+        if given is not None:
+            return _mvie_about(given, rows, bounds, tolerance, reporter)
+        return _mvie_of_halfspaces(rows, bounds, tolerance, reporter)
+    if center is not None:
+        raise InputError("center: expected half-spaces A, b with it, found no b")
     points = _validate.finite_array(A, "points", ("m", "n"))
     check_enough(points, "points")
     if points.shape[1] == 1:  # Qhull wants a plane at least; an interval is its own two half-spaces
-        return _mvie_of_halfspaces(np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance)
+        return _mvie_of_halfspaces(
+            np.array([[1.0], [-1.0]]), np.array([points.max(), -points.min()]), tolerance, reporter
+        )
     piece = Polytope.from_points(points)
     starts = np.array([0, len(piece.vertices)]), np.array([0, len(piece.normals)])
     inner, _, info = _fit_all(starts[0], piece.vertices, starts[1], piece.normals, tolerance, None)
-    return certified_fit("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance)
+    return certified_fit("mvie", inner[0][0], inner[1][0], info[0, 3], int(info[0, 4]), tolerance, reporter=reporter)
 
 
-def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float) -> Fit:
-    n = A.shape[1]
+def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
+    m, n = A.shape
     x = interior_point(A, b)
     center, factor, direction = np.empty(n), np.empty((n, n)), np.empty(n)
+    if m * n**3 >= MANY_HALFSPACES:
+        code = entries.center_in(A, b, x, factor, direction, FLATNESS)
+        if code != 0:
+            raise center_error(code, A, direction)
+        center, factor, lam, iterations = large_inner.largest_inside(A, b, x, factor, tol, reporter)
+        factor, gap = large_inner.proven(A, b, center, factor, lam)
+        return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
     code, gap, iterations = entries.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
     if code == codes.UNBOUNDED or (code != 0 and iterations == 0):
         raise center_error(code, A, direction)
-    return certified_fit("mvie", center, factor, gap, iterations, tol)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
+
+
+def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
+    """Largest ellipsoid about `center`: the polar of the smallest one about the origin around the polar points."""
+    slack = b - A @ center
+    if not (slack > 0).all():
+        i = int(slack.argmin())
+        raise GeometryError(f"center: expected a point inside every half-space, found row {i} at slack {slack[i]:.3g}")
+    polar, origin = A / slack[:, None], np.zeros(A.shape[1])
+    try:
+        _, around, _, iterations, weights = large_outer.smallest_around(
+            polar, max(0.5 * tol, SMALLEST_TOLERANCE), origin, reporter
+        )
+    except GeometryError:  # the polar points are in a flat
+        raise center_error(codes.UNBOUNDED, A, origin) from None
+    factor, gap = large_inner.proven(A, b, center, lower_root(inverse_of(around)), weights / slack, balanced=False)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
 
 
 @guarded
@@ -296,7 +376,14 @@ def _starts(x: Ints, name: str, total: int) -> Ints:
 
 
 def certified_fit(
-    name: str, center: Floats, factor: Floats, gap: float, iterations: int, tol: float, weights: Floats | None = None
+    name: str,
+    center: Floats,
+    factor: Floats,
+    gap: float,
+    iterations: int,
+    tol: float,
+    weights: Floats | None = None,
+    reporter: Reporter | None = None,
 ) -> Fit:
     """Wrap what a kernel found, unless its gap is above the tolerance."""
     if not gap <= tol:
@@ -306,4 +393,6 @@ def certified_fit(
         )
     if weights is not None:
         weights.setflags(write=False)
+    if reporter is not None:
+        reporter.done()
     return Fit(Ellipsoids._trusted(center, factor), float(max(gap, 0.0)), int(iterations), weights)

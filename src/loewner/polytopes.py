@@ -151,13 +151,14 @@ class Polytope:
         return f"Polytope({len(self.vertices)} vertices, {len(self.normals)} faces, n={self.dim})"
 
 
-def check_enough(points: Floats, name: str, least_dim: int = 1) -> None:
-    """Raise unless there are n + 1 points in a space of a sensible dimension."""
+def check_enough(points: Floats, name: str, least_dim: int = 1, given: Floats | None = None) -> None:
+    """Raise unless there are n + 1 points, or n and a given center, in a space of a sensible dimension."""
     m, n = points.shape
     if n < least_dim:
         raise InputError(f"{name}: expected points in dimension n >= {least_dim}, found shape {points.shape}")
-    if m < n + 1:
-        raise GeometryError(f"{name}: expected at least {n + 1} points in dimension {n}, found {m}")
+    least = n + 1 if given is None else n
+    if m < least:
+        raise GeometryError(f"{name}: expected at least {least} points in dimension {n}, found {m}")
     check_size(max(float(points.max()), -float(points.min())), name)  # no copy of a million points for their sizes
 
 

@@ -544,13 +544,24 @@ CALLS: dict[str, Call] = {
         item(_ellipsoids),
         {"index": arg(1, "0", "-1", "None", "Ellipsis", FLAGS, "empty list", "empty tuple", "Scene")},
     ),
-    "mvce": Call(loewner.mvce, {"points": FLAT_POINTS, "tol": TOL, "weights": flag()}),
+    "mvce": Call(
+        loewner.mvce,
+        {
+            "points": FLAT_POINTS,
+            "tol": TOL,
+            "center": array(np.zeros(3), NONE, FINITE),
+            "weights": flag(),
+            "progress": callback(),
+        },
+    ),
     "mvie": Call(
         loewner.mvie,
         {
             "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
             "b": array(np.ones(6), NONE, FINITE),
             "tol": TOL,
+            "center": array(np.zeros(3), NONE, FINITE),
+            "progress": callback(),
         },
     ),
     "Polytope.from_points": Call(loewner.Polytope.from_points, {"points": FLAT_POINTS}),

@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import hadamard
 
 from exact import points_outside
-from loewner import ConvergenceError, GeometryError, InputError, _large_fits, fits, mvce
+from loewner import ConvergenceError, GeometryError, InputError, fits, mvce
+from loewner._large_fits import outer
 from loewner._native import entries
 from loewner.polytopes import FLATNESS
 
@@ -139,14 +140,14 @@ def test_a_wrong_guess_is_taken_back(n: int, rng: np.random.Generator, monkeypat
     """Where points are dropped that matter, they come back, and the theorem alone decides from then on."""
     points = rng.uniform(-1, 1, size=(20_000, n))
     right = mvce(points, tol=1e-7, weights=True)
-    theorem = _large_fits._least_of_support
+    theorem = outer._least_of_support
     guesses = []
 
     def wrong(largest: float, N: int, bold: bool) -> float:
         guesses.append(bold)
         return N * (1 - 1e-4) if bold else theorem(largest, N, bold)
 
-    monkeypatch.setattr(_large_fits, "_least_of_support", wrong)
+    monkeypatch.setattr(outer, "_least_of_support", wrong)
     fit = mvce(points, tol=1e-7, weights=True)
     assert abs(fit.ellipsoid.log_volume - right.ellipsoid.log_volume) <= 1e-7
     assert guesses[0]
@@ -161,8 +162,8 @@ def test_theorem_keeps_the_support() -> None:
             # One point has this weight, the others the rest: w is the inverse of the weight.
             largest, least = n / (1 - share), 1 / share
             largest, least = max(largest, least), min(largest, least)
-            assert least >= _large_fits._least_of_support(largest, n + 1, False)
-            guesses_err |= least < _large_fits._least_of_support(largest, n + 1, True)
+            assert least >= outer._least_of_support(largest, n + 1, False)
+            guesses_err |= least < outer._least_of_support(largest, n + 1, True)
     assert guesses_err  # so that the theorem is needed
 
 
@@ -183,8 +184,8 @@ def test_ascent_alone_gets_there(rng: np.random.Generator, monkeypatch: pytest.M
     """Where too many points matter for the interior point's matrix, the ascent reaches the tolerance by itself."""
     points = on_sphere(rng, 500, 6)
     with monkeypatch.context() as patch:
-        patch.setattr(_large_fits, "LARGEST_SYSTEM", 20)
-        patch.setattr(_large_fits, "_interior_point", None)
+        patch.setattr(outer, "LARGEST_SYSTEM", 20)
+        patch.setattr(outer, "_interior_point", None)
         alone = mvce(points, tol=1e-5, weights=True)
     both = mvce(points, tol=1e-8, weights=True)
     assert abs(alone.ellipsoid.log_volume - both.ellipsoid.log_volume) <= 1e-5
@@ -240,7 +241,7 @@ def test_flat_points_are_named(rng: np.random.Generator) -> None:
     with pytest.raises(GeometryError, match="in a flat of dimension 19"):
         mvce(sheet)
     sheet[1234, 7] = 0.01
-    assert 1234 not in _large_fits._spaced(5000, 10 * 21)
+    assert 1234 not in outer._spaced(5000, 10 * 21)
     assert mvce(sheet).ellipsoid.semi_axes.min() < 0.1
 
 

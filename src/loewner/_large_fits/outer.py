@@ -1,7 +1,8 @@
 """Smallest ellipsoid around points in high dimension: coordinate ascent, then an interior point, in NumPy.
 
-The dual asks for weights u >= 0, Σ u = 1, that maximise log det M, M = Σ u_i q_i q_iᵀ, q = (1, x) of length N = n + 1.
-With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere and w = N wherever u > 0.
+The dual asks for weights u >= 0, Σ u = 1, that maximise log det M, M = Σ u_i q_i q_iᵀ, q = (1, x) of length N = n + 1;
+if the center is given, q = x - center and N = n. With w_i = q_iᵀ M⁻¹ q_i the optimum has w <= N everywhere and w = N
+wherever u > 0.
 
 - Coordinate ascent with away steps (Atwood 1973; Todd and Yıldırım 2007, doi:10.1016/j.dam.2007.02.013) moves weight
   to the point of largest w, or from the one of smallest, whichever is farther from N; M⁻¹ and w follow by rank one.
@@ -15,28 +16,32 @@ All three see a working set only. One pass over all points per round finds those
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from loewner import _memory
+from loewner._large_fits.dense import (
+    CENTRING_FLOOR,
+    LARGEST_SYSTEM,
+    ROUNDING,
+    STEP_CAP,
+    Reporter,
+    blocks,
+    inverse_of,
+    lower_root,
+    room,
+    root_of_inverse,
+)
 from loewner._validate import Bools, Floats, Ints
 from loewner.polytopes import FLATNESS, flat_error
 
-ROUNDING = 2.0**-53  # unit roundoff of float64
-
 # Points that the working set starts with, and that may join it in a round, times N.
 FIRST, MORE = 10, 4
-# Numbers in a block of points: few enough for the cache, enough for a call of NumPy not to count.
-BLOCK = 2**16
 # As soon as no more points than this, times the working set, may touch the ellipsoid, it takes all of them.
 ENOUGH = 2
 # Rounds at most, and those in which points may leave by a guess; steps of the interior point at most.
 MAX_ROUNDS, BOLD_ROUNDS, MAX_STEPS = 100, 30, 60
-# Most points of the interior point: its matrix has a row for each, and takes 390 MB then.
-LARGEST_SYSTEM = 7000
 # Ascents without an end: where more points than that matter.
 MAX_ASCENTS = 400
 # Seconds of one core, measured: a step of the ascent, and of the interior point, by themselves and for each number or
@@ -51,17 +56,25 @@ EVEN = 0.2
 NOTHING = 1e-9
 # Points leave the interior point once they make up less than this of M, so that it stays regular.
 LOSS = 0.5
-STEP_CAP, CENTRING_FLOOR = 0.9999, 1e-15  # as in `_kernels.fits.mvce`
 
 
 @dataclass
 class _WorkingSet:
-    """Some of the points, lifted, in coordinates of unit size, with weights whose sum is 1."""
+    """Some of the points, in coordinates of unit size, with weights whose sum is 1."""
 
     index: Ints
-    Q: Floats  # (k, N), first column 1
+    Q: Floats  # (k, N): first a column of ones, unless the center is given
     u: Floats
+    lifted: int  # N - n, so 1, or 0 if the center is given
     bold: bool = True  # points leave by a guess, until one that left turns out to matter
+
+    @property
+    def dim(self) -> int:
+        return int(self.Q.shape[1]) - self.lifted
+
+    def gap(self, largest: float) -> float:
+        """Of the ellipsoid around the set, if `largest` is the largest w."""
+        return float(0.5 * self.dim * np.log((largest - self.lifted) / self.dim))
 
     def keep(self, rows: Bools) -> None:
         if not rows.all():
@@ -72,10 +85,12 @@ class _WorkingSet:
         self.u = np.concatenate([self.u, np.zeros(len(index))])
 
 
-def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, int, Floats]:
+def smallest_around(
+    points: Floats, tol: float, given: Floats | None, reporter: Reporter
+) -> tuple[Floats, Floats, float, int, Floats]:
     """Center, lower triangular factor, certified gap, steps and weights of the smallest ellipsoid around `points`.
 
-    The gap may be above `tol`, or infinite.
+    The center is free, or `given`. The gap may be above `tol`, or infinite.
 
     Raises
     ------
@@ -84,41 +99,44 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
     """
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
     m, n = points.shape
+    lifted = 1 if given is None else 0
     sample = _spaced(m, FIRST * (n + 1))
-    origin, frame, chosen = _spread(points, sample)
-    first_frame, unframe = frame, _inverse(frame)
+    origin, frame, chosen = _spread(points, sample, given)
+    first_frame, unframe = frame, inverse_of(frame)
 
-    def lifted(index: Ints) -> Floats:
-        return np.column_stack([np.ones(len(index)), (points[index] - origin) @ unframe.T])
+    def whitened(index: Ints) -> Floats:
+        X = (points[index] - origin) @ unframe.T
+        return np.column_stack([np.ones(len(index)), X]) if lifted else X
 
     first = np.union1d(sample, chosen)
     u = np.isin(first, chosen) / len(chosen)
-    active = _WorkingSet(first, lifted(first), u)
+    active = _WorkingSet(first, whitened(first), u, lifted)
     pool, names = points, None  # those that may touch the ellipsoid, and which they are; None: all, in their order
     target = 0.25 * tol if len(first) == m else max(0.25 * tol, 0.02 * n)
     steps = 0
     volume = -np.inf
     for turn in range(MAX_ROUNDS):
-        taken, reached = _solve(active, target)
+        taken, reached = _solve(active, target, reporter)
         steps += taken
         if not reached < np.inf:
             return origin, frame, np.inf, steps, np.zeros(m)
         center, factor = _ellipsoid(active, origin, frame)
-        inverse = _inverse(factor)
+        inverse = inverse_of(factor)
         # More points have larger ellipsoids around them: if not, some that left mattered.
         volume, before = float(np.log(np.diagonal(factor)).sum()), volume
         if volume + reached < before or turn > BOLD_ROUNDS:
             active.bold = False
         radii = _squared_radii(pool, center, inverse)
         gap = 0.5 * n * np.log(radii.max())
+        reporter.reached(gap)
         if gap <= 0.5 * tol:
             if names is None:
                 break
             pool, names = points, None  # those left out are looked at once more; should they matter, no guess again
             active.bold = False
             continue
-        bound = _least_of_support(radii.max() * n + 1.0, n + 1, active.bold)
-        may_touch = np.flatnonzero(1.0 + n * radii >= bound)
+        bound = _least_of_support(radii.max() * n + lifted, n + lifted, active.bold)
+        may_touch = np.flatnonzero(lifted + n * radii >= bound)
         if finish := len(may_touch) <= ENOUGH * len(active.u):
             fresh = may_touch  # among them is all that the optimum needs
         else:
@@ -131,14 +149,14 @@ def smallest_around(points: Floats, tol: float) -> tuple[Floats, Floats, float, 
         # Into the coordinates of this ellipsoid: with heavy tails those of the start are skewed.
         origin, frame, unframe = center, factor, inverse
         active.add(fresh)
-        active.Q = lifted(active.index)
+        active.Q = whitened(active.index)
         # No round is solved much better than what the points outside it deserve.
         target = 0.25 * tol if finish else max(0.25 * tol, min(target, 0.1 * gap))
     weights = np.zeros(m)
     weights[active.index] = active.u
     reach = np.sqrt(radii.max()) if names is None else np.inf
     factor, scale, error = _enclosing(factor, inverse, reach)
-    return center, factor, _certified(points, weights, center, inverse / scale, error), steps, weights
+    return center, factor, _certified(points, weights, center, inverse / scale, error, lifted), steps, weights
 
 
 # -- the start ------------------------------------------------------------------------------------
@@ -149,50 +167,56 @@ def _spaced(m: int, count: int) -> Ints:
     return np.arange(m) if m <= count else np.linspace(0, m - 1, count).astype(np.int64)
 
 
-def _blocks(points: Floats) -> Iterator[tuple[int, Floats]]:
-    size = max(1, BLOCK // points.shape[1])
-    for first in range(0, len(points), size):
-        yield first, points[first : first + size]
-
-
-def _spread(points: Floats, sample: Ints) -> tuple[Floats, Floats, Ints]:
+def _spread(points: Floats, sample: Ints, given: Floats | None) -> tuple[Floats, Floats, Ints]:
     """Points far apart, as `_kernels.fits.mvce.spread_points` finds them: origin, frame and which they are.
+
+    If the center is given, their reflections in it count as well.
 
     A sample does if it is far from flat; in one that is not, all points are asked.
     """
     m, n = points.shape
-    size = max(float(points.max()), -float(points.min()))
+    size = max(float(points.max()), -float(points.min()), 0.0 if given is None else float(np.abs(given).max()))
     noise = 4.0 * n * ROUNDING * size
     few = points if len(sample) == m else points[sample]
-    chosen, differences, narrowest = _extremes(few, noise, FLATNESS)
+    chosen, differences, narrowest = _extremes(few, noise, FLATNESS, given)
     if len(sample) < m:
         chosen = sample[chosen]
         if narrowest < 1e-6:
-            chosen, differences, narrowest = _extremes(points, noise, FLATNESS)
+            chosen, differences, narrowest = _extremes(points, noise, FLATNESS, given)
     if narrowest == 0.0:
-        raise flat_error("points", points)
-    frame = _lower_root(differences)
+        raise flat_error("points", points if given is None else np.concatenate([points, 2 * given - points]))
+    frame = lower_root(differences)
+    if given is not None:
+        return given, frame, np.unique(chosen)
     origin = points[chosen[0]] + (points[chosen] - points[chosen[0]]).mean(axis=0)
     return origin, frame, np.unique(chosen)
 
 
-def _extremes(points: Floats, noise: float, flatness: float) -> tuple[Ints, Floats, float]:
-    """Kumar and Yıldırım's 2n points, n differences, and the least width by the largest; 0 if they are flat."""
+def _extremes(points: Floats, noise: float, flatness: float, given: Floats | None) -> tuple[Ints, Floats, float]:
+    """Kumar and Yıldırım's 2n points, n differences, and the least width by the largest; 0 if they are flat.
+
+    About a given center one point for each direction does, whose reflection is the other.
+    """
+    about = points[0] if given is None else given
     n = points.shape[1]
     basis, differences = np.zeros((n, n)), np.zeros((n, n))
     chosen = np.zeros(2 * n, np.int64)
     widest, narrowest = 0.0, np.inf
-    small = [(0, points - points[0])] if points.size <= 2**22 else None
+    small = [(0, points - about)] if points.size <= 2**22 else None
     for j in range(n):
         direction = np.zeros(n)
         direction[np.argmin((basis[:j] ** 2).sum(axis=0))] = 1.0
         direction = _orthonormal(direction, basis[:j])
         low, high = (np.inf, 0), (-np.inf, 0)
-        for first, block in small or ((k, b - points[0]) for k, b in _blocks(points)):
+        for first, block in small or ((k, b - about) for k, b in blocks(points)):
             along = block @ direction
+            if given is not None:
+                along = np.abs(along)
             i, k = int(along.argmin()), int(along.argmax())
             low, high = min(low, (along[i], first + i)), max(high, (along[k], first + k))
-        differences[j] = points[high[1]] - points[low[1]]
+        if given is not None:
+            low = (-high[0], high[1])
+        differences[j] = points[high[1]] - points[low[1]] if given is None else 2.0 * (points[high[1]] - given)
         widest = max(widest, float(np.linalg.norm(differences[j])))
         width = high[0] - low[0]
         if not width > max(flatness * widest, noise):
@@ -214,20 +238,21 @@ def _orthonormal(v: Floats, basis: Floats) -> Floats:
 # -- the working set ------------------------------------------------------------------------------
 
 
-def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
+def _solve(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
     """Weights of the working set to a gap of `target`: steps taken, and the gap reached. Points inside leave."""
-    n = active.Q.shape[1] - 1
-    spent, steps = 0.0, 0
+    n = active.dim
+    spent, steps, gap = 0.0, 0, np.inf
     for _ in range(MAX_ASCENTS):
-        root = _root_of_inverse(active.Q, active.u)
+        reporter.working()
+        root = root_of_inverse((active.Q * active.u[:, None]).T @ active.Q)
         if root is None:
             return steps, np.inf
         W = active.Q @ root.T
         w = np.einsum("ij,ij->i", W, W)
-        gap = 0.5 * n * np.log((w.max() - 1.0) / n)
+        gap = active.gap(w.max())
         if gap <= target:
             return steps, gap
-        may_touch = (w >= _least_of_support(w.max(), n + 1, active.bold)) | (active.u > 0)
+        may_touch = (w >= _least_of_support(w.max(), n + active.lifted, active.bold)) | (active.u > 0)
         if may_touch.sum() < 0.9 * len(w):
             active.keep(may_touch)
             w = w[may_touch]
@@ -235,20 +260,12 @@ def _solve(active: _WorkingSet, target: float) -> tuple[int, float]:
         left = SHARE * NEWTON_STEPS * (NEWTON_STEP + NEWTON_FLOP * (k**3 / 3 + k**2 * n)) - spent
         each = ASCENT_STEP + ASCENT_NUMBER * active.Q.size
         if left < each and k <= LARGEST_SYSTEM:
-            taken, gap = _interior_point(active, target)
+            taken, gap = _interior_point(active, target, reporter)
             return steps + taken, gap
         count = n + 50 if k > LARGEST_SYSTEM else max(1, min(n + 50, int(left / each)))
         _ascend(active, root.T @ root, w, count, target)
         spent, steps = spent + count * each, steps + count
     return steps, gap
-
-
-def _root_of_inverse(Q: Floats, u: Floats) -> Floats | None:
-    """Lower triangular H with Hᵀ H = M⁻¹, so that w_i = |H q_i|²; None if M is singular to rounding."""
-    try:
-        return _inverse(np.linalg.cholesky((Q * u[:, None]).T @ Q))
-    except np.linalg.LinAlgError:
-        return None
 
 
 def _least_of_support(largest: float, N: int, bold: bool) -> float:
@@ -266,7 +283,7 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
     """At most `count` steps towards the farthest point or away from the nearest one that has weight."""
     Q, u = active.Q, active.u.copy()
     N = Q.shape[1]
-    enough = 1.0 + (N - 1) * np.exp(2.0 * target / (N - 1))
+    enough = active.lifted + active.dim * np.exp(2.0 * target / active.dim)
     nearest = np.where(u > 0, w, np.inf)
     for _ in range(count):
         j = int(w.argmax())
@@ -293,23 +310,24 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
     active.u = u / u.sum()
 
 
-def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
+def _interior_point(active: _WorkingSet, target: float, reporter: Reporter) -> tuple[int, float]:
     """As `_kernels.fits.mvce.solve_dual`, with a matrix of a row for each point: steps and gap.
 
     Points that cannot have weight leave on the way. The working set is left with the best weights seen.
     """
-    n = active.Q.shape[1] - 1
+    N = active.Q.shape[1]
     index, Q = active.index, active.Q
     u, s = (1.0 - EVEN) * active.u + EVEN / len(Q), np.empty(0)
     best, since_best = np.inf, 0
     for step in range(MAX_STEPS):
-        root = _root_of_inverse(Q, u)
+        reporter.working()
+        root = root_of_inverse((Q * u[:, None]).T @ Q)
         if root is None:
             return step, best
         W = Q @ root.T
         w = np.einsum("ij,ij->i", W, W)
         total = float(u.sum())
-        gap = 0.5 * n * np.log((total * w.max() - 1.0) / n)
+        gap = active.gap(total * w.max())
         since_best += 1
         if gap < best:
             best, since_best = gap, 0
@@ -318,8 +336,8 @@ def _interior_point(active: _WorkingSet, target: float) -> tuple[int, float]:
         if not gap < np.inf or gap <= target or since_best > 8:
             return step, best
         if step == 0:
-            s = np.maximum(0.1 * (n + 1), n + 1 - w)
-        keep = total * w >= _least_of_support(total * w.max(), n + 1, active.bold)
+            s = np.maximum(0.1 * N, N - w)
+        keep = total * w >= _least_of_support(total * w.max(), N, active.bold)
         if keep.sum() < 0.9 * len(w) and u[~keep] @ w[~keep] < LOSS:
             index, Q, W, w, u, s = index[keep], Q[keep], W[keep], w[keep], u[keep], s[keep]
         moved = _newton_step(W, w, u, s)
@@ -347,17 +365,11 @@ def _newton_step(W: Floats, w: Floats, u: Floats, s: Floats) -> tuple[Floats, Fl
 
     mean = float(u @ s) / k
     du, ds = direction(np.zeros(k))
-    after = float((u + min(1.0, _room(u, du)) * du) @ (s + min(1.0, _room(s, ds)) * ds)) / k
+    after = float((u + min(1.0, room(u, du)) * du) @ (s + min(1.0, room(s, ds)) * ds)) / k
     mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
     du, ds = direction((mu - du * ds) / u)
     share = min(STEP_CAP, max(0.9, 1.0 - mean * k))
-    return u + min(1.0, share * _room(u, du)) * du, s + min(1.0, share * _room(s, ds)) * ds
-
-
-def _room(x: Floats, dx: Floats) -> float:
-    """How far x may go along dx and stay positive."""
-    down = dx < 0
-    return float((x[down] / -dx[down]).min(initial=np.inf))
+    return u + min(1.0, share * room(u, du)) * du, s + min(1.0, share * room(s, ds)) * ds
 
 
 # -- all points -----------------------------------------------------------------------------------
@@ -365,30 +377,17 @@ def _room(x: Floats, dx: Floats) -> float:
 
 def _ellipsoid(active: _WorkingSet, origin: Floats, frame: Floats) -> tuple[Floats, Floats]:
     """Center and factor in which w = N is the boundary."""
-    X, u = active.Q[:, 1:], active.u
-    mean = u @ X
+    X, u = active.Q[:, active.lifted :], active.u
+    mean = u @ X if active.lifted else np.zeros(active.dim)
     offsets = X - mean
     # By QR, not from the matrix of second moments, which has the condition squared.
-    return origin + frame @ mean, np.tril(frame @ _lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
-
-
-def _lower_root(rows: Floats) -> Floats:
-    """Lower triangular L, diagonal positive, with L Lᵀ = rowsᵀ rows."""
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    return np.ascontiguousarray((triangle * np.where(np.diagonal(triangle) < 0, -1.0, 1.0)[:, None]).T)
-
-
-def _inverse(lower: Any) -> Floats:
-    """Inverse of a lower triangular matrix."""
-    from scipy.linalg.lapack import dtrtri
-
-    return np.ascontiguousarray(np.tril(dtrtri(lower, lower=1)[0]))
+    return origin + frame @ mean, np.tril(frame @ lower_root(np.sqrt(len(mean) * u)[:, None] * offsets))
 
 
 def _squared_radii(points: Floats, center: Floats, inverse: Floats) -> Floats:
     """|inverse (x - center)|² of all points, block by block."""
     radii = np.empty(len(points))
-    for first, block in _blocks(points):
+    for first, block in blocks(points):
         y = (block - center) @ inverse.T
         np.einsum("ij,ij->i", y, y, out=radii[first : first + len(y)])
     return radii
@@ -441,8 +440,10 @@ def _enclosing(factor: Floats, inverse: Floats, reach: float) -> tuple[Floats, f
     return factor, reach, np.inf
 
 
-def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats, error: float) -> float:
+def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats, error: float, lifted: int) -> float:
     """Certified log(volume / smallest volume), from weights of the points; see `_kernels.fits.mvce.outer_gap`.
+
+    About a given center second moments take the place of covariances.
 
     y is known up to a linear map 1 - R, |R| <= `error` in the Frobenius norm, and a shift of length `error`. The first
     changes ½ log det S by at most 1.1 √n errors, the second changes S by 3 errors in the nuclear norm, and sums and
@@ -455,7 +456,8 @@ def _certified(points: Floats, weights: Floats, center: Floats, inverse: Floats,
     support = np.flatnonzero(weights)
     y = (points[support] - center) @ inverse.T
     u = weights[support]
-    y -= u @ y
+    if lifted:
+        y -= u @ y
     S = (y * u[:, None]).T @ y
     try:
         diagonal = np.diagonal(np.linalg.cholesky(S))
