@@ -430,3 +430,9 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
     """
     status, lower, length, _ = _measure(A, B, shift, W, ends, n, error, reach, far, result)
     return status, lower, length
+
+
+@inline
+def measure_along(A, B, shift, W, ends, n, error, reach, far, result):
+    """As `measure`, and besides the last direction: the one along which they are APART."""
+    return _measure(A, B, shift, W, ends, n, error, reach, far, result)

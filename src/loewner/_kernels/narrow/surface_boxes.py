@@ -215,6 +215,22 @@ def near_box(boxes, node, middle, half):
 
 
 @inline
+def within_planes(boxes, node, planes, count, bits):
+    """Those of some boxes of a node that do not lie wholly in any of `count` half-spaces {m x <= limit}, rows of four."""
+    middles, halves = boxes_of(boxes, node)
+    f = np.float32
+    for k in range(count):
+        if bits == 0:
+            break
+        x, y, z = f(planes[4 * k]), f(planes[4 * k + 1]), f(planes[4 * k + 2])
+        farthest = (middles[0] * x + middles[1] * y + middles[2] * z) + (
+            halves[0] * abs(x) + halves[1] * abs(y) + halves[2] * abs(z)
+        )
+        bits &= ~movemask(farthest <= f(planes[4 * k + 3]))
+    return bits
+
+
+@inline
 def squared_gaps(relation, t, g, h):
     """Lower bounds on the squared distance of boxes, along the axes of a's and along those of b's, whichever says more.
 

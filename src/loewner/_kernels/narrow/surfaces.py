@@ -12,9 +12,9 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, UNCOUNTED
-from loewner._kernels.linalg3 import apply, cross, dot, image, minus, negated, plus
+from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, place_piece
+from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, measure_along, place_piece
 from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, off_orthonormal, rounding_error
 from loewner._kernels.narrow.surface_boxes import (
     ROUNDINGS,
@@ -25,6 +25,7 @@ from loewner._kernels.narrow.surface_boxes import (
     push_meeting,
     relation,
     surface_of,
+    within_planes,
 )
 from loewner._kernels.narrow.triangles import doubt, length1, longest_edge, meet, same_side, sides, squared_distances
 from loewner._kernels.pieces.pack import shift_between
@@ -43,7 +44,10 @@ STACK = 2 * 2 * LEVELS * WIDE
 PLACED = 8 * STACK
 GJK = PLACED + 8 * 2 * BLOCK
 RESULT = GJK + 8 * GJK_ENTRIES
-SIZE = RESULT + 8 * 16  # bytes
+# Planes that separate a convex piece from triangles met on the way: the last few, each a normal and an offset.
+PLANES, PLANE = 4, 4
+SEPARATING = RESULT + 8 * 16
+SIZE = SEPARATING + 8 * PLANES * PLANE  # bytes
 
 # How a walk ended besides: open pairs, or a point that may lie on either side of a surface.
 MEETING = -1
@@ -94,6 +98,12 @@ def decided(A, B, shift, W, ends, n, error):
 def measured(A, B, shift, W, ends, n, error, near, far, result):
     """`gjk_fast.measure`."""
     return measure(A, B, shift, W, ends, n, error, near, far, result)
+
+
+@apart
+def measured_along(A, B, shift, W, ends, n, error, near, far, result):
+    """`gjk_fast.measure_along`."""
+    return measure_along(A, B, shift, W, ends, n, error, near, far, result)
 
 
 @njit()
@@ -425,12 +435,17 @@ def _count(bits):
 
 @njit()
 def _with_piece(A, B, near, far, memory, listed_at, room):
-    """Walk through the tree of a surface A for a convex piece B."""
+    """Walk through the tree of a surface A for a convex piece B.
+
+    Where GJK separates a triangle from B, the plane that it found mostly separates those around it, too. So the last
+    few planes are kept, and what lies beyond one of them is not looked at.
+    """
     a = surface_of(A)
     shift = shift_between(A, B)
     size = lengths(A, B, shift)
     error = rounding_error(A, B, shift)
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
+    planes = floats_at(memory + SEPARATING, (PLANES * PLANE,))
     listed = integers_at(listed_at, (2 * room,))
     ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
     middle, half, single, wide = box_in_frame(A, B, shift, far, size)
@@ -438,12 +453,13 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
     center = apply(R, middle)
     stack = integers_at(memory, (STACK,))
     stack[0] = 0
-    height, open_pairs = 1, 0
+    height, open_pairs, found = 1, 0, 0
     while height > 0:
         height -= 1
         child = a.children[stack[height]]
         if child >= 0:
             bits = near_box(a.boxes, child, single, wide)
+            bits = within_planes(a.boxes, child, planes, min(found, PLANES), bits)
             while bits != 0:
                 stack[height] = child * WIDE + lowest_bit(bits)
                 height += 1
@@ -452,6 +468,9 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
         leaf = leaf_of(child)
         placed = floats_at(memory + PLACED, (2 * BLOCK,))
         bits = movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0) & ((1 << size_of(child)) - 1)
+        for k in range(min(found, PLANES)):
+            if bits != 0:
+                bits &= _not_beyond(a.blocks, leaf, planes, k)
         if bits == 0:
             continue
         store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
@@ -467,19 +486,47 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
             if far == 0.0:
                 status, n, _ = decided(A, B, shift, W, ends, n, error)
             if status == UNSETTLED:
-                status, _, _ = measured(A, B, shift, W, ends, n, error, near, far, result)
+                status, _, _, n = measured_along(A, B, shift, W, ends, n, error, near, far, result)
             if status in (TOUCHING, INSIDE):
                 return COLLIDING, open_pairs
             if status != APART:
                 if open_pairs < room:
                     listed[2 * open_pairs], listed[2 * open_pairs + 1] = leaf * LEAF + lane, -1
                 open_pairs += 1
+                continue
+            k = found % PLANES
+            found += 1
+            _keep_plane(B, shift, R, n, far, size, planes, k)
+            bits &= _not_beyond(a.blocks, leaf, planes, k)
     within = OUTSIDE
     if is_solid(A):
         within = parts_within(A, B, shift, size, memory)
     if within == WITHIN:
         return COLLIDING, open_pairs
     return FREE if within == OUTSIDE and open_pairs == 0 else AMBIGUOUS, open_pairs
+
+
+@inline
+def _keep_plane(B, shift, R, n, far, size, planes, k):
+    """Keep as plane k, in the axes of a surface's frame, that all of B lies farther along n than it says by `far`."""
+    length = np.sqrt(dot(n, n))
+    n = n[0] / length, n[1] / length, n[2] / length
+    m = apply_transposed(R, n)
+    low = dot(n, plus(placed_support(B, negated(n)), shift))
+    planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = m
+    planes[PLANE * k + 3] = low - far - ROUNDINGS * size
+
+
+@inline
+def _not_beyond(blocks, leaf, planes, k):
+    """Bits of the triangles of a leaf that do not lie wholly beyond plane k; of what is not a number as well."""
+    m = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
+    at = leaf * BLOCK
+    p = load(blocks, at) * m[0] + load(blocks, at + LEAF) * m[1] + load(blocks, at + 2 * LEAF) * m[2]
+    q = load(blocks, at + 3 * LEAF) * m[0] + load(blocks, at + 4 * LEAF) * m[1] + load(blocks, at + 5 * LEAF) * m[2]
+    r = load(blocks, at + 6 * LEAF) * m[0] + load(blocks, at + 7 * LEAF) * m[1] + load(blocks, at + 8 * LEAF) * m[2]
+    limit = planes[PLANE * k + 3]
+    return ~movemask((p <= limit) & (q <= limit) & (r <= limit))
 
 
 @inline
