@@ -265,6 +265,17 @@ def positive_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...])
     return array
 
 
+def positive_lengths(x: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
+    """Check numbers above zero whose shape broadcasts to `shape` from its last axes."""
+    array = float_array(x, name)
+    if array.ndim > len(shape) or array.shape != shape[len(shape) - array.ndim :]:
+        raise InputError(
+            f"{name}: expected a number or an array of shape {' or '.join(str(shape[k:]) for k in range(len(shape)))}, "
+            f"found shape {array.shape}"
+        )
+    return positive_array(array, name, array.shape)
+
+
 def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
     """Check a vector of finite numbers above zero."""
     return positive_array(x, name, (length,))

@@ -14,7 +14,7 @@ from loewner import _validate, fits, meshes
 from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
-from loewner.bodies import surfaces
+from loewner.bodies import sensed, surfaces
 from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
@@ -159,6 +159,9 @@ class Body(_Bodies):
         if self._packed.layout[0, columns.KIND] <= columns.SURFACE and len(kinds) == 1:
             radius = self._packed.frames[0, 0]
             around = f", radius {radius:g}" if radius > 0 else ""
+            corners = self._packed.triangles
+            if (corners == corners[:, :1]).all():
+                return f"Body(cloud, {len(corners)} points{around})"
             return f"Body({text}, {len(self._packed.triangles)} triangles{around})"
         return f"Body({text}, {len(self._packed.points)} vertices)"
 
@@ -434,6 +437,223 @@ class Body(_Bodies):
         """
         s = _validate.positive_vector(semi_axes, "semi_axes", 3)
         return _primitive(columns.ELLIPSOID, 0.0, s, s, s, 0.0)
+
+    @classmethod
+    def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
+        """Union of balls, each a piece; for many of one radius see `from_cloud`.
+
+        Parameters
+        ----------
+        centers : array_like, shape (n, 3)
+            In metres.
+        radii : float, or array_like of shape (n,)
+            In metres.
+
+        Raises
+        ------
+        InputError
+            On wrong shapes, entries that are not finite or radii that are not positive.
+        GeometryError
+            If there is none.
+
+        Examples
+        --------
+        >>> Body.spheres([[0, 0, 0], [1, 0, 0]], [0.5, 0.25])
+        Body(2 pieces, 0 vertices)
+        """
+        c = _rows_of_three(centers, "centers")
+        r = np.ascontiguousarray(np.broadcast_to(_validate.positive_lengths(radii, "radii", (len(c),)), len(c)))
+        return cls(Packed.of(sensed.ball_pieces(c, r)))
+
+    @classmethod
+    def boxes(cls, centers: ArrayLike, edges: ArrayLike) -> Body:
+        """Union of boxes along the axes, each a piece.
+
+        Parameters
+        ----------
+        centers : array_like, shape (n, 3)
+            In metres.
+        edges : float, or array_like of shape (3,) or (n, 3)
+            Full edge lengths along x, y, z, in metres: those of cubes, of all boxes, or of each.
+
+        Raises
+        ------
+        InputError
+            On wrong shapes, entries that are not finite or lengths that are not positive.
+        GeometryError
+            If there is none, or an edge is lost beside the distance from the origin.
+
+        Examples
+        --------
+        >>> Body.boxes([[0, 0, 0], [1, 0, 0]], 0.5)
+        Body(2 pieces, 16 vertices)
+        """
+        c = _rows_of_three(centers, "centers")
+        e = np.broadcast_to(_validate.positive_lengths(edges, "edges", (len(c), 3)), (len(c), 3))
+        return cls(Packed.of(sensed.box_pieces(c, e)))
+
+    @classmethod
+    def from_cloud(cls, points: ArrayLike, *, radius: float | None = None, voxel: float | None = None) -> Body:
+        """Point cloud: the union of balls around the points, or of the voxels that they are in.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            In metres.
+        radius : float, optional
+            Of the ball around each point, in metres. Building the body of 50,000 points takes some 60 ms.
+        voxel : float, optional
+            Edge of the cubes of a grid through the origin, in metres; those with a point in them are the body, as in
+            `from_voxels`. Give either this or the radius.
+
+        Returns
+        -------
+        Body
+            Of one piece, whose tree serves `collide` and `distance`. FREE is proven for the union as it is.
+
+        Raises
+        ------
+        InputError
+            On a wrong shape, entries that are not finite (depth images have them: leave them out), or without exactly
+            one of `radius` and `voxel`.
+        GeometryError
+            If there is no point.
+
+        Examples
+        --------
+        >>> points = np.random.default_rng(0).uniform(size=(1000, 3))
+        >>> Body.from_cloud(points, radius=0.01)
+        Body(cloud, 1000 points, radius 0.01)
+        """
+        x = _rows_of_three(points, "points")
+        if (radius is None) == (voxel is None):
+            raise InputError("radius, voxel: expected one of the two, found " + ("none" if voxel is None else "both"))
+        if voxel is None:
+            length = _validate.positive_scalar(radius, "radius")
+            return cls(Packed.of(sensed.point_pieces(x, length, fits.DEFAULT_TOLERANCE)))
+        edge = _validate.positive_scalar(voxel, "voxel")
+        cells = sensed.cells_of(x, edge)
+        return cls(Packed.of(sensed.voxel_pieces(cells, edge, np.zeros(3), fits.DEFAULT_TOLERANCE)))
+
+    @classmethod
+    def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
+        """Occupancy grid: the union of the occupied cells, as one solid.
+
+        Parameters
+        ----------
+        grid : array_like of bool, shape (p, q, r)
+            Which cells are occupied; compare probabilities with a threshold first.
+        size : float
+            Edge of a cell, in metres.
+        origin : array_like, shape (3,)
+            The lowest corner of cell (0, 0, 0), in metres; cell (i, j, k) begins at origin + size (i, j, k).
+
+        Raises
+        ------
+        InputError
+            If the grid is no array of bool with three axes.
+        GeometryError
+            If no cell is occupied.
+
+        Examples
+        --------
+        >>> grid = np.zeros((4, 4, 4), bool)
+        >>> grid[1:3, 1:3, 0] = True
+        >>> Body.from_voxels(grid, 0.1)
+        Body(solid, 32 triangles)
+        """
+        try:
+            occupied = np.asarray(grid)
+        except Exception as error:  # of an object of the caller's
+            raise InputError(f"grid: expected an array of bool with three axes, found {error}") from None
+        if occupied.dtype != bool or occupied.ndim != 3:
+            raise InputError(
+                f"grid: expected an array of bool with three axes, found {occupied.dtype} of shape {occupied.shape}"
+            )
+        edge = _validate.positive_scalar(size, "size")
+        corner = _validate.finite_array(origin, "origin", (3,))
+        cells = np.argwhere(occupied)
+        if len(cells) == 0:
+            raise GeometryError("grid: expected at least one occupied cell, found none")
+        return cls(Packed.of(sensed.voxel_pieces(cells, edge, corner, fits.DEFAULT_TOLERANCE)))
+
+    @classmethod
+    def height_field(cls, heights: ArrayLike, spacing: ArrayLike, *, base: float | None = None) -> Body:
+        """Terrain: the solid below heights over a grid, joined by triangles.
+
+        Parameters
+        ----------
+        heights : array_like, shape (p, q)
+            In metres; that at (i, j) is of the point x = i spacing, y = j spacing. At least two along each axis.
+        spacing : float, or array_like of shape (2,)
+            Between neighbours along x and y, in metres.
+        base : float, optional
+            Height of the flat underside, in metres, below all heights. By default it is the lowest less the longer side
+            of the grid, so that nothing passes through from above unseen.
+
+        Raises
+        ------
+        InputError
+            On a wrong shape, entries that are not finite, or a base that is not below.
+
+        Examples
+        --------
+        >>> x = np.linspace(0, 1, 11)
+        >>> Body.height_field(0.1 * np.sin(6 * x)[:, None] * np.ones(11), 0.1)
+        Body(solid, 320 triangles)
+        """
+        z = _validate.finite_array(heights, "heights", ("p", "q"))
+        if min(z.shape) < 2:
+            raise InputError(f"heights: expected at least two along each axis, found shape {z.shape}")
+        step = np.broadcast_to(_validate.positive_lengths(spacing, "spacing", (2,)), 2)
+        lowest = float(z.min())
+        below = lowest - float((step * (np.array(z.shape) - 1)).max()) if base is None else base
+        below = float(_validate.finite_array(below, "base", ()))
+        if not below < lowest:
+            raise InputError(f"base: expected a height below the lowest, {lowest:g} m, found {below:g}")
+        return cls(Packed.of(sensed.terrain_pieces(z, step, below, fits.DEFAULT_TOLERANCE)))
+
+    @classmethod
+    def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 20.0) -> Body:
+        """Floor, wall or ceiling: what lies below a plane, as far as a cube of edge `extent` reaches.
+
+        Parameters
+        ----------
+        normal : array_like, shape (3,)
+            Points out of the body, of any length; the body is {x : n · x <= offset} with n of length 1.
+        offset : float
+            Distance of the plane from the origin along the normal, in metres; negative behind it.
+        extent : float
+            Edge of the cube, in metres. One of its sides is in the plane, about the point nearest to the origin. What
+            gets out of it is free: choose it larger than all that moves.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite, the normal has no length or the extent is not positive.
+
+        Examples
+        --------
+        >>> floor = Body.half_space([0, 0, 1], 0.0)
+        >>> floor.outer.center.round(6)
+        array([[  0.,   0., -10.]])
+        """
+        n = _validate.finite_array(normal, "normal", (3,))
+        size = float(np.abs(n).max())
+        if not size > 0:
+            raise InputError("normal: expected a vector that has a length, found zeros")
+        n = n / size
+        n = n / np.linalg.norm(n)
+        where = float(_validate.finite_array(offset, "offset", ()))
+        edge = _validate.positive_scalar(extent, "extent")
+        T = np.eye(4)
+        # A frame whose third axis is the normal: by QR, with the signs that leave it so.
+        frame = np.linalg.qr(np.column_stack([n, np.eye(3)[:, np.argsort(np.abs(n))[:2]]]))[0]
+        frame[:, 0] = n
+        frame[:, 2] = np.cross(n, frame[:, 1])
+        T[:3, :3] = frame[:, [1, 2, 0]]
+        T[:3, 3] = (where - edge / 2) * n
+        return cls.box([edge, edge, edge]).transformed(T)
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> Body:
@@ -745,6 +965,14 @@ def _expect_body(body: Any, name: str) -> Body:
     if not isinstance(body, Body):
         raise InputError(f"{name}: expected loewner.Body, found {type(body).__name__}")
     return body
+
+
+def _rows_of_three(x: ArrayLike, name: str) -> Floats:
+    """At least one point."""
+    rows = _validate.finite_array(x, name, ("n", 3))
+    if len(rows) == 0:
+        raise GeometryError(f"{name}: expected at least one point, found none")
+    return rows
 
 
 def _from_point_sets(

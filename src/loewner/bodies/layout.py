@@ -225,8 +225,7 @@ def _ellipsoid_columns(
         table[:, at_shape : at_shape + 6] = Q[:, upper[0], upper[1]]
     if len(table) == 0:
         return table
-    outer = np.linalg.svd(outer_factor, compute_uv=False)
-    inner = np.linalg.svd(inner_factor, compute_uv=False)
+    outer, inner = _singular_values(outer_factor), _singular_values(inner_factor)
     slack, bend = SINGULAR_ROUNDINGS, BEND
     table[:, columns.INNER_SIGMA] = np.maximum(inner[:, -1] - slack * inner[:, 0], 1e-300) * (1 - bend)
     table[:, columns.INVERSE_INNER_SIGMA] = (1 + 2.0**-50) / table[:, columns.INNER_SIGMA]
@@ -238,6 +237,14 @@ def _ellipsoid_columns(
     if not ((reach < LARGEST) & (outer[:, 0] > SMALLEST)).all():
         raise _wrong_sizes(outer[:, 0], reach)
     return table
+
+
+def _singular_values(factor: Floats) -> Floats:
+    """Singular values of matrices, the largest first; of diagonal ones, such as balls and boxes have, at once."""
+    diagonal = np.diagonal(factor, axis1=1, axis2=2)
+    if np.count_nonzero(factor) == np.count_nonzero(diagonal):
+        return np.asarray(-np.sort(-np.abs(diagonal), axis=1))
+    return np.asarray(np.linalg.svd(factor, compute_uv=False))
 
 
 def _wrong_sizes(least: NDArray[Any], most: NDArray[Any]) -> GeometryError:

@@ -142,7 +142,7 @@ def join(parts: list[Packed]) -> Packed:
     return Packed.of(PieceArrays(**joined), maps, trees)
 
 
-def _ranges(starts: Ints, stops: Ints) -> Ints:
+def ranges(starts: Ints, stops: Ints) -> Ints:
     """Concatenate the index ranges starts[i] .. stops[i]."""
     lengths = stops - starts
     if lengths.sum() == 0:
@@ -155,11 +155,11 @@ def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
     _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
-    pieces = _ranges(first, last)
+    pieces = ranges(first, last)
     layout = p.layout[pieces]
-    points = _ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
-    planes = _ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
-    triangles = _ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
+    points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
+    planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
+    triangles = ranges(p.triangle_start[pieces], p.triangle_start[pieces + 1])
     point_start = starts(layout[:, columns.POINTS_TO] - layout[:, columns.POINTS_FROM])
     plane_start = starts(layout[:, columns.PLANES_TO] - layout[:, columns.PLANES_FROM])
     moved = np.column_stack(

@@ -20,7 +20,8 @@ from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
-from loewner.bodies.layout import arrays_of
+from loewner.bodies.layout import arrays_of, starts
+from loewner.bodies.pack import ranges
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot
@@ -142,9 +143,8 @@ class CheckedPairs:
         # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
         standing, rows = self.standing.copy(), self.standing_rows.copy()
         for k in np.flatnonzero((flat != self.standing_poses).any(axis=1)):
-            placed = [_placed_row(packed.kernel.hot[p], poses[k]) for p in range(start[k], start[k + 1])]
-            for p, row in enumerate(placed, start[k] - start[0]):
-                rows[p] = _single(row)
+            placed = _placed_rows(packed.kernel.hot[start[k] : start[k + 1]], poses[k])
+            rows[start[k] - start[0] : start[k + 1] - start[0]] = _single(placed)
             standing[k, :7] = _single(_bounds(packed, start[k], placed, poses[k]))
         return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
 
@@ -164,13 +164,12 @@ class CheckedPairs:
         packed = self.bodies._packed
         start = packed.piece_start[len(self.link) :]
         rows = [
-            _placed_row(packed.kernel.hot[p], T)
+            _placed_rows(packed.kernel.hot[start[k] : start[k + 1]], T)
             for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
-            for p in range(start[k], start[k + 1])
         ]
         tables = motion_tables(
             self.robot.tree, packed, self.link, self.balls, self.pairs, self.standing.astype(np.float64),
-            self.standing_poses, np.array(rows).reshape(-1, columns.HOT),
+            self.standing_poses, np.concatenate([np.empty((0, columns.HOT)), *rows]),
         )  # fmt: skip
         table = records.table_of(tables)
         memory = entries.motion_memory(packed.handle, self.handle, self.robot.dof)
@@ -330,11 +329,11 @@ def _ball(packed: Packed, k: int) -> tuple[float, ...]:
     centers = packed.kernel.table[first:last, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     # The kernel takes the center of a single piece to be that of its outer ellipsoid.
     middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
-    radius = max(_farthest(packed, p, np.eye(4), middle) for p in range(first, last)) * STRETCH
+    radius = _farthest(packed, first, last, np.eye(4), middle) * STRETCH
     return (*middle, radius, (np.linalg.norm(middle) + radius) * STRETCH)
 
 
-def _bounds(packed: Packed, first: int, placed: list[Floats], T: Floats) -> Floats:
+def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
     """Center of a box along the axes of the world about a placed body, radius of a ball about it, half the box's sides.
 
     Parameters
@@ -342,35 +341,32 @@ def _bounds(packed: Packed, first: int, placed: list[Floats], T: Floats) -> Floa
     packed : Packed
     first : int
         The body's first piece.
-    placed : list of ndarray
-        `_placed_row` of each of its pieces.
+    placed : ndarray, shape (pieces, HOT)
+        `_placed_rows` of its pieces.
     T : ndarray, shape (4, 4)
         Where it stands.
     """
     last = first + len(placed)
-    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    for p, row in enumerate(placed, first):
-        least, most = _box(packed, p, T, row)
-        lower, upper = np.minimum(lower, least), np.maximum(upper, most)
+    lower, upper = _box(packed, first, last, T, placed)
     reach = packed.kernel.table[first:last, columns.REACH].max(initial=0.0) + np.abs(T[:3, 3]).sum()
     off = 2 * tolerances.OFF * reach + tolerances.LEAST
     center, half = (lower + upper) / 2, (upper - lower) / 2 + off
-    ball = max((_farthest(packed, p, T, center) for p in range(first, last)), default=0.0)
+    ball = _farthest(packed, first, last, T, center)
     wide = (min(ball, float(np.linalg.norm(half))) + off) * STRETCH
     return np.array((*center, wide, *(half * STRETCH)))
 
 
-def _placed_row(hot: Floats, T: Floats) -> Floats:
-    """The ellipsoids of a piece in world coordinates, as a row of the certificate."""
+def _placed_rows(hot: Floats, T: Floats) -> Floats:
+    """The ellipsoids of pieces in world coordinates, as rows of the certificate."""
     R, t = T[:3, :3], T[:3, 3]
-    row = hot.copy()
+    rows = hot.copy()
     for at in (columns.OUTER_CENTER, columns.INNER_CENTER):
-        row[at : at + 3] = R @ hot[at : at + 3] + t
+        rows[:, at : at + 3] = hot[:, at : at + 3] @ R.T + t
     for at in (columns.OUTER_SHAPE, columns.INNER_SHAPE):
-        row[at : at + 6] = (R @ hot[at + _SYMMETRIC] @ R.T)[_UPPER]
-    row[columns.REACH] += np.abs(t).sum()
-    row[[columns.OUTER_RADIUS, columns.REACH, columns.INVERSE_INNER_SIGMA]] *= tolerances.UP
-    return row
+        rows[:, at : at + 6] = (R @ hot[:, at + _SYMMETRIC] @ R.T)[:, *_UPPER]
+    rows[:, columns.REACH] += np.abs(t).sum()
+    rows[:, [columns.OUTER_RADIUS, columns.REACH, columns.INVERSE_INNER_SIGMA]] *= tolerances.UP
+    return rows
 
 
 def _single(rows: Floats) -> NDArray[np.float32]:
@@ -379,27 +375,35 @@ def _single(rows: Floats) -> NDArray[np.float32]:
         return rows.astype(np.float32)
 
 
-def _box(packed: Packed, p: int, T: Floats, row: Floats) -> tuple[Floats, Floats]:
-    """Corners of a box along the axes of the world about a placed piece, up to rounding."""
-    center = row[columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    Q = row[[columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]
-    half = np.sqrt(Q + tolerances.SHAPE_ROUNDINGS * Q.sum())
+def _box(packed: Packed, first: int, last: int, T: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Corners of a box along the axes of the world about some placed pieces, up to rounding.
+
+    The box of a piece is no larger than that of its ellipsoid, and than that of its corners.
+    """
+    center = rows[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
+    Q = rows[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]
+    half = np.sqrt(Q + tolerances.SHAPE_ROUNDINGS * Q.sum(axis=1, keepdims=True))
     least, most = center - half, center + half
-    if packed.layout[p, columns.KIND] == columns.POLYTOPE:
-        corners = _corners(packed, p, T)
-        least, most = np.maximum(least, corners.min(axis=0)), np.minimum(most, corners.max(axis=0))
-    return least, most
+    corners, start, polytopes = _corners(packed, first, last, T)
+    if len(start):
+        least[polytopes] = np.maximum(least[polytopes], np.minimum.reduceat(corners, start))
+        most[polytopes] = np.minimum(most[polytopes], np.maximum.reduceat(corners, start))
+    return least.min(axis=0, initial=np.inf), most.max(axis=0, initial=-np.inf)
 
 
-def _farthest(packed: Packed, p: int, T: Floats, center: Floats) -> float:
-    """Distance of the farthest point of a placed piece from a point of the world, or more; up to rounding."""
-    if packed.layout[p, columns.KIND] == columns.POLYTOPE:
-        return float(np.linalg.norm(_corners(packed, p, T) - center, axis=1).max())
-    row = packed.kernel.table[p]
-    middle = T[:3, :3] @ row[columns.OUTER_CENTER : columns.OUTER_CENTER + 3] + T[:3, 3]
-    return float(np.linalg.norm(middle - center) + row[columns.OUTER_RADIUS])
+def _farthest(packed: Packed, first: int, last: int, T: Floats, center: Floats) -> float:
+    """Distance of the farthest point of some placed pieces from a point of the world, or more; up to rounding."""
+    corners, _, polytopes = _corners(packed, first, last, T)
+    others = packed.kernel.table[first:last][~polytopes]
+    middles = others[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3] @ T[:3, :3].T + T[:3, 3]
+    reach = np.linalg.norm(middles - center, axis=1) + others[:, columns.OUTER_RADIUS]
+    return float(max(np.linalg.norm(corners - center, axis=1).max(initial=0.0), reach.max(initial=0.0)))
 
 
-def _corners(packed: Packed, p: int, T: Floats) -> Floats:
-    points = packed.points[packed.layout[p, columns.POINTS_FROM] : packed.layout[p, columns.POINTS_TO]]
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+def _corners(packed: Packed, first: int, last: int, T: Floats) -> tuple[Floats, Ints, NDArray[np.bool_]]:
+    """Placed corners of the polytopes among some pieces, the first row of each, and which pieces these are."""
+    layout = packed.layout[first:last]
+    polytopes = layout[:, columns.KIND] == columns.POLYTOPE
+    begin, end = layout[polytopes, columns.POINTS_FROM], layout[polytopes, columns.POINTS_TO]
+    points = packed.points[ranges(begin, end)]
+    return points @ T[:3, :3].T + T[:3, 3], starts(end - begin)[:-1], polytopes

@@ -216,7 +216,7 @@ def near_box(boxes, node, middle, half):
 
 @inline
 def within_planes(boxes, node, planes, count, bits):
-    """Those of some boxes of a node that do not lie wholly in any of `count` half-spaces {m x <= limit}, rows of four."""
+    """Those of some boxes of a node that lie wholly in none of `count` half-spaces {m x <= limit}, rows of four."""
     middles, halves = boxes_of(boxes, node)
     f = np.float32
     for k in range(count):

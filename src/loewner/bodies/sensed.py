@@ -1,0 +1,208 @@
+"""What sensors see, as pieces: balls, boxes, points with a radius, occupied voxels, terrain. All in arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner import _validate
+from loewner._kernels import columns
+from loewner._validate import Floats, Ints
+from loewner.bodies.layout import PieceArrays
+from loewner.bodies.primitives import CLOSED_FORM_ROUNDING
+from loewner.bodies.surfaces import surface_pieces
+from loewner.errors import GeometryError, InputError
+from loewner.polytopes import box_hull
+
+# Bytes of a piece in all arrays, nearly.
+PIECE_BYTES, BOX_BYTES = 1100, 2200
+
+# Cells are counted along each axis within this many from the origin: three such numbers fit into one.
+MOST_CELLS = 2**20
+
+# Corners of the six sides of a cell, counter-clockwise from outside: -x, +x, -y, +y, -z, +z.
+_SIDES = np.array(
+    [
+        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
+        [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]],
+        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
+        [[0, 1, 0], [0, 1, 1], [1, 1, 1], [1, 1, 0]],
+        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+    ]
+)
+_BEYOND = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
+
+
+def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
+    """One body of balls, each a piece that is its own ellipsoids.
+
+    Parameters
+    ----------
+    centers : ndarray, shape (n, 3)
+    radii : ndarray, shape (n,)
+    """
+    n = len(centers)
+    _validate.fits_memory(n * PIECE_BYTES, f"{n} spheres")
+    layout = np.zeros((n, 5), dtype=np.int64)
+    layout[:, columns.KIND] = columns.POINT
+    factor = radii[:, None, None] * np.eye(3)
+    return PieceArrays(
+        layout=layout,
+        points=np.zeros((0, 3)),
+        planes=np.zeros((0, 4)),
+        piece_start=np.array([0, n], dtype=np.int64),
+        frames=np.column_stack([radii, centers, factor.reshape(n, 9)]),
+        triangles=np.zeros((0, 3), dtype=np.int64),
+        triangle_start=np.zeros(n + 1, dtype=np.int64),
+        inner_center=centers.copy(),
+        inner_factor=factor,
+        outer_center=centers.copy(),
+        outer_factor=factor.copy(),
+        gaps=np.zeros((n, 2)),
+    )
+
+
+def box_pieces(centers: Floats, edges: Floats) -> PieceArrays:
+    """One body of boxes along the axes, each a polytope.
+
+    Corners are center ± half an edge, rounded: by less than two roundings of the lengths. The ellipsoids of the boxes
+    are grown and shrunk by what that is of the shortest edge.
+
+    Parameters
+    ----------
+    centers, edges : ndarray, shape (n, 3)
+
+    Raises
+    ------
+    GeometryError
+        If rounding leaves no digits for a box this thin so far from the origin.
+    """
+    n, half = len(centers), edges / 2
+    _validate.fits_memory(n * BOX_BYTES, f"{n} boxes")
+    unit = box_hull(np.ones(3), "edges")
+    corners = centers[:, None] + half[:, None] * unit.vertices
+    off = 4 * 2.0**-53 * (np.abs(centers).max(axis=1) + half.max(axis=1)) / half.min(axis=1) + CLOSED_FORM_ROUNDING
+    if not (off < 1e-3).all():
+        i = int(off.argmax())
+        raise GeometryError(
+            f"boxes: expected edges that are more than rounding, found box {i} with an edge of {edges[i].min():g} m at "
+            f"{np.abs(centers[i]).max():g} m from the origin"
+        )
+    faces = np.broadcast_to(unit.normals, (n, *unit.normals.shape))
+    offsets = np.einsum("fk,nvk->nfv", unit.normals, corners).max(axis=2)
+    layout = np.zeros((n, 5), dtype=np.int64)
+    layout[:, columns.KIND] = columns.POLYTOPE
+    numbers = np.arange(n)
+    for column, count in ((columns.POINTS_FROM, 8), (columns.PLANES_FROM, 6)):
+        layout[:, column], layout[:, column + 1] = count * numbers, count * (numbers + 1)
+    factor = half[:, None] * np.eye(3)
+    return PieceArrays(
+        layout=layout,
+        points=corners.reshape(-1, 3),
+        planes=np.concatenate([faces, offsets[:, :, None]], axis=2).reshape(-1, 4),
+        piece_start=np.array([0, n], dtype=np.int64),
+        frames=np.zeros((n, 13)),
+        triangles=np.tile(unit.triangles, (n, 1)),
+        triangle_start=np.arange(n + 1, dtype=np.int64) * len(unit.triangles),
+        inner_center=centers.copy(),
+        inner_factor=factor * (1 - off)[:, None, None],
+        outer_center=centers.copy(),
+        outer_factor=factor * (np.sqrt(3.0) * (1 + off))[:, None, None],
+        gaps=np.repeat(6 * off[:, None], 2, axis=1),
+    )
+
+
+def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
+    """One body of one piece: balls of one radius around points, as a surface whose triangles are points."""
+    triangles = np.repeat(np.arange(len(points))[:, None], 3, axis=1)
+    return surface_pieces("points", points, triangles, radius, False, tol)
+
+
+def cells_of(points: Floats, edge: float) -> Ints:
+    """The cells, of a grid through the origin, that points are in; each once, shape (k, 3)."""
+    cells = np.floor(points / edge)
+    _expect_cells(cells, "voxel")
+    return np.asarray(_cells_from(np.unique(_keys(cells.astype(np.int64)))))
+
+
+def voxel_pieces(cells: Ints, edge: float, origin: Floats, tol: float) -> PieceArrays:
+    """One body of one piece, a solid: the union of occupied cells, bounded by the sides between occupied and free.
+
+    Parameters
+    ----------
+    cells : ndarray of int, shape (k, 3)
+        Each once.
+    edge : float
+        Metres.
+    origin : ndarray, shape (3,)
+        The lowest corner of cell (0, 0, 0).
+    tol : float
+        Certified log-volume gap of the outer ellipsoid.
+    """
+    _expect_cells(cells, "grid")
+    keys = np.sort(_keys(cells))
+    cells = _cells_from(keys)
+    quads = []
+    for side, beyond in zip(_SIDES, _BEYOND, strict=True):
+        other = _keys(cells + beyond)
+        place = np.minimum(np.searchsorted(keys, other), len(keys) - 1)
+        quads.append(cells[keys[place] != other][:, None] + side)
+    corners, numbers = np.unique(_keys(np.concatenate(quads).reshape(-1, 3)), return_inverse=True)
+    quad = numbers.reshape(-1, 4)
+    triangles = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    return surface_pieces("voxels", origin + edge * _cells_from(corners), triangles, 0.0, True, tol)
+
+
+def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
+    """One body of one piece, a solid: what is between heights over a grid, joined by triangles, and a flat base.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (p, q)
+        At (i, j) that of the point x = i spacing[0], y = j spacing[1].
+    spacing : ndarray, shape (2,)
+    base : float
+        Below all heights.
+    tol : float
+        Certified log-volume gap of the outer ellipsoid.
+    """
+    p, q = heights.shape
+    _validate.fits_memory(p * q * 500, f"a height field of {p} x {q}")
+    x, y = np.meshgrid(np.arange(p) * spacing[0], np.arange(q) * spacing[1], indexing="ij")
+    top = np.stack([x, y, heights], axis=2).reshape(-1, 3)
+    number = np.arange(p * q).reshape(p, q)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    surface = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    # The rim once around, counter-clockwise from above, and below it the base: a fan around its middle.
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    low, middle = p * q + np.arange(len(rim)), p * q + len(rim)
+    ahead, low_ahead = np.roll(rim, -1), np.roll(low, -1)
+    sides = np.concatenate([np.column_stack([low, low_ahead, ahead]), np.column_stack([low, ahead, rim])])
+    below = np.column_stack([np.full(len(rim), middle), low_ahead, low])
+    ground = np.column_stack([top[rim, :2], np.full(len(rim), base)])
+    center = np.array([[*(0.5 * top[-1, :2]), base]])
+    return surface_pieces(
+        "heights", np.concatenate([top, ground, center]), np.concatenate([surface, sides, below]), 0.0, True, tol
+    )
+
+
+def _expect_cells(cells: Floats | Ints, name: str) -> None:
+    farthest = float(np.abs(cells).max())
+    if not farthest < MOST_CELLS - 2:
+        raise InputError(
+            f"{name}: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.0f}"
+        )
+
+
+def _keys(cells: Ints) -> Ints:
+    """One number for each cell."""
+    return np.asarray(((cells[:, 0] + MOST_CELLS) * (2 * MOST_CELLS) + cells[:, 1] + MOST_CELLS) * (2 * MOST_CELLS)) + (
+        cells[:, 2] + MOST_CELLS
+    )
+
+
+def _cells_from(keys: Ints) -> Ints:
+    """The cells with these numbers."""
+    first, last = np.divmod(keys, 2 * MOST_CELLS)
+    first, middle = np.divmod(first, 2 * MOST_CELLS)
+    return np.column_stack([first, middle, last]) - MOST_CELLS
