@@ -4,7 +4,7 @@ import numpy as np
 
 from loewner._kernels._jit import njit
 from loewner._kernels.codes import FACE_OFF, INSIDE_OUT, NOT_CLOSED
-from loewner._kernels.fits.many import MANY, face_map, heights, reaches
+from loewner._kernels.fits.many import MANY, face_map, highest, lowest, reaches
 from loewner._kernels.fits.mvce import ROUNDING, spread_points, to_frame
 from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
@@ -146,13 +146,15 @@ def face_limits(points, frame, coordinates, used, normals, reference, offsets, b
 
 @njit()
 def _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms):
+    """`face_limits` of many vertices, with a bound for the noise from their largest offsets along the axes."""
     columns, nodes = face_map(y, frame)
     origin = np.zeros(3)
     reach = np.empty(3)
     reaches(vertices, reference, reach)
     for f in range(len(normals)):
-        top, bottom = heights(vertices, frame, columns, nodes, normals[f], reference)
-        offsets[f], _ = heights(vertices, frame, columns, nodes, normals[f], origin)
+        offsets[f] = highest(vertices, frame, columns, nodes, normals[f], origin)
+        top = highest(vertices, frame, columns, nodes, normals[f], reference)
+        bottom = lowest(vertices, frame, columns, nodes, normals[f], reference)
         noise = abs(normals[f, 0]) * reach[0] + abs(normals[f, 1]) * reach[1] + abs(normals[f, 2]) * reach[2]
         bottoms[f] = top - (0.5 * FACE_WIDTH * (top - bottom) + 0.25 * FACE_ROUNDING * noise * ROUNDING)
 

@@ -27,7 +27,7 @@ from loewner._kernels.pieces.directions import candidates, map_within, place
 from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
 # From this many vertices on a map is quicker than all of them for each face (measured: docs/design/many_points.md).
-MANY = 512
+MANY = 256
 
 # Directions in one of these cells of a cube, SIDE² for each of its faces, are one sector: a round brings in one face
 # of each.
@@ -83,17 +83,23 @@ def height(vertices, i, normal, reference):
 
 
 @inline
-def heights(vertices, frame, columns, nodes, normal, reference):
-    """Largest and smallest n·(v - reference) over all vertices."""
+def highest(vertices, frame, columns, nodes, normal, reference):
+    """Largest n·(v - reference) over all vertices."""
     top = -np.inf
-    bottom = np.inf
     first, last = leaf(frame, nodes, normal, 1.0)
     for a in range(first, last):
         top = max(top, height(vertices, columns[a], normal, reference))
+    return top
+
+
+@inline
+def lowest(vertices, frame, columns, nodes, normal, reference):
+    """Smallest n·(v - reference) over all vertices."""
+    bottom = np.inf
     first, last = leaf(frame, nodes, normal, -1.0)
     for a in range(first, last):
         bottom = min(bottom, height(vertices, columns[a], normal, reference))
-    return top, bottom
+    return bottom
 
 
 @inline

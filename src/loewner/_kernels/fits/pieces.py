@@ -5,7 +5,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FLAT, STALLED
 from loewner._kernels.fits.dense import multiply_lower
-from loewner._kernels.fits.many import MANY, frame_map, heights, lowest_above, reaches, solve_with_few
+from loewner._kernels.fits.many import MANY, frame_map, highest, lowest, lowest_above, reaches, solve_with_few
 from loewner._kernels.fits.mvce import ROUNDING, fit_outer
 from loewner._kernels.fits.mvie import inscribe, solve_primal_dual
 from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
@@ -56,7 +56,8 @@ def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
     reaches(vertices, center, reach)
     for i in range(len(normals)):
         normal = normals[i]
-        top, bottom = heights(vertices, frame, columns, nodes, normal, center)
+        top = highest(vertices, frame, columns, nodes, normal, center)
+        bottom = lowest(vertices, frame, columns, nodes, normal, center)
         noise = 0.0
         for k in range(n):
             noise += abs(normal[k]) * reach[k]
