@@ -172,9 +172,8 @@ def many_points() -> None:
                 ConvexHull(points)
                 hull.append(time.perf_counter() - start)
             vertices = len(body.pieces[0].vertices)
-            print(
-                f"{count:9} {where:11}, {vertices:6} vertices: {min(own):7.3f}, hull alone {min(hull):7.3f}", flush=True
-            )
+            times = f"{min(own):7.3f}, hull alone {min(hull):7.3f}"
+            print(f"{count:9} {where:11}, {vertices:6} vertices: {times}", flush=True)
     loewner.set_num_threads(available)
 
 

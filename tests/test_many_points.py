@@ -1,4 +1,4 @@
-"""Hulls of many points: what is left out before Qhull, what a map of directions leaves of vertices, few faces in fits."""
+"""Hulls of many points: what is left out before Qhull, what a map leaves of vertices, fits with few of the faces."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from exact import halfspaces_crossed, points_outside, rational
 from families import polygon
 from loewner import Body, MemoryLimitError, Polytope, _memory, fits, mvie, polytopes
-from loewner._kernels.fits.many import MANY
+from loewner._kernels.fits import many
 from loewner._native import entries
 
 Maker = Callable[[np.random.Generator], np.ndarray]
@@ -91,9 +91,7 @@ def test_the_hull_is_that_of_all_points(name: str, rng: np.random.Generator, mon
 SHELLS: dict[str, Maker] = {
     "sphere": lambda rng: sphere(rng, 20_000),
     "faces of a cube": lambda rng: (lambda x: x[((x == 0) | (x == 79)).any(axis=1)])(grid(80)),
-    "a sheet and a point": lambda rng: np.concatenate(
-        [np.c_[rng.uniform(size=(30_000, 2)), np.zeros(30_000)], np.eye(3)]
-    ),
+    "a sheet and a point": lambda rng: np.concatenate([rng.uniform(size=(30_000, 3)) * [1, 1, 0], np.eye(3)]),
 }
 
 
@@ -152,7 +150,7 @@ def solid(name: str, rng: np.random.Generator) -> Polytope:
 def test_polyhedra_have_many_vertices(rng: np.random.Generator) -> None:
     """They take the map, but for the one whose faces are flat to rounding."""
     counts = {name: len(solid(name, rng).vertices) for name in POLYHEDRA}
-    assert all(count > MANY for name, count in counts.items() if name != "bumpy faces"), counts
+    assert all(count > many.MANY for name, count in counts.items() if name != "bumpy faces"), counts
 
 
 @pytest.mark.parametrize("name", POLYHEDRA)
@@ -186,6 +184,18 @@ def test_few_faces_give_the_fit_of_all(name: str, rng: np.random.Generator) -> N
     other = mvie(piece.normals, offsets, tol=tol)
     assert fit.gap <= tol
     assert abs(fit.ellipsoid.log_volume - other.ellipsoid.log_volume) <= 2 * tol
+
+
+def test_all_faces_are_taken_where_few_leave_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A needle of four faces, three of them in one sector: two bound nothing, so the fit is that of all."""
+    A = np.array([[1.0, 0.1, 0.1], [1.0, 0.4, 0.1], [1.0, 0.25, 0.4], [-1.0, -0.25, -0.2]])
+    x, low, lam = np.empty(3), np.empty((3, 3)), np.empty(len(A))
+    monkeypatch.setattr(many, "solve_primal_dual", entries.solve_primal_dual)  # as it is compiled already
+    gap, _ = many.solve_with_few.py_func(A, 1e-6, x, low, lam)
+    fit = mvie(A, np.ones(len(A)), tol=1e-6)
+    assert gap <= 1e-6
+    assert abs(np.linalg.slogdet(low)[1] - fit.ellipsoid.log_volume + np.log(4 * np.pi / 3)) <= 2e-6
+    assert (lam > 0).all()
 
 
 def test_bodies_of_many_points(rng: np.random.Generator) -> None:

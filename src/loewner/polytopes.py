@@ -98,6 +98,8 @@ class Polytope:
         ------
         InputError
             On a wrong shape or entries that are not finite.
+        MemoryLimitError
+            If not even the coordinates fit into memory.
         GeometryError
             On fewer than n + 1 points, or points that lie in a flat of lower dimension (`FLATNESS`).
 
@@ -329,8 +331,8 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     than 1 - `shrink` for each. The smallest a·(v - c) over a face's own vertices v is 1. So by the lemma of
     docs/containment.md the hull holds the point in these coordinates. They are off by at most 5 u B |y| (u, B:
     `_kernels.fits.many`), which moves a·(y - c) by no more than 5 u B |y| / s, s the least distance of a face from c.
-    Both the point and the vertices move: 10 of the 128 that `shrink` has. Its first term is far above the rounding of the
-    products, which is less than 20 u |y| / s.
+    Both the point and the vertices move: 10 of the 128 that `shrink` has. Its first term is far above the rounding of
+    the products, which is less than 20 u |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:

@@ -24,7 +24,7 @@ from loewner._kernels.fits.dense import invert_lower
 from loewner._kernels.fits.mvce import ROUNDING, condition, to_frame
 from loewner._kernels.fits.mvie import solve_primal_dual
 from loewner._kernels.pieces.directions import candidates, map_within, place
-from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
+from loewner._kernels.tolerances import FACE_WIDTH
 
 # From this many vertices on a map is quicker than all of them for each face (measured: docs/design/many_points.md).
 MANY = 256
