@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 from exact import halfspaces_crossed, points_outside, rational
 from families import polygon
 from loewner import Body, MemoryLimitError, Polytope, _memory, fits, mvie, polytopes
+from loewner._kernels import tolerances
 from loewner._kernels.fits import many
 from loewner._native import entries
 
@@ -184,6 +185,17 @@ def test_few_faces_give_the_fit_of_all(name: str, rng: np.random.Generator) -> N
     other = mvie(piece.normals, offsets, tol=tol)
     assert fit.gap <= tol
     assert abs(fit.ellipsoid.log_volume - other.ellipsoid.log_volume) <= 2 * tol
+
+
+def test_all_vertices_of_a_face_are_on_the_map(rng: np.random.Generator) -> None:
+    """Also those that another vertex beats along every direction near by, by no more than the window of the face."""
+    window = tolerances.FACE_WIDTH * 2
+    caps = [np.c_[polygon(300), z + rng.uniform(-0.5, 0.5, size=300) * window] for z in (1.0, -1.0)]
+    unit = np.eye(3)
+    columns, nodes = many.face_map(np.concatenate(caps), unit)
+    for sign, cap in ((1.0, set(range(300))), (-1.0, set(range(300, 600)))):
+        first, last = many.leaf.py_func(unit, nodes, unit[2], sign)
+        assert set(columns[first:last]) == cap
 
 
 def test_all_faces_are_taken_where_few_leave_no_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -328,16 +328,16 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     """Which of many points in 3-D may be vertices of their hull; the others are inside the hull of these for certain.
 
     They are inside the hull of a sample, {y : a·(y - c) <= 1 for all faces}: a point is left out if a·(y - c) is less
-    than 1 - `shrink` for each. The smallest a·(v - c) over a face's own vertices v is 1. So by the lemma of
-    docs/containment.md the hull holds the point in these coordinates. They are off by at most 5 u B |y| (u, B:
-    `_kernels.fits.many`), which moves a·(y - c) by no more than 5 u B |y| / s, s the least distance of a face from c.
-    Both the point and the vertices move: 10 of the 128 that `shrink` has. Its first term is far above the rounding of
-    the products, which is less than 20 u |y| / s.
+    than 1 - `shrink` for each. The smallest a·(v - c) over a face's own vertices v is 1, so that no vertex is left out,
+    and by the lemma of docs/containment.md their hull holds the point in these coordinates. They are off by at most
+    5 u B |y| (u, B: `_kernels.fits.many`), which moves a·(y - c) by no more than 5 u B |y| / s, s the least distance of
+    a face from c. Both the point and the vertices move: 10 of the 128 that `shrink` has. Its first term is far above
+    the rounding of the products, which is less than 20 u |y| / s.
     """
     found = _hull_of_sample(coordinates)
     if found is None:
         return slice(None)
-    vertices, center, normals, depths = found
+    center, normals, depths = found
     size = np.sqrt(3) * max(float(coordinates.max()), -float(coordinates.min()))
     bend = float(np.linalg.norm(np.abs(np.linalg.inv(frame)) @ np.abs(frame)))
     least = float(depths.min())
@@ -351,12 +351,11 @@ def _not_inside(frame: Floats, coordinates: Floats) -> Ints | slice:
     for first in range(0, len(beyond), POINTS_AT_ONCE):
         last = min(first + POINTS_AT_ONCE, len(beyond))
         entries.mark_beyond(first, last, coordinates, center, rows, nodes, 1 - shrink, beyond)
-    beyond[vertices] = True
     return np.flatnonzero(beyond)
 
 
-def _hull_of_sample(coordinates: Floats) -> tuple[Ints, Floats, Floats, Floats] | None:
-    """Indices of its vertices, their mean, and of its faces the normals and the distances from that; None if of no use.
+def _hull_of_sample(coordinates: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """The mean of its vertices, and the normals of its faces with their distances from that; None if of no use.
 
     The sample has the ends along the axes, so that its hull is not much smaller than that of all points. A point is as
     likely to be beyond the hull of a random sample as one of the sample is to be its vertex (Efron 1965,
@@ -380,7 +379,7 @@ def _hull_of_sample(coordinates: Floats) -> tuple[Ints, Floats, Floats, Floats] 
     heights = np.einsum("sj,skj->sk", normals[face_of], sample[simplices] - center).min(axis=1)
     depths = np.full(len(normals), np.inf)
     np.minimum.at(depths, face_of, heights)
-    return chosen[used], center, normals, depths
+    return center, normals, depths
 
 
 _HULL_FAULTS = {
