@@ -12,6 +12,7 @@ from loewner import Body, MemoryLimitError, Polytope, _memory, fits, mvie, polyt
 from loewner._kernels import tolerances
 from loewner._kernels.fits import many
 from loewner._native import entries
+from loewner.bodies import pack
 
 Maker = Callable[[np.random.Generator], np.ndarray]
 
@@ -219,3 +220,15 @@ def test_bodies_of_many_points(rng: np.random.Generator) -> None:
     assert max(fits.mvce(points).gap, mvie(points).gap) <= 1e-4
     d = rng.normal(size=(50, 3))
     np.testing.assert_array_equal((points @ d.T).max(axis=0), (piece.vertices @ d.T).max(axis=0))
+
+
+def test_moved_bodies_touch_their_farthest_vertices(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Offsets of a moved body are those of all its vertices, in however many parts they are found."""
+    body = Body.from_points(sphere(rng, 60))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.linalg.svd(rng.normal(size=(3, 3)))[0], [1.0, 2.0, 3.0]
+    T[:3, :3] *= np.linalg.det(T[:3, :3])
+    monkeypatch.setattr(pack, "AT_ONCE", 7 * 60)
+    packed = body.transformed(T)._packed
+    farthest = (packed.points @ packed.planes[:, :3].T).max(axis=0)
+    np.testing.assert_allclose(packed.planes[:, 3], farthest, rtol=0, atol=1e-14)
