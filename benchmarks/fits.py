@@ -4,6 +4,7 @@
     python benchmarks/fits.py large      only smallest ellipsoids in high dimension, and of many points
     python benchmarks/fits.py inside     only largest ellipsoids in many half-spaces, in high dimension
     python benchmarks/fits.py outliers   only outliers among points, beside scikit-learn's MinCovDet
+    python benchmarks/fits.py many       only bodies of very many points, beside SciPy's hull alone
 
 Prints medians per fit and their ratios. Large fits are compared with the ascent of Wolfe and Atwood, as Todd and
 Yıldırım give it, in plain NumPy and in processor time. cvxpy is timed as a first user writes it, the problem built anew
@@ -22,6 +23,7 @@ os.environ.setdefault("RAYON_NUM_THREADS", "1")
 
 import cvxpy as cp
 import numpy as np
+from scipy.spatial import ConvexHull
 
 import loewner
 from loewner import fits, polytopes
@@ -33,12 +35,19 @@ LARGE = ((300, 100), (2000, 100), (5000, 500), (100_000, 30), (1_000_000, 10), (
 LARGE_TOL, PATIENCE = 1e-6, 60.0
 # Half-spaces and dimension of the large fits inside them, and whether conic solvers are asked as well.
 INSIDE = ((100, 10, True), (500, 20, True), (1000, 50, False), (100_000, 10, False), (10_000, 100, False))
+# Points of the bodies of very many: on a sphere, where all are vertices, and in a ball, where few are.
+ON_SPHERE, IN_BALL = (2_000, 20_000, 200_000), (100_000, 1_000_000, 5_000_000)
 
 
-def hull_points(rng: np.random.Generator) -> np.ndarray:
-    """20 points uniform in the unit ball."""
-    x = rng.normal(size=(20, 3))
-    return x / np.linalg.norm(x, axis=1, keepdims=True) * rng.uniform(size=(20, 1)) ** (1 / 3)
+def hull_points(rng: np.random.Generator, count: int = 20) -> np.ndarray:
+    """Points uniform in the unit ball."""
+    return sphere_points(rng, count) * rng.uniform(size=(count, 1)) ** (1 / 3)
+
+
+def sphere_points(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points uniform on the unit sphere."""
+    x = rng.normal(size=(count, 3))
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
 def conic_inside(A: np.ndarray, b: np.ndarray, solver: str) -> float:
@@ -215,9 +224,33 @@ def peeled(points: np.ndarray, count: int) -> np.ndarray:
     return kept
 
 
+def many_points() -> None:
+    rng = np.random.default_rng(0)
+    available = loewner.get_num_threads()
+    loewner.set_num_threads(1)
+    loewner.Body.from_points(sphere_points(rng, 1_000))  # compile, and import what it imports
+    print("Body.from_points, seconds on one thread, beside scipy.spatial.ConvexHull of the same points; best of two")
+    for where, make, counts in (("on a sphere", sphere_points, ON_SPHERE), ("in a ball", hull_points, IN_BALL)):
+        for count in counts:
+            points = make(rng, count)
+            own, hull = [], []
+            for _ in range(2):
+                start = time.perf_counter()
+                body = loewner.Body.from_points(points)
+                own.append(time.perf_counter() - start)
+                start = time.perf_counter()
+                ConvexHull(points)
+                hull.append(time.perf_counter() - start)
+            vertices = len(body.pieces[0].vertices)
+            times = f"{min(own):7.3f}, hull alone {min(hull):7.3f}"
+            print(f"{count:9} {where:11}, {vertices:6} vertices: {times}", flush=True)
+    loewner.set_num_threads(available)
+
+
 def main() -> None:
-    if sys.argv[1:] in (["large"], ["inside"], ["outliers"]):
-        return {"large": large_fits, "inside": inside, "outliers": outliers}[sys.argv[1]]()
+    sections = {"large": large_fits, "inside": inside, "outliers": outliers, "many": many_points}
+    if len(sys.argv) == 2 and sys.argv[1] in sections:
+        return sections[sys.argv[1]]()
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
     rng = np.random.default_rng(0)
     available = loewner.get_num_threads()
@@ -276,6 +309,7 @@ def main() -> None:
         print(f"mvce of {m} normal points in dimension {n}: {time.perf_counter() - start:.3f} s, gap {gap:.1e}")
     large_fits()
     inside()
+    many_points()
 
 
 if __name__ == "__main__":

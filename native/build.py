@@ -45,7 +45,7 @@ FIRST = (
     "certify_motions", "motion_memory", "connect_trees", "shorten_path", "check_configurations", "check_motion",
     "memory_size", "link_poses",
     "fit_range", "center_in", "fit_halfspaces", "to_unit_size", "finish_hull", "fit_outer", "enclose", "outer_gap",
-    "solve_primal_dual", "inscribed_ellipsoids",
+    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond",
 )  # fmt: skip
 
 

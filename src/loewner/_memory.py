@@ -59,6 +59,16 @@ def expect_place(*names: str) -> None:
         _expected.update(missing)
 
 
+def expect_left(needed: int, what: str) -> None:
+    """Refuse work on `what` whose arrays take `needed` bytes at least, where they would not fit."""
+    if needed >= LOOK:
+        there, which = left()
+        if needed > there:
+            raise MemoryLimitError(
+                f"{what}: expected {needed / 2**30:.3g} GiB of memory at least, found {there / 2**30:.3g} GiB{which}"
+            )
+
+
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:
     """What `setrlimit` leaves: of the address space, and of private memory."""
     try:

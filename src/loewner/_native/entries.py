@@ -75,6 +75,7 @@ ENTRIES = {
         Entry("fits.halfspaces", "fit_halfspaces", "F2 F1 F1 f f F1 F2 F1", "i f i"),
         Entry("fits.hulls", "to_unit_size", "F2 f", "i i f f F1 F2 F2"),
         Entry("fits.hulls", "finish_hull", "F2 F2 F2 I2 I2 F2", "i f T1 I1 F2 F1"),
+        Entry("fits.many", "mark_beyond", "i i F2 F1 F2 F1 f T1", ""),
         Entry("fits.mvce", "fit_outer", "F2 f f F1 F2", "i f i i f f"),
         Entry("fits.mvce", "enclose", "F2 F1 F2", "f"),
         Entry("fits.mvce", "outer_gap", "F2 I1 F1 i F1 F2 f", "f"),

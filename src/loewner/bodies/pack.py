@@ -26,6 +26,10 @@ KIND_NAMES = {
 }
 
 
+# Products of normals and vertices that are formed at a time.
+AT_ONCE = 2**24
+
+
 @dataclass(frozen=True, eq=False)
 class Packed(PieceArrays):
     """Pieces of n bodies, and what kernels see of them; made by `of`.
@@ -194,7 +198,11 @@ def moved(p: Packed, T: Floats) -> Packed:
     for row in p.layout:
         faces = slice(row[columns.PLANES_FROM], row[columns.PLANES_TO])
         if row[columns.KIND] == columns.POLYTOPE:
-            offsets[faces] = (normals[faces] @ points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]].T).max(axis=1)
+            its = points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
+            step = max(1, AT_ONCE // len(its))
+            for first in range(faces.start, faces.stop, step):
+                some = slice(first, min(first + step, faces.stop))
+                offsets[some] = (normals[some] @ its.T).max(axis=1)
     frames = p.frames.copy()
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t

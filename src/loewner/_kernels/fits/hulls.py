@@ -4,12 +4,9 @@ import numpy as np
 
 from loewner._kernels._jit import njit
 from loewner._kernels.codes import FACE_OFF, INSIDE_OUT, NOT_CLOSED
+from loewner._kernels.fits.many import MANY, face_map, highest, lowest, reaches
 from loewner._kernels.fits.mvce import ROUNDING, spread_points, to_frame
-
-# A vertex may be this far inside the face it belongs to, relative to the width of the piece along the normal ...
-FACE_WIDTH = 1e-11
-# ... or within the rounding of the dot product itself, in units of its error bound.
-FACE_ROUNDING = 64.0
+from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
 
 @njit()
@@ -87,30 +84,7 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
     offsets = np.empty(faces)
     bottoms = np.empty(faces)
     reference = points[simplices[0, 0]]
-    for f in range(faces):
-        top_value = -np.inf
-        bottom_value = np.inf
-        offset = -np.inf
-        noise = 0.0
-        for i in range(m):
-            if used[i]:
-                value = 0.0
-                size = 0.0
-                absolute = 0.0
-                for k in range(n):
-                    t = normals[f, k] * (points[i, k] - reference[k])
-                    value += t
-                    size += abs(t)
-                    absolute += normals[f, k] * points[i, k]
-                top_value = max(top_value, value)
-                bottom_value = min(bottom_value, value)
-                noise = max(noise, size)
-                offset = max(offset, absolute)
-        offsets[f] = offset
-        # Half and a quarter of what users of the faces allow: they measure from the center, which halves the noise.
-        bottoms[f] = top_value - (
-            0.5 * FACE_WIDTH * (top_value - bottom_value) + 0.25 * FACE_ROUNDING * noise * ROUNDING
-        )
+    face_limits(points, frame, coordinates, used, normals[:faces], reference, offsets, bottoms)
     worst = 0.0
     for i in range(count):
         f = face_of[i]
@@ -122,6 +96,67 @@ def finish_hull(points, frame, coordinates, simplices, neighbors, equations):
             if value < bottoms[f] and code == 0:
                 code = FACE_OFF
     return code, worst, used, face_of, normals[:faces], offsets
+
+
+@njit()
+def face_limits(points, frame, coordinates, used, normals, reference, offsets, bottoms):
+    """Fill `offsets` with the largest n·v of each face, `bottoms` with the least n·(v - reference) of its own vertices.
+
+    `bottoms` is half and a quarter of what users of the faces allow: they measure from the center, which halves the
+    noise.
+    """
+    n = points.shape[1]
+    count = 0
+    for i in range(len(points)):
+        if used[i]:
+            count += 1
+    vertices = np.empty((count, n))
+    y = np.empty((count, n))
+    count = 0
+    for i in range(len(points)):
+        if used[i]:
+            for k in range(n):
+                vertices[count, k] = points[i, k]
+                y[count, k] = coordinates[i, k]
+            count += 1
+    if n == 3 and count > MANY:
+        _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms)
+        return
+    for f in range(len(normals)):
+        top = -np.inf
+        bottom = np.inf
+        offset = -np.inf
+        noise = 0.0
+        for i in range(count):
+            value = 0.0
+            size = 0.0
+            absolute = 0.0
+            for k in range(n):
+                t = normals[f, k] * (vertices[i, k] - reference[k])
+                value += t
+                size += abs(t)
+                absolute += normals[f, k] * vertices[i, k]
+            top = max(top, value)
+            bottom = min(bottom, value)
+            noise = max(noise, size)
+            offset = max(offset, absolute)
+        offsets[f] = offset
+        bottoms[f] = top - (0.5 * FACE_WIDTH * (top - bottom) + 0.25 * FACE_ROUNDING * noise * ROUNDING)
+
+
+@njit()
+def _limits_by_map(vertices, y, frame, normals, reference, offsets, bottoms):
+    """`face_limits` of many vertices, with a bound for the noise from their largest offsets along the axes."""
+    columns, nodes = face_map(y, frame)
+    origin = np.zeros(3)
+    reach = np.empty(3)
+    reaches(vertices, reference, reach)
+    for f in range(len(normals)):
+        offsets[f] = highest(vertices, frame, columns, nodes, normals[f], origin)
+        top = highest(vertices, frame, columns, nodes, normals[f], reference)
+        bottom = lowest(vertices, frame, columns, nodes, normals[f], reference)
+        noise = abs(normals[f, 0]) * reach[0] + abs(normals[f, 1]) * reach[1] + abs(normals[f, 2]) * reach[2]
+        bottoms[f] = top - (0.5 * FACE_WIDTH * (top - bottom) + 0.25 * FACE_ROUNDING * noise * ROUNDING)
 
 
 @njit()

@@ -5,9 +5,10 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FLAT, STALLED
 from loewner._kernels.fits.dense import multiply_lower
-from loewner._kernels.fits.hulls import FACE_ROUNDING, FACE_WIDTH
+from loewner._kernels.fits.many import MANY, frame_map, highest, lowest, lowest_above, reaches, solve_with_few
 from loewner._kernels.fits.mvce import ROUNDING, fit_outer
 from loewner._kernels.fits.mvie import inscribe, solve_primal_dual
+from loewner._kernels.tolerances import FACE_ROUNDING, FACE_WIDTH
 
 
 @inline
@@ -45,6 +46,29 @@ def face_slacks(vertices, normal, center):
 
 
 @njit()
+def slacks_by_map(vertices, normals, center, frame, columns, nodes, low, high):
+    """`face_slacks` of the faces of a piece with many vertices: those that the map leaves for each.
+
+    The noise is a bound for all vertices, from their largest offsets along the axes.
+    """
+    n = vertices.shape[1]
+    reach = np.empty(n)
+    reaches(vertices, center, reach)
+    for i in range(len(normals)):
+        normal = normals[i]
+        top = highest(vertices, frame, columns, nodes, normal, center)
+        bottom = lowest(vertices, frame, columns, nodes, normal, center)
+        noise = 0.0
+        for k in range(n):
+            noise += abs(normal[k]) * reach[k]
+        noise *= ROUNDING
+        edge = top - (FACE_WIDTH * (top - bottom) + FACE_ROUNDING * noise)
+        doubt = (n + 2) * noise
+        low[i] = lowest_above(vertices, frame, columns, nodes, normal, center, edge) - doubt
+        high[i] = top + doubt
+
+
+@njit()
 def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor):
     """Largest ellipsoid inside the piece, solved in the coordinates of its outer ellipsoid.
 
@@ -58,17 +82,26 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
     x = np.empty(n)
     slack_low = np.empty(m)
     slack_high = np.empty(m)
+    many = n == 3 and len(vertices) > MANY
+    if many:
+        columns, nodes = frame_map(vertices, outer_center, outer_factor)
+        slacks_by_map(vertices, normals, outer_center, outer_factor, columns, nodes, slack_low, slack_high)
+    else:
+        columns, nodes = np.empty(0, np.int64), np.empty(0)
     for i in range(m):
-        _, high = face_slacks(vertices, normals[i], outer_center)
-        if not high > 0.0:
+        if not many:
+            _, slack_high[i] = face_slacks(vertices, normals[i], outer_center)
+        if not slack_high[i] > 0.0:
             return STALLED, np.inf, 0
-        slack_high[i] = high
         for j in range(n):
             value = 0.0
             for k in range(j, n):
                 value += outer_factor[k, j] * normals[i, k]
-            A[i, j] = value / high
-    gap, iterations = solve_primal_dual(A, m, n, 0.25 * tol, x, low, lam)
+            A[i, j] = value / slack_high[i]
+    if many:
+        gap, iterations = solve_with_few(A, tol, x, low, lam)
+    else:
+        gap, iterations = solve_primal_dual(A, m, n, 0.25 * tol, x, low, lam)
     if not gap < np.inf:
         return STALLED, gap, iterations
     multiply_lower(outer_factor, low, factor, n)
@@ -79,7 +112,10 @@ def fit_inner(vertices, normals, tol, outer_center, outer_factor, center, factor
         center[j] = outer_center[j] + value
     for i in range(m):
         lam[i] /= slack_high[i]  # the multiplier of the scaled row, brought back to the unit normal
-        slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
+        if not many:
+            slack_low[i], slack_high[i] = face_slacks(vertices, normals[i], center)
+    if many:
+        slacks_by_map(vertices, normals, center, outer_factor, columns, nodes, slack_low, slack_high)
     gap = inscribe(normals, slack_low, slack_high, factor, lam)
     return (0 if gap <= tol else STALLED), gap, iterations
 

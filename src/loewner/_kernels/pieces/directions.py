@@ -16,7 +16,7 @@ last+1 column; an inner node's are the number of its first child and -1. Nodes 0
 
 import numpy as np
 
-from loewner._kernels._jit import inline, njit
+from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.columns import BLOCK, DEEPEST, GRID
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
@@ -42,7 +42,7 @@ def _direction(face, s, t):
 
 
 @inline
-def _place(x, y, z):
+def place(x, y, z):
     """Face of the cube that a direction goes through, and the grid cell there; any cell for a zero or NaN."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
@@ -68,7 +68,7 @@ def candidates(points, first, nodes, x, y, z):
 
     `first` is the first column of the hull's blocks, `nodes` the entry where its nodes start.
     """
-    node, s, t = _place(x, y, z)
+    node, s, t = place(x, y, z)
     bit = DEEPEST
     while True:
         at = nodes + 2 * node
@@ -137,12 +137,20 @@ def direction_map(vertices):
         Vertices of the leaves in order, each leaf filled up to whole blocks with its last.
     nodes : ndarray, shape (n, 2)
     """
-    count = len(vertices)
     largest = 0.0
-    for v in range(count):
+    for v in range(len(vertices)):
         for axis in range(3):
             largest = max(largest, abs(vertices[v, axis]))
-    slack = CLEARANCE * largest
+    return map_within(vertices, CLEARANCE * largest)
+
+
+@apart
+def map_within(vertices, slack):
+    """Build the map, leaving out of a cell the vertices that are beaten by more than `slack` [m] all over it.
+
+    That is along directions whose largest entry is 1.
+    """
+    count = len(vertices)
     # Lists of vertices, those of the current path from the root one after the other.
     pool = np.empty((DEEPEST + 2) * count, np.int64)
     for v in range(count):
