@@ -23,8 +23,10 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     faults : list of str
         Why some are missing: a picture is worth showing without them.
     """
+    if robot._format != "URDF":
+        return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
     try:
-        shapes, faults = read_visuals(robot.urdf)
+        shapes, faults = read_visuals(robot.urdf, robot._text)
     except LoewnerError as error:  # moved or overwritten since the robot was read
         return {}, [str(error)]
     meshes = {}
