@@ -17,7 +17,7 @@ import numpy as np
 from loewner import _validate
 from loewner._plausible import warn
 from loewner._rotations import from_quaternion
-from loewner._validate import Floats, Pair
+from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
 
@@ -263,7 +263,7 @@ def _classes(model: Any) -> dict[int, tuple[int, ...]]:
     Geoms of one body and one class make one part. A geom of the world, and one that a <pair> names, is alone in its.
     """
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
-    classes = {}
+    classes: dict[int, tuple[int, ...]] = {}
     for geom in range(model.ngeom):
         body, mask = int(model.geom_bodyid[geom]), (int(model.geom_contype[geom]), int(model.geom_conaffinity[geom]))
         if any(mask) or geom in paired:
@@ -329,7 +329,8 @@ def _hull_points(model: Any, mesh: int) -> Floats:
         return vertices
     on_hull = int(model.mesh_graph[graph])
     start = graph + 2 + on_hull  # behind the numbers of vertices and faces, and where the edges of each vertex are
-    return vertices[model.mesh_graph[start : start + on_hull]]
+    used: Ints = model.mesh_graph[start : start + on_hull]
+    return vertices[used]
 
 
 # -- pairs that MuJoCo does not look at ----------------------------------------------------------------

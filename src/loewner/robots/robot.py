@@ -199,7 +199,8 @@ class Robot:
             If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
             If one of `package_dirs` is no folder.
         InputError
-            If there is neither path nor text, or both; if a path is none (XML text, for instance), the SRDF is a URDF, the links are no tree, or a joint is not
+            If there is neither path nor text, or both; if a path is none (XML text, for instance), the SRDF is a URDF,
+            the links are no tree, or a joint is not
             well defined; GeometryError if a shape is flat or has no size.
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
@@ -297,8 +298,8 @@ class Robot:
         Returns
         -------
         Robot
-            The root link is the world, and each geom that collides there a link of its own, fixed to it. Every body is a
-            link in MuJoCo's frame. Links without bodies are above those that several joints move.
+            The root link is the world, and each geom that collides there a link of its own, fixed to it. Every body is
+            a link, in MuJoCo's frame. Links without bodies are above those that several joints move.
 
         Raises
         ------

@@ -84,8 +84,8 @@ class Mimic:
 class Joint:
     """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
 
-    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0. At the value
-    `reference` the child is at `origin`.
+    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0. The child
+    is at `origin` where the value is `reference`.
     """
 
     name: str

@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
+from loewner.bodies.triangulated import Mesh
 from loewner.errors import InputError
 from loewner.planners import Trajectory
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
-from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Mesh, Rgb, add_mesh, place, quaternions
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, quaternions
 from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines
 from loewner.viewer.visuals import visual_meshes
 

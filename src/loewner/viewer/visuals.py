@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from loewner.bodies.triangulated import Mesh, joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
 from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
 from loewner.robots.urdf import Shape, read_visuals
-from loewner.viewer.drawing import Mesh, joined, pieces
+from loewner.viewer.drawing import pieces
 
 
 def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:

@@ -176,7 +176,7 @@ def place_links(tree, Q, rows, at, W):
             R = _turned(constants, link, load(W, q + 2 * LANES))
             t = along(t, load(W, q), _three(constants, link, ACROSS))
             t = along(t, load(W, q + LANES), _three(constants, link, ALONG))
-        elif what == FLOATING or what == BALL:
+        elif what in (FLOATING, BALL):
             if what == FLOATING:
                 t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
                 q += 3 * LANES

@@ -8,8 +8,8 @@ its second derivative at most
     A = sum over turning joints j of R_j w_j (w_j + 2 W_j) + sum over sliding joints j of 2 s_j W_j
 
 with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still. A planar joint
-is one that slides and then one that turns, seen from its parent; and so is a floating one; a ball joint turns only. docs/certified.md,
-"Motions".
+is one that slides and then one that turns, seen from its parent; and so is a floating one, of which a ball joint is
+what turns. docs/certified.md, "Motions".
 """
 
 from typing import Any, NamedTuple

@@ -125,7 +125,7 @@ def powers(tree, W, wrenches, dof, slopes):
                 _add(slopes, q + LANES, dot(_direction(constants, link, ALONG), seen))
                 axis = apply(rotation_of_link(W, link), _axis(constants, link))
                 _add(slopes, q + 2 * LANES, dot(axis, torque))
-            elif what == FLOATING or what == BALL:
+            elif what in (FLOATING, BALL):
                 frame = (
                     _direction(constants, link, ROTATION) + _direction(constants, link, ROTATION + 3)
                     + _direction(constants, link, ROTATION + 6)
