@@ -115,7 +115,7 @@ VOLUMES = {
 
 @pytest.mark.parametrize("which", WHICH)
 def test_urdf_reads_back_the_same_set(body, which):
-    """Pinocchio and `Robot.from_urdf` find the body; polytopes are around what they stand for, or in inner ellipsoids."""
+    """Pinocchio and `Robot.from_urdf` find the body; polytopes are around what they are for, or in inner ellipsoids."""
     body.to_urdf("thing.urdf", ellipsoids=which)
     robot = Robot.from_urdf("thing.urdf")
     back = robot.bodies["thing"]

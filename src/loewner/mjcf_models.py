@@ -316,8 +316,8 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
         return Body.box([PLANE_EDGE] * 3).transformed(below)
     found = "a height field" if kind == kinds.mjGEOM_HFIELD else "a signed distance field"
     raise InputError(
-        f"expected a sphere, capsule, ellipsoid, cylinder, box, plane or mesh, found {found}, which is not convex; take it "
-        "out of the model (contype='0' conaffinity='0'), and add it to a scene by Body.from_surface"
+        f"expected a sphere, capsule, ellipsoid, cylinder, box, plane or mesh, found {found}, which is not convex; "
+        "take it out of the model (contype='0' conaffinity='0'), and add it to a scene by Body.from_surface"
     )
 
 

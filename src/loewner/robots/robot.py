@@ -43,8 +43,10 @@ LEAST_SHARE = 1024
 
 def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
     """What a URDF says that is given in one of two ways."""
-    if (path is None) == (text is None):
-        raise InputError(f"expected a path or a text of a URDF, found {'neither' if text is None else 'both'}")
+    if path is None and text is None:
+        raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
+    if path is not None and text is not None:
+        raise InputError("text: expected a path to a URDF or its text, found both")
     if text is None:
         assert path is not None
         return read_urdf(path)
