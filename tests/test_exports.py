@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import loewner
 from families import random_poses
@@ -183,6 +184,19 @@ def test_a_box_stays_a_box(tmp_path):
         bent = box.pieces[0].vertices.copy()
         bent[0] += 1e-6 * size.max()
         assert 'type="mesh"' in Body.from_points(bent).to_mjcf()
+
+
+def test_urdf_keeps_poses_where_roll_and_yaw_turn_alike(tmp_path):
+    """At a pitch of a right angle, or near one, the box stands where it did."""
+    for seed, off in enumerate([0.0, 1e-16, 1e-12, 1e-9, 1e-8, 1e-6, 1e-3]):
+        roll, yaw = np.random.default_rng(seed).uniform(-3, 3, 2)
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", [roll, (-1) ** seed * (np.pi / 2 - off), yaw]).as_matrix()
+        box = Body.box([0.1, 0.2, 0.3]).transformed(T)
+        box.to_urdf(tmp_path / "box.urdf")
+        back = Robot.from_urdf(tmp_path / "box.urdf").bodies["box"]
+        corners, found = box.pieces[0].vertices, back.pieces[0].vertices
+        assert np.linalg.norm(corners[:, None] - found, axis=2).min(axis=1).max() < 1e-15
 
 
 def test_surfaces_are_refused_but_for_their_ellipsoids(tmp_path):

@@ -14,6 +14,12 @@ from mjcf_oracle import compare
 SHAPES = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """MuJoCo logs what it warns of in the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+
 def written(folder: Path, inside: str, outside: str = "") -> Path:
     """A model with this in its world."""
     path = folder / "model.xml"

@@ -33,7 +33,7 @@ MODELS = (
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_agrees_with_mujoco(name, capsys):
+def test_agrees_with_mujoco(name, capsys, tmp_path, monkeypatch):
     """At 1,000 configurations all bodies are where MuJoCo has them, and the same pairs touch.
 
     Pairs within `mjcf_oracle.TOUCHING` of touching that only one of the two finds are counted apart, and told.
@@ -43,6 +43,7 @@ def test_agrees_with_mujoco(name, capsys):
     if found is None or not found.submodule_search_locations:
         pytest.skip(f"{package} is not installed: make test-models")
     path = Path(next(iter(found.submodule_search_locations)), inside)
+    monkeypatch.chdir(tmp_path)  # where MuJoCo logs what it warns of
     robot = Robot.from_mjcf(path)
     told = compare(robot, path, robot.random_configurations(1000, seed=1))
     with capsys.disabled():

@@ -611,7 +611,11 @@ CALLS: dict[str, Call] = {
     "Body.save": Call(on(cube, "save"), {"path": PATH_OUT}),
     "Body.to_mjcf": Call(
         on(cube, "to_mjcf"),
-        {"path": arg("out.xml", NONE, TEXTS), "ellipsoids": arg("outer", NONE), "name": arg("cube", NUMERAL)},
+        {
+            "path": arg("out.xml", NONE, TEXTS),
+            "ellipsoids": arg("outer", NONE),
+            "name": arg("cube", NUMERAL, "long text"),
+        },
     ),
     "Body.to_urdf": Call(
         on(cube, "to_urdf"),

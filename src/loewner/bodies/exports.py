@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from loewner import _validate
 from loewner._files import replacing
 from loewner._kernels import columns
+from loewner._rotations import to_rpy
 from loewner._validate import Floats
 from loewner.bodies.pack import KIND_NAMES, Packed
 from loewner.bodies.triangulated import SEGMENTS, Mesh, ball, ellipsoids_of, of_pieces
@@ -93,8 +94,7 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
     shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
     for number, shape in enumerate(shapes):
         collision = ElementTree.SubElement(link, "collision")
-        rpy = Rotation.from_matrix(shape.rotation).as_euler("xyz")
-        ElementTree.SubElement(collision, "origin", xyz=_numbers(shape.center), rpy=_numbers(rpy))
+        ElementTree.SubElement(collision, "origin", xyz=_numbers(shape.center), rpy=_numbers(to_rpy(shape.rotation)))
         geometry = ElementTree.SubElement(collision, "geometry")
         if shape.mesh is not None:
             file = path.with_name(f"{path.stem}-{number}.obj")
