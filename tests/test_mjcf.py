@@ -281,3 +281,14 @@ def test_a_plane_is_the_space_below_it(tmp_path):
     ball, T = Body.sphere(0.1), np.tile(np.eye(4), (4, 1, 1))
     T[:, :3, 3] = [[300, -200, 0.1001], [300, -200, 0.0999], [0, 0, -1], [0, 0, -900]]
     assert loewner.collide(ball, T, scene["floor"], scene.pose("floor")).tolist() == [False, True, True, True]
+
+
+def test_a_viewer_shows_what_stands_on_a_plane(tmp_path):
+    """The camera starts at the robot, not where it would see all of the floor; a ball joint has sliders."""
+    viewer = pytest.importorskip("loewner.viewer")
+    pytest.importorskip("viser")
+    inside = '<geom type="plane" size="1 1 1"/><body pos="0 0 1"><joint name="b" type="ball"/><geom size="0.2"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, inside))
+    with viewer.show_robot(CollisionChecker(robot), robot.configuration()) as page:
+        assert np.linalg.norm(page.server.initial_camera.position) < 10
+        assert len(page._sliders) == 4
