@@ -10,6 +10,7 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 
 from loewner import (
     Body,
@@ -583,3 +584,41 @@ def test_a_scene_may_change_while_others_ask(arm):
     assert checker.checked_pairs == fresh.checked_pairs
     scene.move("s0", near)
     assert checker.collide(q)
+
+
+# -- texts ---------------------------------------------------------------------------------------------
+
+
+def test_a_text_is_what_a_file_of_it_would_be(tmp_path, monkeypatch):
+    """A robot of a text is that of a file with the text; its meshes are sought from the working directory."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.1, 0.2, 0.3)).export("part.stl")
+    inside = chain(3) + (
+        '<link name="tööl"><collision><geometry><mesh filename="part.stl"/></geometry></collision></link>'
+        + joint("grip", "l0", "tööl")
+    )
+    there = read(tmp_path, inside)
+    for declared in ("", '<?xml version="1.0" encoding="latin-1"?>'):  # of the file that the text may have been in
+        here = Robot.from_urdf(text=f'{declared}<robot name="r">{inside}</robot>')
+        assert here.link_names == there.link_names
+        assert here.configuration_names == there.configuration_names
+        assert here.bodies.keys() == there.bodies.keys()
+        assert np.array_equal(here.bodies["tööl"].pieces[0].vertices, there.bodies["tööl"].pieces[0].vertices)
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "words"),
+    [
+        ({}, InputError, "found None, and no text"),
+        ({"path": "robot.urdf", "text": "<robot/>"}, InputError, "found both"),
+        ({"text": 3}, InputError, "text: expected the text of a URDF, found 3"),
+        ({"text": "robot.urdf"}, FileError, "URDF text, line 1: expected a URDF, found broken XML"),
+        ({"text": "<robot>\ud800</robot>"}, InputError, "a character that no file can have"),
+        ({"text": "x" * (2**25 + 1)}, InputError, "at most 33554432 bytes"),
+        ({"path": " <robot/>"}, InputError, "found XML text; give it by text="),
+    ],
+)
+def test_bad_texts_are_refused(given, kind, words):
+    """Neither or both of path and text, and what is no text of a robot."""
+    with pytest.raises(kind, match=words):
+        Robot.from_urdf(**given)

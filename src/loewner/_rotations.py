@@ -43,3 +43,12 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def to_rpy(R: Floats) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation matrix: `from_rpy` gives it back, also where roll and yaw turn alike."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    s, c = math.sin(yaw), math.cos(yaw)
+    # What is left when the yaw is taken away, whichever it is where the pitch is a right angle.
+    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return roll, math.atan2(-R[2, 0], c * R[0, 0] + s * R[1, 0]), yaw

@@ -6,7 +6,7 @@ A file is read whole or refused: half a mesh would be free where the whole one c
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -364,19 +364,28 @@ def _excess_volume(hulls: list[Polytope], whole: float) -> float:
     return float(sum(_hull_volume(h) for h in hulls) / whole - 1) if whole > 0 else float("nan")
 
 
+def trimesh_scene(meshes: Mapping[str, tuple[Floats, Triangles]]) -> Any:
+    """A `trimesh.Scene` of vertices and triangles by name."""
+    trimesh = _import("trimesh", "making a scene of trimesh")
+    scene = trimesh.Scene()
+    for name, (vertices, triangles) in meshes.items():
+        scene.add_geometry(trimesh.Trimesh(vertices, triangles, process=False), node_name=name, geom_name=name)
+    return scene
+
+
 # -- files --------------------------------------------------------------------------------------
 
 
-def _import(package: str) -> Any:
+def _import(package: str, purpose: str = "") -> Any:
     try:
         return __import__(package)
     except ImportError:
-        raise MissingExtraError(_install_hint(package)) from None
+        raise MissingExtraError(_install_hint(package, purpose)) from None
 
 
-def _install_hint(package: str) -> str:
-    purpose = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
-    return f"{purpose} needs {package}: {installing('meshes')}"
+def _install_hint(package: str, purpose: str = "") -> str:
+    usual = {"coacd": "decomposing meshes", "trimesh": "converting a mesh's unit of length"}[package]
+    return f"{purpose or usual} needs {package}: {installing('meshes')}"
 
 
 def _metres(mesh: Any) -> float:

@@ -233,6 +233,8 @@ ZERO = frozenset({"0", "-0.0"})
 NEGATIVE = frozenset({"-1"})
 NONE = frozenset({"None"})
 TEXTS = frozenset({"text of a number", "text nan", "text", "NUL", "surrogate", "long text"})
+# Texts of plain letters and digits.
+NUMERAL = frozenset({"text of a number", "text nan", "text"})
 # A scene without bodies is a sequence of no names.
 NOTHING = frozenset(
     {"empty list", "empty tuple", "empty dict", "empty set", "empty generator", "empty (0, 3)", "Scene"}
@@ -395,6 +397,7 @@ def write_files() -> None:
     Path("problems.json").write_text(
         json.dumps({"robot": "gantry", "joints": ["x", "y"], "problems": {"g": [problem]}})
     )
+    Path("pole.xml").write_text("<mujoco><worldbody><body><joint/><geom size='0.5'/></body></worldbody></mujoco>")
     np.save("configs.npy", np.zeros((2, 3)))
     moved().save("moved.json")
     FILES.update(os.listdir())
@@ -617,6 +620,23 @@ CALLS: dict[str, Call] = {
     "Body.union": Call(Body.union, {"bodies": arg(lambda: [ball(), cube()], "Bodies")}),
     "Body.transformed": Call(on(cube, "transformed"), {"T": pose(1.0)}),
     "Body.save": Call(on(cube, "save"), {"path": PATH_OUT}),
+    "Body.to_mjcf": Call(
+        on(cube, "to_mjcf"),
+        {
+            "path": arg("out.xml", NONE, TEXTS),
+            "ellipsoids": arg("outer", NONE),
+            "name": arg("cube", NUMERAL, "long text"),
+        },
+    ),
+    "Body.to_urdf": Call(
+        on(cube, "to_urdf"),
+        {
+            "path": arg("out.urdf", NUMERAL),
+            "ellipsoids": arg("outer", NONE),
+            "mesh_prefix": arg("", TEXTS, "empty text"),
+        },
+    ),
+    "Body.to_trimesh": Call(on(cube, "to_trimesh"), {"what": choice("pieces")}),
     "Body.load": Call(Body.load, {"path": arg("part.npz")}),
     "Bodies": Call(Bodies, {"bodies": arg(lambda: [ball(), cube()], NOTHING, "Bodies")}),
     "Bodies.from_points": Call(
@@ -739,6 +759,7 @@ CALLS: dict[str, Call] = {
         Robot.from_urdf,
         {
             "path": arg("gantry.urdf"),
+            "text": arg(None, NONE),
             "srdf": arg("gantry.srdf", NONE),
             "package_dirs": arg(list, NOTHING, "folder"),
             "meshes": choice("hull"),
@@ -748,6 +769,7 @@ CALLS: dict[str, Call] = {
             "progress": callback(),
         },
     ),
+    "Robot.from_mjcf": Call(Robot.from_mjcf, {"path": arg("pole.xml"), "tol": TOL}),
     "Robot.placed": Call(on(robot, "placed"), {"T_world_base": pose(1.0)}),
     "Robot.disabling": Call(on(robot, "disabling"), {"pairs": arg(lambda: [("ball", "rod")], NOTHING)}),
     "Robot.link_pairs": Call(

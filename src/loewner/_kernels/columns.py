@@ -41,7 +41,7 @@ FEW = 8  # pieces; fewer than this are tried one by one
 
 # -- robots, described in `robots.kinematics` and `robots.placement` -------------------------------
 
-FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING = 0, 1, 2, 3, 4
+FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING, BALL = 0, 1, 2, 3, 4, 5
 ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30, 33, 36
 
 BOUNDS = 8  # of a row of bounds

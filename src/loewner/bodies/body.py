@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -787,6 +787,134 @@ class Body(_Bodies):
         array([[5., 0., 0.]])
         """
         return Body(moved(self._packed, _validate.pose(T, "T")), self.covering)
+
+    def to_mjcf(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        ellipsoids: Literal["inner", "outer"] | None = None,
+        name: str = "body",
+    ) -> str:
+        """Write the body as a model of MuJoCo: one body without joints, a geom for each piece.
+
+        A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh, whose
+        corners are in the text; a cone becomes a polytope around it.
+
+        Parameters
+        ----------
+        path : path, optional
+            File to write, under a temporary name first, then renamed.
+        ellipsoids : {"inner", "outer"}, optional
+            Write these ellipsoids instead of the pieces.
+        name : str
+            Of the model and of its body; geoms are ``NAME_0``, ``NAME_1``, ...
+
+        Returns
+        -------
+        str
+            The text of the file.
+
+        Raises
+        ------
+        InputError
+            If a piece is a surface, whose convex hull MuJoCo would collide, and no ellipsoids are asked for.
+        FileError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> print(Body.sphere(0.5).to_mjcf(name="ball"))  # doctest: +ELLIPSIS
+        <mujoco model="ball">
+          <asset />
+          <worldbody>
+            <body name="ball">
+              <geom name="ball_0" type="sphere" size="0.5" ... />
+            </body>
+          </worldbody>
+        </mujoco>
+        """
+        from loewner.bodies import exports
+
+        text = exports.mjcf_text(self._packed, exports.plain_name(name), ellipsoids)
+        if path is not None:
+            exports.save_text(text, _validate.path(path, "path"))
+        return text
+
+    def to_urdf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        ellipsoids: Literal["inner", "outer"] | None = None,
+        mesh_prefix: str = "",
+    ) -> None:
+        """Write the body as a URDF of one link, with collision shapes alone.
+
+        Boxes, spheres and cylinders stay what they are, and a capsule becomes a cylinder and two spheres. Any other
+        piece becomes a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones become
+        polytopes around them; inner ellipsoids, polytopes inside.
+
+        Parameters
+        ----------
+        path : path
+            Ends in any suffix; its stem is the name of the robot and of its link. It is written under a temporary name
+            first, then renamed, after the files of its meshes.
+        ellipsoids : {"inner", "outer"}, optional
+            Write these ellipsoids instead of the pieces.
+        mesh_prefix : str
+            What stands before the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
+
+        Raises
+        ------
+        InputError
+            If a piece is a surface, and no ellipsoids are asked for; if the stem is no name.
+        FileError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> Body.capsule(radius=0.1, length=0.5).to_urdf("rod.urdf")
+        >>> from loewner import Robot
+        >>> Robot.from_urdf("rod.urdf").bodies["rod"]
+        Body(3 pieces, 0 vertices)
+        """
+        from loewner.bodies import exports
+
+        file = _validate.path(path, "path")
+        exports.plain_name(file.stem, "the stem of path")
+        exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
+
+    def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
+        """Pieces or ellipsoids as triangles, for trimesh to show or to write as GLB, STL or any of its formats.
+
+        Parameters
+        ----------
+        what : {"pieces", "inner", "outer"}
+            The corners of what is curved lie on it, so that its triangles are inside: 48 corners a circle, at most 1280
+            triangles an ellipsoid.
+
+        Returns
+        -------
+        trimesh.Scene
+            With a mesh for each piece, named ``piece_0``, ``piece_1``, ..., which ``.to_mesh()`` joins. An open surface
+            without a radius has no inner ellipsoid.
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+
+        Examples
+        --------
+        >>> scene = Body.box([1, 2, 3]).to_trimesh()
+        >>> float(scene.volume)
+        6.0
+        >>> _ = scene.export("box.glb")
+        """
+        from loewner.bodies.triangulated import of_ellipsoids, of_pieces
+
+        _validate.choice(what, "what", ("pieces", "inner", "outer"))
+        found = dict(enumerate(of_pieces(self._packed))) if what == "pieces" else of_ellipsoids(self._packed, what)
+        return meshes.trimesh_scene({f"piece_{number}": mesh for number, mesh in found.items()})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:

@@ -24,6 +24,7 @@ EXTRAS = {
     "planners": ("ompl",),
     "plots": ("matplotlib",),
     "viewer": ("viser",),
+    "mujoco": ("mujoco",),
     "jax": ("jax",),
     "torch": ("torch",),
 }

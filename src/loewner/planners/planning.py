@@ -76,7 +76,7 @@ def plan(
         does not pass the last check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
-        is a planar or floating joint, which has no limits to search within.
+        is a planar, floating or ball joint, which has no limits to search within.
     UnknownNameError
         If there is no such group, joint or planner.
     MissingExtraError

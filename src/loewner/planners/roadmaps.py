@@ -572,8 +572,8 @@ def roadmap(
         If no sample is free.
     InputError
         If an argument has the wrong shape or value; if a configuration given is outside the limits, or differs from
-        the others in a joint that is not among `joints`; or if one of `joints` is a planar or floating joint, which
-        has no limits to draw within.
+        the others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint,
+        which has no limits to draw within.
     UnknownNameError
         If there is no such group or joint.
 

@@ -241,7 +241,7 @@ def _columns(robot: Robot, joints: str | Iterable[str] | None) -> Ints:
             raise _validate.unknown_name("joints", name, robot.joint_names)
         if name not in robot.configuration_names:
             raise InputError(
-                f"joints: expected joints of one value each, found {name!r}, which is planar or floating and has no "
-                "limits to search within; name the joints that are to move"
+                f"joints: expected joints of one value each, found {name!r}, which is planar or floating, or a ball "
+                "joint, and has no limits to search within; name the joints that are to move"
             )
     return np.flatnonzero([name in names for name in robot.configuration_names])

@@ -423,7 +423,8 @@ def trajectory(
     ------
     InputError
         If an argument has the wrong shape or value; if there is no limit of velocity for a joint that moves; if the
-        robot has a floating joint, whose orientations do not run straight; or if the checker is another robot's.
+        robot has a floating or ball joint, whose orientations do not run straight; or if the checker is another
+        robot's.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names it and a pair of bodies.
 
@@ -531,8 +532,8 @@ def _checked(robot: Robot, path: ArrayLike) -> Floats:
         raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
     if not robot.runs_straight:
         raise InputError(
-            f"robot: expected joints whose values run straight, found a floating one in {robot.name!r}, whose "
-            "orientations do not"
+            f"robot: expected joints whose values run straight, found a floating or ball joint in {robot.name!r}, "
+            "whose orientations do not"
         )
     return checked_path(robot, path)
 

@@ -107,8 +107,8 @@ def _swept(center: Floats, radius: Floats, axis: Floats, kind: int) -> tuple[Flo
     """How far balls are from a joint's axis, and balls about all that is swept when it turns."""
     if kind in (columns.FIXED, columns.PRISMATIC):
         return np.zeros(len(radius)), center, radius
-    # A floating joint may turn about any axis through its origin.
-    onto = center @ np.outer(axis, axis) if kind != columns.FLOATING else np.zeros_like(center)
+    # A floating or ball joint may turn about any axis through its origin: its own is 0.
+    onto = center @ np.outer(axis, axis)
     far = np.linalg.norm(center - onto, axis=1) + radius
     return far, onto, far
 

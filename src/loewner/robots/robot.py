@@ -24,7 +24,9 @@ from loewner._validate import Bools, Floats, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
+from loewner.mjcf_models import read_mjcf
 from loewner.robots.link_bodies import MODELS, link_bodies
+from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, read_urdf
@@ -32,8 +34,25 @@ from loewner.robots.urdf import VALUES, Description, read_urdf
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
 QUATERNION_TOLERANCE = 1e-6
 
+# Kinds of joints whose last four values are a quaternion.
+WITH_QUATERNION = ("floating", "ball")
+
 # Configurations a thread takes at a time, at least: about 0.1 ms of work.
 LEAST_SHARE = 1024
+
+
+def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
+    """What a URDF says that is given in one of two ways."""
+    if path is None and text is None:
+        raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
+    if path is not None and text is not None:
+        raise InputError("text: expected a path to a URDF or its text, found both")
+    if text is None:
+        assert path is not None
+        return read_urdf(path)
+    if not isinstance(text, str):
+        raise InputError(f"text: expected the text of a URDF, found {_validate.short(text)}")
+    return read_urdf("URDF text", text)
 
 
 def _model(meshes: str, decompose: bool) -> str:
@@ -55,7 +74,7 @@ class _LinkBodies(dict[str, Body]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A tree of links on joints; read one by `from_urdf`.
+    """A tree of links on joints; read one by `from_urdf` or `from_mjcf`.
 
     Attributes
     ----------
@@ -67,7 +86,7 @@ class Robot:
     configuration_names : tuple of str
         What the entries of a configuration mean. A joint of one value (rad or m) gives its name; a planar joint j
         has "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion
-        "j/qw", "j/qx", "j/qy", "j/qz".
+        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF knows, has the last four.
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
         outside are allowed everywhere; one that is far outside is told once (see `checked`).
@@ -90,7 +109,7 @@ class Robot:
     tree : Tree
         What kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file it was read from.
+        The file it was read from: a URDF or an MJCF. Of a text, a name in the folder that was the working directory.
     package_dirs : tuple of Path
         Where else its meshes are sought.
 
@@ -126,13 +145,17 @@ class Robot:
     _mimics: dict[str, str] = field(repr=False)
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
+    # What it was made of: "URDF" or "MJCF"; and the text, if that was not in a file.
+    _format: str = field(repr=False)
+    _text: str | None = field(repr=False)
 
     @classmethod
     @guarded
     def from_urdf(
         cls,
-        path: str | os.PathLike[str],
+        path: str | os.PathLike[str] | None = None,
         *,
+        text: str | None = None,
         srdf: str | os.PathLike[str] | None = None,
         package_dirs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]] = (),
         meshes: Literal["hull", "pieces", "surface"] = "hull",
@@ -145,8 +168,11 @@ class Robot:
 
         Parameters
         ----------
-        path : path
+        path : path, optional
             URDF file, xacro expanded.
+        text : str, optional
+            What would be in such a file, instead: ROS's ``/robot_description``. Meshes that it names by relative paths
+            are sought from the working directory.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
@@ -175,7 +201,8 @@ class Robot:
             If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
             If one of `package_dirs` is no folder.
         InputError
-            If a path is none (XML text, for instance), the SRDF is a URDF, the links are no tree, or a joint is not
+            If there is neither path nor text, or both; if a path is none (XML text, for instance), the SRDF is a URDF,
+            the links are no tree, or a joint is not
             well defined; GeometryError if a shape is flat or has no size.
         UnknownNameError
             If a joint names what does not exist, or the SRDF is another robot's.
@@ -196,26 +223,40 @@ class Robot:
         """
         tol, cache, model = checked_tolerance(tol), _validate.flag(cache, "cache"), _model(meshes, decompose)
         _validate.callback(progress, "progress")
-        robot = read_urdf(path)
+        robot = _described(path, text)
         semantics = Semantics() if srdf is None else read_srdf(srdf, robot)
         given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         listed = _validate.listed(given, "package_dirs", wanted="a path or several")
         places = [_validate.path(folder, "package_dirs") for folder in listed]
         bodies = link_bodies(robot, places, model=model, tol=tol, cache=cache, progress=progress)
+        return cls._of(robot, bodies, semantics, adjacent_pairs(robot), places, "URDF", text)
+
+    @classmethod
+    def _of(
+        cls,
+        robot: Description,
+        bodies: Mapping[str, Body],
+        semantics: Semantics,
+        adjacent: frozenset[Pair],
+        places: Iterable[Path],
+        format: str,
+        text: str | None,
+    ) -> Robot:
+        """Of what files say."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
         for name, column in columns.items():
             lower[column], upper[column] = robot.joints[name].lower, robot.joints[name].upper
-            if kinds[name] == "floating":
-                lower[column.start + 3 : column.stop], upper[column.start + 3 : column.stop] = -1.0, 1.0
+            if kinds[name] in WITH_QUATERNION:
+                lower[column.stop - 4 : column.stop], upper[column.stop - 4 : column.stop] = -1.0, 1.0
         velocity = _velocities(robot, columns, dof)
         for limits in (lower, upper, velocity):
             limits.setflags(write=False)
         entries = [(name, value) for name in columns for value in VALUES[kinds[name]]]
         names = tuple(f"{name}/{value}" if value else name for name, value in entries)
         turns = [kinds[name] in ("revolute", "continuous") for name, _ in entries]
-        free = [kinds[name] in ("planar", "floating") for name, _ in entries]
+        free = [kinds[name] in ("planar", *WITH_QUATERNION) for name, _ in entries]
         return cls(
             name=robot.name,
             link_names=tuple(robot.shapes),
@@ -228,7 +269,7 @@ class Robot:
             groups=semantics.groups,
             states=semantics.states,
             disabled_pairs=semantics.disabled_pairs,
-            adjacent_pairs=adjacent_pairs(robot),
+            adjacent_pairs=adjacent,
             tree=tree_of(robot, columns),
             # Absolute: the visual geometry is read later, perhaps from another working directory.
             urdf=robot.path.absolute(),
@@ -237,7 +278,63 @@ class Robot:
             _mimics={joint.name: joint.mimic.joint for joint in robot.joints.values() if joint.mimic is not None},
             _only_visual=robot.only_visual,
             _watch=Watch(robot.name, names, lower, upper, turns, free),
+            _format=format,
+            _text=text,
         )
+
+    @classmethod
+    @guarded
+    def from_mjcf(cls, path: str | os.PathLike[str], *, tol: float = 1e-4) -> Robot:
+        """Read a robot, with the world around it, from an MJCF file, which MuJoCo compiles.
+
+        A configuration is what MuJoCo calls `qpos`, entry by entry. Pairs that MuJoCo does not collide are in
+        `disabled_pairs`, keyframes in `states`. See docs/howto/mujoco.md for what maps to what.
+
+        Parameters
+        ----------
+        path : path
+            MJCF file; or a URDF that MuJoCo takes.
+        tol : float
+            Certified log-volume gap of the fits of meshes.
+
+        Returns
+        -------
+        Robot
+            The root link is the world, and each geom that collides there a link of its own, fixed to it. Every body is
+            a link, in MuJoCo's frame. Links without bodies are above those that several joints move.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, or MuJoCo refuses it.
+        InputError
+            If a geom that collides is a height field or a signed distance field.
+        GeometryError
+            If a mesh that collides is flat.
+        MissingExtraError
+            If MuJoCo is not installed.
+
+        Warns
+        -----
+        UserWarning
+            If the file has flexible bodies, which are left out.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> _ = Path("pole.xml").write_text('''
+        ... <mujoco model="pole"><worldbody>
+        ...   <geom name="floor" type="plane" size="1 1 1"/>
+        ...   <body name="pole" pos="0 0 0.5"><joint name="swing" axis="0 1 0"/>
+        ...     <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.05"/></body>
+        ... </worldbody></mujoco>''')
+        >>> robot = Robot.from_mjcf("pole.xml")
+        >>> robot.link_names, robot.configuration_names
+        (('world', 'floor', 'pole'), ('swing',))
+        """
+        model = read_mjcf(path, checked_tolerance(tol))
+        robot, bodies = description_of(model)
+        return cls._of(robot, bodies, semantics_of(model, robot), model.related_pairs, (), "MJCF", None)
 
     @property
     def dof(self) -> int:
@@ -727,10 +824,10 @@ class Robot:
 
     @cached_property
     def _quaternions(self) -> dict[str, slice]:
-        """Columns of the orientations of floating joints."""
-        width = len(VALUES["floating"])
+        """Columns of the orientations of joints that have one."""
+        widths = {len(VALUES[kind]) for kind in WITH_QUATERNION}
         return {
-            joint: slice(at.start + 3, at.stop) for joint, at in self._columns.items() if at.stop - at.start == width
+            joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
         }
 
 

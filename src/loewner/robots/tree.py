@@ -21,6 +21,7 @@ KINDS = {
     "prismatic": columns.PRISMATIC,
     "planar": columns.PLANAR,
     "floating": columns.FLOATING,
+    "ball": columns.BALL,
 }
 
 
@@ -102,6 +103,7 @@ def tree_of(robot: Description, slices: dict[str, slice]) -> Tree:
         column[i] = slices[mimic.joint if mimic else joint.name].start
         if mimic:
             multiplier[i], offset[i] = mimic.multiplier, mimic.offset
+        offset[i] -= joint.reference
         constants[i] = _joint_constants(joint, T)
         frames[name] = i, np.eye(4)
     return Tree(parent, kind, column, multiplier, offset, constants)

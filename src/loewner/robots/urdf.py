@@ -19,7 +19,7 @@ from loewner._validate import Floats
 from loewner.errors import GeometryError, InputError, LoewnerError, UnknownNameError
 from loewner.robots.xml_elements import LARGEST, LISTED, Element, by_name, known, read_xml, some
 
-# Names of the values of a joint, by kind; a joint of one value gives it its own name.
+# Names of the values of a joint, by kind; a joint of one value gives it its own name. No URDF has a ball joint.
 VALUES: dict[str, tuple[str, ...]] = {
     "fixed": (),
     "revolute": ("",),
@@ -27,7 +27,9 @@ VALUES: dict[str, tuple[str, ...]] = {
     "prismatic": ("",),
     "planar": ("x", "y", "theta"),
     "floating": ("x", "y", "z", "qw", "qx", "qy", "qz"),
+    "ball": ("qw", "qx", "qy", "qz"),
 }
+URDF_KINDS = tuple(kind for kind in VALUES if kind != "ball")
 
 # Number of sizes of the shapes that are not meshes, and the attributes that hold them.
 SIZES: dict[str, tuple[tuple[str, int], ...]] = {
@@ -82,7 +84,8 @@ class Mimic:
 class Joint:
     """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
 
-    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0.
+    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0. The child
+    is at `origin` where the value is `reference`.
     """
 
     name: str
@@ -96,6 +99,7 @@ class Joint:
     velocity: float
     mimic: Mimic | None
     line: int
+    reference: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +133,8 @@ class Description:
         return tuple(j.name for j in self.joints.values() if VALUES[j.kind] and j.mimic is None)
 
 
-def read_urdf(path: str | os.PathLike[str]) -> Description:
-    """Read a URDF file.
+def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Description:
+    """Read a URDF file, or a text as if it were that file's.
 
     Raises
     ------
@@ -148,7 +152,7 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     UserWarning
         If a joint mimics one that does not exist, or the angles of an origin seem to be in degrees.
     """
-    root = read_xml(path, "a URDF")
+    root = read_xml(path, "a URDF", text)
     links = by_name(root.all("link"))
     if not links:
         root.fault("at least one <link>", "none")
@@ -174,8 +178,8 @@ def read_urdf(path: str | os.PathLike[str]) -> Description:
     )
 
 
-def read_visuals(path: str | os.PathLike[str]) -> tuple[dict[str, list[Shape]], list[str]]:
-    """Read what the links of a URDF look like.
+def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], list[str]]:
+    """Read what the links of a URDF look like, from a file or from the text that was one.
 
     Returns
     -------
@@ -191,7 +195,7 @@ def read_visuals(path: str | os.PathLike[str]) -> tuple[dict[str, list[Shape]], 
     """
     shapes: dict[str, list[Shape]] = {}
     faults = []
-    for name, link in by_name(read_xml(path, "a URDF").all("link")).items():
+    for name, link in by_name(read_xml(path, "a URDF", text).all("link")).items():
         for element in link.all("visual"):
             try:
                 shapes.setdefault(name, []).append(_shape(element))
@@ -223,8 +227,8 @@ def _parents_first(root: Element, links: list[str], joint_above: dict[str, Joint
 
 def _joint(element: Element, links: Collection[str]) -> Joint:
     name, kind = element.text("name"), element.text("type")
-    if kind not in VALUES:
-        element.fault(f"a joint type among {', '.join(VALUES)}", f"{kind!r} of joint {name!r}")
+    if kind not in URDF_KINDS:
+        element.fault(f"a joint type among {', '.join(URDF_KINDS)}", f"{kind!r} of joint {name!r}")
     ends = []
     for end in ("parent", "child"):
         link = element.the(end).text("link")

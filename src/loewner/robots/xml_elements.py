@@ -28,6 +28,9 @@ DEEPEST = 100
 # thousands of them is still finite.
 LARGEST = 1e12
 
+# What to do with the text of a description instead.
+ITS_TEXT = {"a URDF": "; give it by text="}
+
 # Names that a message lists at most.
 LISTED = 30
 
@@ -90,13 +93,14 @@ class Element:
         raise kind(f"{self.path}, line {self.line}: expected {expected}, found {found}")
 
 
-def read_xml(path: str | os.PathLike[str], what: str) -> Element:
-    """Root element of a robot description."""
+def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -> Element:
+    """Root element of a robot description: of a file, or of a text, which messages then call by the path."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
-        raise InputError(f"expected a path to {what}, found XML text; write it to a file first")
+        raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
-    data = read_regular(path, what, MOST_BYTES)
-    parser = expat.ParserCreate()
+    data = read_regular(path, what, MOST_BYTES) if text is None else _bytes_of(text, what)
+    # A text has been decoded already, whatever its first line says of an encoding.
+    parser = expat.ParserCreate(None if text is None else "utf-8")
     document = Element("", {}, 1, path)
     open_elements = [document]
     count = 0
@@ -132,6 +136,17 @@ def read_xml(path: str | os.PathLike[str], what: str) -> Element:
     if macro is not None:
         macro.fault(f"{what}", f"the macro <{macro.tag}>; run xacro on the file first", FileError)
     return root
+
+
+def _bytes_of(text: str, what: str) -> bytes:
+    """A text as the file that it would be."""
+    try:
+        data = text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"text: expected the text of {what}, found a character that no file can have") from None
+    if len(data) > MOST_BYTES:
+        raise InputError(f"text: expected {what} of at most {MOST_BYTES} bytes, found {len(data)}")
+    return data
 
 
 def by_name(elements: Iterable[Element]) -> dict[str, Element]:

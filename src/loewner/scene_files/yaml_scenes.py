@@ -20,6 +20,7 @@ from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
 from loewner.bodies import ARRAYS, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
 from loewner.scenes import Scene
 
@@ -55,12 +56,13 @@ YAML_TAGS = tuple(
 
 @guarded
 def load_scene(path: str | PathLike[str]) -> Scene:
-    """Read a scene from YAML (docs/scenes.md).
+    """Read a scene from YAML (docs/scenes.md), or from MJCF (docs/howto/mujoco.md).
 
     Parameters
     ----------
     path : path
-        Files that it names are looked for relative to its folder.
+        Files that it names are looked for relative to its folder. Of a name that ends in ``.xml`` or ``.mjcf``, a model
+        of MuJoCo: all that collides, its joints at their references. Take `Robot.from_mjcf` for what is to move.
 
     Returns
     -------
@@ -71,7 +73,9 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     FileError
         If the file, or one that it names, is missing or malformed. The message gives line and key.
     MissingExtraError
-        If PyYAML is not installed, or what a mesh needs.
+        If PyYAML is not installed, or MuJoCo for a model of it, or what a mesh needs.
+    InputError, GeometryError
+        If a geom of a model collides and cannot be read: as `Robot.from_mjcf`.
 
     Warns
     -----
@@ -86,6 +90,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Scene(1 bodies, 0 of them attached)
     """
     file = _validate.path(path, "path")
+    if file.suffix.lower() in MJCF_SUFFIXES:
+        return mjcf_scene(file)
     root = YamlNode(file, "", _composed(file))
     top = root.mapping(TOP_KEYS, required=("bodies",))
     scene = Scene()

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loewner._validate import Floats, Ints
+from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.errors import InputError
+from loewner.bodies.triangulated import Mesh, joined, of_ellipsoids, of_pieces
 from loewner.queries import Verdict
 
-Mesh = tuple[Floats, Ints]
 Rgb = tuple[int, int, int]
 
 # Told apart by the colour-blind too; the name of the verdict is always written next to its colour.
@@ -44,12 +42,6 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 # Light from everywhere, so that faces turned away from the lamps are not black.
 AMBIENT = 1.2
-
-# Bodies of more pieces than this are drawn with coarser ellipsoids: 320 instead of 1280 triangles each.
-MANY_PIECES = 16
-
-# Corners of the circles of cylinders and cones.
-SEGMENTS = 48
 
 
 class Drawing:
@@ -150,72 +142,12 @@ def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
 
 def pieces(body: Body) -> Mesh:
     """Surface triangles of all pieces of a body, in its frame."""
-    frames = body._packed.frames
-    return joined(
-        (piece.vertices, piece.triangles)
-        if piece.vertices is not None and piece.triangles is not None
-        else _curved(piece.kind, float(frame[0]), frame[1:4], frame[4:].reshape(3, 3))
-        for piece, frame in zip(body.pieces, frames, strict=True)
-    )
+    return joined(of_pieces(body._packed))
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
     """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; none of inner ones that are points."""
-    fitted = body.inner if which == "inner" else body.outer
-    unit, triangles = ball(3 if len(fitted.center) <= MANY_PIECES else 2)
-    return joined((unit @ F.T + c, triangles) for c, F in zip(fitted.center, fitted.factor, strict=True) if F.any())
-
-
-def joined(meshes: Any) -> Mesh:
-    """Several meshes as one."""
-    points: list[Floats] = []
-    triangles: list[Ints] = []
-    total = 0
-    for vertices, faces in meshes:
-        points.append(vertices)
-        triangles.append(faces + total)
-        total += len(vertices)
-    if not points:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    return np.concatenate(points), np.concatenate(triangles)
-
-
-@lru_cache(maxsize=4)
-def ball(subdivisions: int) -> Mesh:
-    """Unit ball as an icosahedron with its triangles divided into four, so many times."""
-    import trimesh  # comes with viser
-
-    made = trimesh.creation.icosphere(subdivisions=subdivisions)
-    return np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int64)
-
-
-def _curved(kind: str, rounding: float, center: Floats, factor: Floats) -> Mesh:
-    """A curved piece: the image of a unit shape, and a ball added to it (see `loewner._kernels.pieces.shapes`)."""
-    if kind in ("cylinder", "cone"):
-        unit, triangles = _cylinder(0.0 if kind == "cone" else 1.0)
-        return unit @ factor.T + center, triangles
-    unit, triangles = ball(3)
-    if kind == "ellipsoid":
-        return unit @ factor.T + center, triangles
-    if kind not in ("sphere", "capsule"):
-        raise InputError(f"expected a kind of piece that can be drawn, found {kind}")
-    lengths = np.linalg.norm(factor, axis=0)
-    half = lengths[2] if kind == "capsule" else 0.0
-    core = np.where(unit[:, 2:] >= 0, half, -half) * [0.0, 0.0, 1.0]
-    return (rounding * unit + core) @ (factor / lengths).T + center, triangles
-
-
-def _cylinder(top: float) -> Mesh:
-    """Circles of radius 1 at z = -1 and of radius `top` at z = 1, and all between."""
-    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    low, high = (np.column_stack([r * circle, np.full(SEGMENTS, z)]) for r, z in ((1.0, -1.0), (top, 1.0)))
-    at = np.arange(SEGMENTS)
-    after = (at + 1) % SEGMENTS
-    bottom, lid = np.full(SEGMENTS, 2 * SEGMENTS), np.full(SEGMENTS, 2 * SEGMENTS + 1)
-    triangles = [(at, after, at + SEGMENTS), (after, after + SEGMENTS, at + SEGMENTS),
-                 (bottom, after, at), (lid, at + SEGMENTS, after + SEGMENTS)]  # fmt: skip
-    return np.vstack([low, high, [[0, 0, -1], [0, 0, 1]]]), np.concatenate([np.column_stack(t) for t in triangles])
+    return joined(of_ellipsoids(body._packed, which).values())
 
 
 def quaternions(rotations: Floats) -> Floats:

@@ -15,16 +15,20 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
+from loewner.bodies.triangulated import Mesh
 from loewner.errors import InputError
 from loewner.planners import Trajectory
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
-from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Mesh, Rgb, add_mesh, place, quaternions
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, quaternions
 from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
+
+# What is larger [m] is ground, and not what the camera starts with.
+WORLD = 500.0
 
 # Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
 TURN, TRAVEL = math.pi, 2.0
@@ -296,7 +300,8 @@ class RobotViewer(Viewer):
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
             boxes.append(np.concatenate(shown.body.outer.transformed(T).bounding_box()))
-        corners = np.concatenate(boxes)
+        near = [box for box in boxes if np.ptp(box, axis=0).max() < WORLD]
+        corners = np.concatenate(near or boxes)
         aim(self.server, corners.min(axis=0), corners.max(axis=0))
 
     def _add(self, name: str, body: Body, colour: Rgb, link: int | None, T_link_body: Floats | None) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from loewner.bodies.triangulated import Mesh, joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
 from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
 from loewner.robots.urdf import Shape, read_visuals
-from loewner.viewer.drawing import Mesh, joined, pieces
+from loewner.viewer.drawing import pieces
 
 
 def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
@@ -23,8 +24,10 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     faults : list of str
         Why some are missing: a picture is worth showing without them.
     """
+    if robot._format != "URDF":
+        return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
     try:
-        shapes, faults = read_visuals(robot.urdf)
+        shapes, faults = read_visuals(robot.urdf, robot._text)
     except LoewnerError as error:  # moved or overwritten since the robot was read
         return {}, [str(error)]
     meshes = {}

@@ -6,9 +6,10 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import FREE
-from loewner._kernels.columns import FLOATING, RANDOM
+from loewner._kernels.columns import RANDOM
 from loewner._kernels.pieces.pack import problem_of
 from loewner._kernels.robots.configurations import check_motion
+from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.robots.motions import certified
 
 # Cosine of a quarter of the turn between two orientations that are half a turn apart, give or take rounding: which way
@@ -92,8 +93,8 @@ def turns_clearly(tree, ends):
     """Give quaternions the sign with which `Robot.between` goes to them; False if rounding chooses it."""
     clear = True
     for link in range(tree.kind.size):
-        if tree.kind[link] == FLOATING:
-            at, cosine = tree.column[link] + 3, 0.0
+        at, cosine = quaternion_of(tree, link), 0.0
+        if at >= 0:
             for k in range(at, at + 4):
                 cosine += ends[0, k] * ends[1, k]
             clear = clear and abs(cosine) > HALF_TURN

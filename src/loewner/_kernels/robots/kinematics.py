@@ -7,7 +7,7 @@ parent : ndarray of int64, shape (L,)
     The link that this one's pose is computed from, -1 for the world. Rigidly joined links are one moving thing, so this
     is the first link of the thing that the joint hangs on.
 kind : ndarray of int64, shape (L,)
-    FIXED, REVOLUTE, PRISMATIC, PLANAR or FLOATING.
+    FIXED, REVOLUTE, PRISMATIC, PLANAR, FLOATING or BALL.
 column : ndarray of int64, shape (L,)
     First column of the joint's values in a configuration; 0 for fixed ones, which read none.
 multiplier, offset : ndarray, shape (L,)
@@ -27,6 +27,7 @@ from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.columns import (
     ACROSS,
     ALONG,
+    BALL,
     COSINE,
     FLOATING,
     PLANAR,
@@ -41,9 +42,17 @@ from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
 
-WIDTH = (0, 1, 1, 3, 7)  # columns of a configuration, by kind
+WIDTH = (0, 1, 1, 3, 7, 4)  # columns of a configuration, by kind
 
 POSE = 12  # vectors a link in W
+
+
+@inline
+def quaternion_of(tree, link):
+    """First column of the quaternion by which a joint turns; -1 if it turns by none."""
+    if tree.kind[link] == FLOATING:
+        return tree.column[link] + 3
+    return tree.column[link] if tree.kind[link] == BALL else -1
 
 
 @inline
@@ -167,10 +176,11 @@ def place_links(tree, Q, rows, at, W):
             R = _turned(constants, link, load(W, q + 2 * LANES))
             t = along(t, load(W, q), _three(constants, link, ACROSS))
             t = along(t, load(W, q + LANES), _three(constants, link, ALONG))
-        elif what == FLOATING:
-            t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
-            w, x = load(W, q + 3 * LANES), load(W, q + 4 * LANES)
-            y, z = load(W, q + 5 * LANES), load(W, q + 6 * LANES)
+        elif what in (FLOATING, BALL):
+            if what == FLOATING:
+                t = image(R, t, (load(W, q), load(W, q + LANES), load(W, q + 2 * LANES)))
+                q += 3 * LANES
+            w, x, y, z = load(W, q), load(W, q + LANES), load(W, q + 2 * LANES), load(W, q + 3 * LANES)
             R = product(R, _by_quaternion(w, x, y, z))
         above = parent[link]
         if above >= 0:

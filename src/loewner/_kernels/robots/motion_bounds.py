@@ -8,8 +8,8 @@ its second derivative at most
     A = sum over turning joints j of R_j w_j (w_j + 2 W_j) + sum over sliding joints j of 2 s_j W_j
 
 with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still. A planar joint
-is one that slides and then one that turns, seen from its parent; and so is a floating one. docs/certified.md,
-"Motions".
+is one that slides and then one that turns, seen from its parent; and so is a floating one, of which a ball joint is
+what turns. docs/certified.md, "Motions".
 """
 
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.columns import FIXED, FLOATING, PLANAR, PRISMATIC
+from loewner._kernels.columns import BALL, FIXED, FLOATING, PLANAR, PRISMATIC
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 # What forward kinematics rounds a position by, for each joint of the chain, in units of the chain's length.
@@ -93,6 +93,14 @@ def _arc(ends, at):
     return 0.0 if same else angle * UPWARD + SMALLEST_TURN, max(abs(p - 1.0), abs(q - 1.0))
 
 
+@inline
+def _angle_off(off, at):
+    """Angle [rad] that a rotation is off by, at most, whose quaternion may be off by the entries at .. at + 4."""
+    w, x, y, z = off[at], off[at + 1], off[at + 2], off[at + 3]
+    # Made a unit again it is off by twice as much, and a chord c of unit quaternions is an angle of up to π c.
+    return 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
+
+
 @njit()
 def rates_of(tree, ends, rates):
     """Write the rates of all joints between two configurations; returns what rounding does to poses.
@@ -128,6 +136,9 @@ def rates_of(tree, ends, rates):
             turn, astray = _arc(ends, at + 3)
             angles += SLERP_ROUNDINGS + NORM_SHARE * astray
             places += 2.0 * VALUE_ROUNDINGS * far
+        elif kind == BALL:
+            turn, astray = _arc(ends, at)
+            angles += SLERP_ROUNDINGS + NORM_SHARE * astray
         elif kind == PLANAR:
             slide = _larger_norm(ends[1, at] - ends[0, at], ends[1, at + 1] - ends[0, at + 1], 0.0, 0.0, 0.0, 0.0)
             far = _larger_norm(ends[0, at], ends[0, at + 1], 0.0, ends[1, at], ends[1, at + 1], 0.0)
@@ -175,9 +186,9 @@ def write_strays(tree, off, rates, strays):
             pass
         elif kind == FLOATING:
             slide = _larger_norm(off[at], off[at + 1], off[at + 2], 0.0, 0.0, 0.0)
-            w, x, y, z = off[at + 3], off[at + 4], off[at + 5], off[at + 6]
-            # Made a unit again it is off by twice as much, and a chord c of unit quaternions is an angle of up to π c.
-            turn = 2.0 * np.pi * np.sqrt(w * w + x * x + y * y + z * z)
+            turn = _angle_off(off, at + 3)
+        elif kind == BALL:
+            turn = _angle_off(off, at)
         elif kind == PLANAR:
             slide, turn = _larger_norm(off[at], off[at + 1], 0.0, 0.0, 0.0, 0.0), off[at + 2]
         elif kind == PRISMATIC:

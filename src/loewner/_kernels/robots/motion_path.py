@@ -3,7 +3,7 @@
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.columns import FLOATING
+from loewner._kernels.robots.kinematics import quaternion_of
 from loewner._kernels.simd.vectors import rounded_product
 
 SMALL_ANGLE = 1e-6  # rad; below it the chord is the arc
@@ -48,5 +48,6 @@ def configuration_at(tree, ends, t, Q, row):
         a, b = ends[0, c], ends[1, c]
         Q[row, c] = a + rounded_product(t, b - a) if t != 1.0 else b
     for link in range(tree.kind.size):
-        if tree.kind[link] == FLOATING:
-            _slerp(ends, tree.column[link] + 3, t, Q, row)
+        at = quaternion_of(tree, link)
+        if at >= 0:
+            _slerp(ends, at, t, Q, row)

@@ -12,7 +12,19 @@ Lynch and Park, Modern Robotics (2017), chapter 5: space Jacobians and wrenches.
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
-from loewner._kernels.columns import ACROSS, ALONG, COSINE, FIXED, FLOATING, PLANAR, PRISMATIC, REVOLUTE, ROTATION, SINE
+from loewner._kernels.columns import (
+    ACROSS,
+    ALONG,
+    BALL,
+    COSINE,
+    FIXED,
+    FLOATING,
+    PLANAR,
+    PRISMATIC,
+    REVOLUTE,
+    ROTATION,
+    SINE,
+)
 from loewner._kernels.linalg3 import along, apply, apply_transposed, cross, dot, image, minus, product, scaled
 from loewner._kernels.records import Tree
 from loewner._kernels.robots.kinematics import (
@@ -113,32 +125,33 @@ def powers(tree, W, wrenches, dof, slopes):
                 _add(slopes, q + LANES, dot(_direction(constants, link, ALONG), seen))
                 axis = apply(rotation_of_link(W, link), _axis(constants, link))
                 _add(slopes, q + 2 * LANES, dot(axis, torque))
-            elif what == FLOATING:
+            elif what in (FLOATING, BALL):
                 frame = (
                     _direction(constants, link, ROTATION) + _direction(constants, link, ROTATION + 3)
                     + _direction(constants, link, ROTATION + 6)
                 )  # fmt: skip
                 if above >= 0:
                     frame = product(rotation_of_link(W, above), frame)
-                shift, turn = apply_transposed(frame, force), apply_transposed(frame, torque)
-                _by_quaternion(slopes, q, shift, turn, W, links * (POSE * LANES) + q)
+                if what == FLOATING:
+                    shift = apply_transposed(frame, force)
+                    for k in range(3):
+                        _add(slopes, q + k * LANES, shift[k])
+                    q += 3 * LANES
+                _by_quaternion(slopes, q, apply_transposed(frame, torque), W, links * (POSE * LANES) + q)
         if above >= 0:
             push(wrenches, above, force, moment)
 
 
 @inline
-def _by_quaternion(slopes, q, shift, turn, W, at):
-    """Of a floating joint: a turn by 2 vec(dq q*) / |q|²."""
-    w, x, y, z = (
-        load(W, at + 3 * LANES), load(W, at + 4 * LANES), load(W, at + 5 * LANES), load(W, at + 6 * LANES),
-    )  # fmt: skip
+def _by_quaternion(slopes, q, turn, W, at):
+    """Of a quaternion: a turn by 2 vec(dq q*) / |q|²."""
+    w, x, y, z = load(W, at), load(W, at + LANES), load(W, at + 2 * LANES), load(W, at + 3 * LANES)
     v = x, y, z
     scale = 2.0 / (w * w + dot(v, v))
     turned = cross(turn, v)
     for k in range(3):
-        _add(slopes, q + k * LANES, shift[k])
-        _add(slopes, q + (4 + k) * LANES, scale * (w * turn[k] + turned[k]))
-    _add(slopes, q + 3 * LANES, -scale * dot(v, turn))
+        _add(slopes, q + (1 + k) * LANES, scale * (w * turn[k] + turned[k]))
+    _add(slopes, q, -scale * dot(v, turn))
 
 
 @njit()

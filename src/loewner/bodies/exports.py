@@ -1,0 +1,240 @@
+"""Bodies for other programs: MJCF and URDF.
+
+What the format has a shape for becomes that shape: spheres, cylinders, capsules, ellipsoids and boxes. Other convex
+pieces become meshes, whose convex hulls they are. What is curved and has no shape in a format becomes a polytope around
+it; an inner ellipsoid, one inside.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from loewner import _validate
+from loewner._files import replacing
+from loewner._kernels import columns
+from loewner._rotations import to_rpy
+from loewner._validate import Floats
+from loewner.bodies.pack import KIND_NAMES, Packed
+from loewner.bodies.triangulated import SEGMENTS, Mesh, ball, ellipsoids_of, of_pieces
+from loewner.errors import InputError
+
+ELLIPSOIDS = ("inner", "outer")
+
+# Divisions of the icosahedron that an ellipsoid becomes where a format has none: 320 triangles, which are within 4 % of
+# its semi-axes.
+DIVISIONS = 2
+
+# How far [relative] the corners of a polytope may be from those of a box that it is written as: a rounding or two.
+BOX_ROUNDING = 1e-13
+
+# Polytopes around what is curved are larger by this for the rounding of their corners.
+OUTWARD = 1 + 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One shape and its pose in the body.
+
+    Attributes
+    ----------
+    kind : str
+        "sphere", "cylinder", "capsule", "ellipsoid", "box" or "mesh".
+    sizes : tuple of float
+        Radius; radius and length (of the straight part); semi-axes; edge lengths. Metres.
+    rotation, center : ndarray, shapes (3, 3) and (3,)
+        Of a mesh the identity and 0.
+    mesh : tuple of ndarray, or None
+        Vertices and triangles of a convex mesh.
+    """
+
+    kind: str
+    sizes: tuple[float, ...]
+    rotation: Floats
+    center: Floats
+    mesh: Mesh | None = None
+
+
+def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
+    """A model of one body, without joints."""
+    root = ElementTree.Element("mujoco", model=name)
+    asset = ElementTree.SubElement(root, "asset")
+    body = ElementTree.SubElement(ElementTree.SubElement(root, "worldbody"), "body", name=name)
+    for number, shape in enumerate(_listed(packed, which)):
+        geom = ElementTree.SubElement(body, "geom", name=f"{name}_{number}", type=shape.kind)
+        if shape.mesh is not None:
+            ElementTree.SubElement(asset, "mesh", name=f"{name}_{number}", vertex=_numbers(shape.mesh[0].ravel()))
+            geom.set("mesh", f"{name}_{number}")
+            continue
+        half = {"box": [0.5] * 3, "cylinder": [1.0, 0.5], "capsule": [1.0, 0.5]}.get(shape.kind, 1.0)
+        geom.set("size", _numbers(np.multiply(shape.sizes, half)))
+        geom.set("pos", _numbers(shape.center))
+        geom.set("quat", _numbers(np.roll(Rotation.from_matrix(shape.rotation).as_quat(), 1)))
+    return _text(root)
+
+
+def save_text(text: str, path: Path) -> None:
+    """Write a file whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -> None:
+    """Write a robot of one link, and its meshes before it."""
+    root = ElementTree.Element("robot", name=path.stem)
+    link = ElementTree.SubElement(root, "link", name=path.stem)
+    shapes = [part for shape in _listed(packed, which) for part in _for_urdf(shape, which)]
+    for number, shape in enumerate(shapes):
+        collision = ElementTree.SubElement(link, "collision")
+        ElementTree.SubElement(collision, "origin", xyz=_numbers(shape.center), rpy=_numbers(to_rpy(shape.rotation)))
+        geometry = ElementTree.SubElement(collision, "geometry")
+        if shape.mesh is not None:
+            file = path.with_name(f"{path.stem}-{number}.obj")
+            save_text(_obj(*shape.mesh), file)
+            ElementTree.SubElement(geometry, "mesh", filename=mesh_prefix + file.name)
+        elif shape.kind == "box":
+            ElementTree.SubElement(geometry, "box", size=_numbers(shape.sizes))
+        else:
+            names = ("radius", "length")[: len(shape.sizes)]
+            sizes = {size: _numbers([value]) for size, value in zip(names, shape.sizes, strict=True)}
+            ElementTree.SubElement(geometry, shape.kind, sizes)
+    save_text(_text(root), path)
+
+
+def plain_name(name: Any, what: str = "name") -> str:
+    """A name that all that read these formats take."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
+        raise InputError(f"{what}: expected letters, digits, '_', '.' and '-', found {_validate.short(name)}")
+    return name
+
+
+def prefix(text: Any) -> str:
+    """What stands before the name of a file: anything that can be printed."""
+    if not isinstance(text, str) or not text.isprintable():
+        raise InputError(f"mesh_prefix: expected text that can be printed, found {_validate.short(text)}")
+    return text
+
+
+def _numbers(values: Any) -> str:
+    """Numbers for an attribute, none rounded."""
+    return " ".join(repr(value + 0.0) for value in np.asarray(values, dtype=np.float64).tolist())
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _obj(vertices: Floats, triangles: Any) -> str:
+    corners = (f"v {_numbers(vertex)}\n" for vertex in vertices)
+    faces = (f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist())
+    return "".join(corners) + "".join(faces)
+
+
+# -- shapes ----------------------------------------------------------------------------------------
+
+
+def _listed(packed: Packed, which: str | None) -> list[Shape]:
+    shapes = list(_shapes(packed, which))
+    if not shapes:
+        raise InputError("expected a body with inner ellipsoids, found surfaces whose inner ellipsoids are points")
+    return shapes
+
+
+def _shapes(packed: Packed, which: str | None) -> Iterator[Shape]:
+    """The pieces, or one of the two ellipsoids of each."""
+    if which is not None:
+        _validate.choice(which, "ellipsoids", ELLIPSOIDS)
+        fitted = zip(*ellipsoids_of(packed, which), strict=True)
+        return (_ellipsoid(center, factor) for center, factor in fitted if factor.any())
+    surface = packed.layout[:, columns.KIND] < columns.POLYTOPE
+    if surface.any():
+        raise InputError(
+            f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, whose convex hull these "
+            "formats collide; take ellipsoids='outer', or make the body by Body.from_mesh"
+        )
+    return (_piece(packed, number, mesh) for number, mesh in enumerate(of_pieces(packed)))
+
+
+def _ellipsoid(center: Floats, factor: Floats) -> Shape:
+    axes, lengths, _ = np.linalg.svd(factor)
+    return Shape("ellipsoid", tuple(lengths.tolist()), _proper(axes), center)
+
+
+def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
+    kind, frame = KIND_NAMES[int(packed.layout[number, columns.KIND])], packed.frames[number]
+    if kind == "polytope":
+        return _box(mesh[0]) or _mesh(mesh)
+    radius, center, factor = float(frame[0]), frame[1:4], frame[4:].reshape(3, 3)
+    lengths = np.linalg.norm(factor, axis=0)
+    rotation = _proper(factor / lengths)
+    if kind == "cone":
+        # The circle is the one inside its polygon.
+        wider = OUTWARD / np.cos(np.pi / SEGMENTS)
+        unit = np.linalg.solve(factor, (mesh[0] - center).T).T * [wider, wider, OUTWARD]
+        return _mesh((unit @ factor.T + center, mesh[1]))
+    sizes = {
+        "sphere": (radius,),
+        "capsule": (radius, 2 * lengths[2]),
+        "cylinder": (lengths[0], 2 * lengths[2]),
+        "ellipsoid": tuple(lengths.tolist()),
+    }
+    return Shape(kind, tuple(map(float, sizes[kind])), rotation, center)
+
+
+def _proper(axes: Floats) -> Floats:
+    """The same axes, right-handed; all shapes here are their own mirror image along the first."""
+    return axes if np.linalg.det(axes) > 0 else axes * [-1.0, 1.0, 1.0]
+
+
+def _mesh(mesh: Mesh) -> Shape:
+    """A convex mesh of corners alone."""
+    used, triangles = np.unique(mesh[1], return_inverse=True)
+    return Shape("mesh", (), np.eye(3), np.zeros(3), (mesh[0][used], triangles.reshape(-1, 3)))
+
+
+def _box(vertices: Floats) -> Shape | None:
+    """The box that these eight points are the corners of, if they are."""
+    if len(vertices) != 8:
+        return None
+    from_first = vertices - vertices[0]
+    order = np.argsort(np.linalg.norm(from_first, axis=1))
+    # The two nearest corners are at the ends of edges, and the three edges together lead to the farthest corner.
+    a, b, opposite = from_first[order[[1, 2, 7]]]
+    edges = np.array([a, b, opposite - a - b])
+    size = np.linalg.norm(edges, axis=1)
+    if not size.all() or np.abs((edges @ edges.T) / np.outer(size, size) - np.eye(3)).max() > BOX_ROUNDING:
+        return None
+    corners = vertices[0] + np.array(list(product((0, 1), repeat=3))) @ edges
+    apart = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=0)
+    if apart.max() > BOX_ROUNDING * (size.max() + np.abs(vertices).max()):
+        return None
+    return Shape("box", tuple(size.tolist()), _proper((edges / size[:, None]).T), vertices.mean(axis=0))
+
+
+def _for_urdf(shape: Shape, which: str | None) -> Iterable[Shape]:
+    """The same of the shapes that every reader of URDF knows: spheres, cylinders, boxes and meshes."""
+    if shape.kind == "capsule":
+        radius, length = shape.sizes
+        tip = shape.rotation[:, 2] * (length / 2)
+        ends = (Shape("sphere", (radius,), np.eye(3), shape.center + sign * tip) for sign in (-1, 1))
+        return Shape("cylinder", shape.sizes, shape.rotation, shape.center), *ends
+    if shape.kind != "ellipsoid":
+        return (shape,)
+    if min(shape.sizes) == max(shape.sizes):
+        return (Shape("sphere", shape.sizes[:1], np.eye(3), shape.center),)
+    unit, triangles = ball(DIVISIONS)
+    if which != "inner":
+        corners = unit[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        unit = unit * (OUTWARD / (normals * corners[:, 0]).sum(axis=1).min())
+    return (_mesh((unit * shape.sizes @ shape.rotation.T + shape.center, triangles)),)

@@ -1,0 +1,376 @@
+"""What an MJCF file says of bodies, joints and contacts: compiled by MuJoCo, then read off its model.
+
+MuJoCo knows the format best (defaults, includes, frames, replicas, composites), so that it reads the file, and this
+module reads what MuJoCo has made of it. Robots and scenes are made of the result.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._plausible import warn
+from loewner._rotations import from_quaternion
+from loewner._validate import Floats, Ints, Pair
+from loewner.bodies import Body
+from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
+
+# A plane of MuJoCo is a half-space. It becomes a cube of this edge [m] below the plane, about the plane's center: the
+# largest that the doubts about units let pass.
+PLANE_EDGE = 1000.0
+
+# Pairs of parts that a model may have: far more than any has.
+MOST_PAIRS = 2**22
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfJoint:
+    """A joint; a body may have several, which move it one after another.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        "hinge", "slide", "ball" or "free".
+    anchor, axis : ndarray, shape (3,)
+        In the frame of its body; the axis of unit length.
+    lower, upper : float
+        Limits of a hinge [rad] or slide [m]; infinite where there are none, and of the others.
+    reference : float
+        The value at which the body is where its pose says: `ref` of the file.
+    """
+
+    name: str
+    kind: str
+    anchor: Floats
+    axis: Floats
+    lower: float
+    upper: float
+    reference: float
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfPart:
+    """Geoms of one body that collide with the same others."""
+
+    name: str
+    body: Body
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfBody:
+    """A body, in the frame of its parent; the world is the first one, and its own parent.
+
+    Attributes
+    ----------
+    name : str
+    parent : int
+    T_parent_body : ndarray, shape (4, 4)
+        Where its joints are at their references.
+    joints : tuple of MjcfJoint
+    parts : tuple of MjcfPart
+        In the frame of the body. The first has the name of the body; of the world, each has the name of its only geom.
+    T_world_body : ndarray, shape (4, 4)
+        Where all joints are at their references.
+    """
+
+    name: str
+    parent: int
+    T_parent_body: Floats
+    joints: tuple[MjcfJoint, ...]
+    parts: tuple[MjcfPart, ...]
+    T_world_body: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfModel:
+    """A whole file.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    bodies : tuple of MjcfBody
+        In MuJoCo's order: parents before children.
+    related_pairs : frozenset
+        Sorted pairs of names of parts that MuJoCo leaves out since they are rigidly joined, or of parent and child.
+    excluded_pairs : frozenset
+        Those that it leaves out for what the file says, by <exclude>, contype and conaffinity.
+    keyframes : dict
+        Name to qpos.
+    """
+
+    name: str
+    path: Path
+    bodies: tuple[MjcfBody, ...]
+    related_pairs: frozenset[Pair]
+    excluded_pairs: frozenset[Pair]
+    keyframes: dict[str, Floats]
+
+
+def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
+    """Read an MJCF file.
+
+    Parameters
+    ----------
+    path : path
+    tol : float
+        Certified log-volume gap of the fits of meshes.
+
+    Raises
+    ------
+    FileError
+        If there is no such file, or MuJoCo cannot compile it.
+    InputError
+        If a geom that collides is of a kind that cannot be read: a height field, or a signed distance field.
+    GeometryError
+        If a mesh that collides is flat.
+    MissingExtraError
+        If MuJoCo is not installed.
+
+    Warns
+    -----
+    UserWarning
+        If the file has flexible bodies, which are left out.
+    """
+    file = _validate.path(path, "path", wanted="a path to an MJCF file")
+    mujoco, model = _compiled(file)
+    if model.nflex:
+        warn(f"{file}: expected rigid bodies, found {model.nflex} flexible ones besides, which are left out")
+    names = _Names(mujoco, model)
+    classes = _classes(model)
+    members = [_members(classes, body) for body in range(model.nbody)]
+    part_names = {geoms: names.of_part(body, number, geoms) for body in range(model.nbody)
+                  for number, geoms in enumerate(members[body])}  # fmt: skip
+    placed = _placed(mujoco, model)
+    bodies = tuple(
+        MjcfBody(
+            name=names.bodies[body],
+            parent=int(model.body_parentid[body]),
+            T_parent_body=_pose(model.body_pos[body], model.body_quat[body]),
+            joints=_joints(model, names, body),
+            parts=tuple(
+                MjcfPart(part_names[geoms], _union([_geom_body(mujoco, model, names, g, file, tol) for g in geoms]))
+                for geoms in members[body]
+            ),
+            T_world_body=placed[body],
+        )
+        for body in range(model.nbody)
+    )
+    related, excluded = _left_out(mujoco, model, part_names, file)
+    return MjcfModel(
+        name=str(model.names[: model.names.index(b"\0")], "utf-8") or file.stem,
+        path=file,
+        bodies=bodies,
+        related_pairs=related,
+        excluded_pairs=excluded,
+        keyframes={model.key(k).name or f"key{k}": np.array(model.key_qpos[k]) for k in range(model.nkey)},
+    )
+
+
+def _compiled(file: Path) -> tuple[Any, Any]:
+    """MuJoCo, and what it makes of the file."""
+    try:
+        import mujoco
+    except ImportError:
+        raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
+    if not os.path.isfile(file):
+        raise FileError(f"{file}: expected an MJCF file, found none")
+    try:
+        return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
+    except ValueError as error:
+        found = " ".join(str(error).split())
+        raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
+
+
+class _Names:
+    """Names of bodies, joints and geoms, each once among its kind; what has none is called by its kind and number."""
+
+    def __init__(self, mujoco: Any, model: Any) -> None:
+        self.bodies = _named([model.body(i).name for i in range(model.nbody)], "body")
+        self.joints = _named([model.jnt(i).name for i in range(model.njnt)], "joint")
+        self.geoms = _named([model.geom(i).name for i in range(model.ngeom)], "geom")
+        self._parts = set(self.bodies)
+
+    def of_part(self, body: int, number: int, geoms: tuple[int, ...]) -> str:
+        """Name of a part: the body's, or for another part, and in the world, that of its first geom."""
+        if body and not number:
+            return self.bodies[body]
+        name = self.geoms[geoms[0]] if not body else f"{self.bodies[body]}/{self.geoms[geoms[0]]}"
+        while name in self._parts:
+            name += "_geom"
+        self._parts.add(name)
+        return name
+
+
+def _named(names: list[str], kind: str) -> list[str]:
+    """The names, with one made for what has none."""
+    taken, found = set(names), []
+    for number, name in enumerate(names):
+        made = name or f"{kind}{number}"
+        while not name and made in taken:
+            made += "_"
+        found.append(made)
+    return found
+
+
+def _placed(mujoco: Any, model: Any) -> list[Floats]:
+    """Poses of all bodies in the world, joints at their references."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return [_pose(data.xpos[body], data.xquat[body]) for body in range(model.nbody)]
+
+
+def _pose(position: Floats, wxyz: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = from_quaternion(wxyz.tolist(), "quat"), position
+    return T
+
+
+def _joints(model: Any, names: _Names, body: int) -> tuple[MjcfJoint, ...]:
+    """Joints of a body, in the order in which they move it."""
+    first = int(model.body_jntadr[body])
+    return tuple(_joint(model, names, first + k) for k in range(int(model.body_jntnum[body])))
+
+
+def _joint(model: Any, names: _Names, joint: int) -> MjcfJoint:
+    kind = ("free", "ball", "slide", "hinge")[int(model.jnt_type[joint])]
+    single = kind in ("slide", "hinge")
+    lower, upper = (-np.inf, np.inf) if not (single and model.jnt_limited[joint]) else model.jnt_range[joint].tolist()
+    return MjcfJoint(
+        name=names.joints[joint],
+        kind=kind,
+        anchor=np.array(model.jnt_pos[joint]),
+        axis=np.array(model.jnt_axis[joint]),
+        lower=lower,
+        upper=upper,
+        reference=float(model.qpos0[model.jnt_qposadr[joint]]) if single else 0.0,
+    )
+
+
+# -- geoms ------------------------------------------------------------------------------------------
+
+
+def _classes(model: Any) -> dict[int, tuple[int, ...]]:
+    """For each geom that can collide at all, what decides with which others.
+
+    Geoms of one body and one class make one part. A geom of the world, and one that a <pair> names, is alone in its.
+    """
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    classes: dict[int, tuple[int, ...]] = {}
+    for geom in range(model.ngeom):
+        body, mask = int(model.geom_bodyid[geom]), (int(model.geom_contype[geom]), int(model.geom_conaffinity[geom]))
+        if any(mask) or geom in paired:
+            alone = body == 0 or geom in paired
+            classes[geom] = (body, *mask, geom if alone else -1)
+    return classes
+
+
+def _members(classes: dict[int, tuple[int, ...]], body: int) -> list[tuple[int, ...]]:
+    """Geoms of each part of a body, in the order of the file."""
+    parts: dict[tuple[int, ...], list[int]] = {}
+    for geom, found in classes.items():
+        if found[0] == body:
+            parts.setdefault(found, []).append(geom)
+    return [tuple(geoms) for geoms in parts.values()]
+
+
+def _union(bodies: list[Body]) -> Body:
+    return bodies[0] if len(bodies) == 1 else Body.union(bodies)
+
+
+def _geom_body(mujoco: Any, model: Any, names: _Names, geom: int, file: Path, tol: float) -> Body:
+    """What a geom is, in the frame of its body."""
+    try:
+        shape = _shape(mujoco.mjtGeom, model, geom, tol)
+        T_body_geom = _pose(model.geom_pos[geom], model.geom_quat[geom])
+        return shape if np.array_equal(T_body_geom, np.eye(4)) else shape.transformed(T_body_geom)
+    except (InputError, ConvergenceError) as error:
+        raise type(error)(f"{file}, geom {names.geoms[geom]!r}: {error}") from None
+
+
+def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
+    """What a geom is, in its own frame; MuJoCo gives radii, half lengths and semi-axes."""
+    kind, (x, y, z) = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+    if kind == kinds.mjGEOM_SPHERE:
+        return Body.sphere(x)
+    if kind == kinds.mjGEOM_CAPSULE:
+        return Body.capsule(x, 2 * y)
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return Body.ellipsoid([x, y, z])
+    if kind == kinds.mjGEOM_CYLINDER:
+        return Body.cylinder(x, 2 * y)
+    if kind == kinds.mjGEOM_BOX:
+        return Body.box([2 * x, 2 * y, 2 * z])
+    if kind == kinds.mjGEOM_MESH:
+        return Body.from_points(_hull_points(model, int(model.geom_dataid[geom])), tol=tol)
+    if kind == kinds.mjGEOM_PLANE:
+        below = np.eye(4)
+        below[2, 3] = -PLANE_EDGE / 2
+        return Body.box([PLANE_EDGE] * 3).transformed(below)
+    found = "a height field" if kind == kinds.mjGEOM_HFIELD else "a signed distance field"
+    raise InputError(
+        f"expected a sphere, capsule, ellipsoid, cylinder, box, plane or mesh, found {found}, which is not convex; "
+        "take it out of the model (contype='0' conaffinity='0'), and add it to a scene by Body.from_surface"
+    )
+
+
+def _hull_points(model: Any, mesh: int) -> Floats:
+    """Vertices of a mesh that MuJoCo collides: those of its convex hull, or of what `maxhullvert` left of it."""
+    first, count, graph = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_vertnum, model.mesh_graphadr))
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
+    if graph < 0:
+        return vertices
+    on_hull = int(model.mesh_graph[graph])
+    start = graph + 2 + on_hull  # behind the numbers of vertices and faces, and where the edges of each vertex are
+    used: Ints = model.mesh_graph[start : start + on_hull]
+    return vertices[used]
+
+
+# -- pairs that MuJoCo does not look at ----------------------------------------------------------------
+
+
+def _left_out(
+    mujoco: Any, model: Any, part_names: dict[tuple[int, ...], str], file: Path
+) -> tuple[frozenset[Pair], frozenset[Pair]]:
+    """Pairs of parts that MuJoCo leaves out, by kinship and by what the file says (its documentation: "Collision")."""
+    parts = list(part_names)
+    if len(parts) * (len(parts) - 1) // 2 > MOST_PAIRS:
+        raise InputError(f"{file}: expected at most {MOST_PAIRS} pairs of parts that collide, found {len(parts)} parts")
+    together = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    excluded = {frozenset(divmod(int(signature), 1 << 16)) for signature in model.exclude_signature}
+    parents_meet = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    related_pairs, excluded_pairs = set(), set()
+    for a, b in combinations(parts, 2):
+        names = part_names[a], part_names[b]
+        pair = min(names), max(names)
+        if frozenset((a[0], b[0])) in together:
+            continue
+        bodies = int(model.geom_bodyid[a[0]]), int(model.geom_bodyid[b[0]])
+        if _related(model, *bodies, parents_meet):
+            related_pairs.add(pair)
+        elif frozenset(bodies) in excluded or not _masks_meet(model, a[0], b[0]):
+            excluded_pairs.add(pair)
+    return frozenset(related_pairs), frozenset(excluded_pairs)
+
+
+def _related(model: Any, a: int, b: int, parents_meet: bool) -> bool:
+    """Whether two bodies are rigidly joined, or parent and child; the world is no parent in this sense."""
+    a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
+    if a == b:
+        return True
+    if parents_meet or not (a and b):
+        return False
+    above_a, above_b = (int(model.body_weldid[model.body_parentid[body]]) for body in (a, b))
+    return above_a == b or above_b == a
+
+
+def _masks_meet(model: Any, a: int, b: int) -> bool:
+    kinds, wanted = model.geom_contype, model.geom_conaffinity
+    return bool(kinds[a] & wanted[b] or kinds[b] & wanted[a])

@@ -1,0 +1,121 @@
+"""Models of MuJoCo as trees of links and joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from loewner._validate import Floats
+from loewner.bodies import Body
+from loewner.mjcf_models import MjcfBody, MjcfJoint, MjcfModel
+from loewner.robots.srdf import Semantics, State
+from loewner.robots.urdf import VALUES, Description, Joint
+
+KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
+
+
+def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
+    """Links and joints of a model, and the bodies of the links.
+
+    Each body is a link, in its own frame. A body has a chain of links without bodies above it if several joints move
+    it, or one whose anchor is not its origin. Each further part of it is a link that is fixed to it.
+    """
+    above: dict[str, Joint] = {}
+    joints: dict[str, Joint] = {}
+    links = {body.name for body in model.bodies} | {part.name for body in model.bodies for part in body.parts}
+    order: list[str] = []
+    for number, body in enumerate(model.bodies):
+        for joint in _joints_of(body, model.bodies[body.parent].name, links) if number else ():
+            above[joint.child] = joint
+            order.append(joint.child)
+            if joint.kind != "fixed":
+                joints[joint.name] = joint
+        order += [] if number else [body.name]
+        for part in body.parts:
+            if part.name != body.name:
+                above[part.name] = _fixed(body.name, part.name, np.eye(4))
+                order.append(part.name)
+    bodies = {part.name: part.body for body in model.bodies for part in body.parts}
+    description = Description(
+        name=model.name,
+        path=model.path,
+        shapes=dict.fromkeys(order, ()),
+        joints=joints,
+        joint_above=above,
+        only_visual=(),
+    )
+    return description, bodies
+
+
+def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
+    """Keyframes as states, and all pairs of links that MuJoCo leaves out as disabled."""
+    states = {}
+    for name, qpos in model.keyframes.items():
+        state: State = ("", {})
+        at = 0
+        for joint in robot.driven:
+            width = len(VALUES[robot.joints[joint].kind])
+            values = tuple(qpos[at : at + width].tolist())
+            state[1][joint] = values[0] if width == 1 else values
+            at += width
+        states[name] = state
+    return Semantics(states=states, disabled_pairs=model.related_pairs | model.excluded_pairs)
+
+
+def _joints_of(body: MjcfBody, parent: str, links: set[str]) -> Iterator[Joint]:
+    """The joints between a body and its parent, from there on.
+
+    A hinge and a ball turn about their anchor. So the link that hangs on it has its origin there, and what comes next
+    is moved back.
+    """
+    T_above_body = body.T_parent_body  # the body's frame, as far as it has moved, in the link that comes last
+    if body.joints and body.joints[0].kind == "free":  # its values are the pose in the world
+        T_above_body = np.eye(4)
+    last = len(body.joints) - 1
+    for number, joint in enumerate(body.joints):
+        turns = joint.kind in ("hinge", "ball")
+        anchor = joint.anchor if turns else np.zeros(3)
+        ends = number == last and not anchor.any()
+        child = body.name if ends else _link_name(f"{body.name}/{joint.name}", links)
+        yield _moving(joint, parent, child, T_above_body @ _shift(anchor))
+        parent, T_above_body = child, _shift(-anchor)
+    if parent != body.name:
+        yield _fixed(parent, body.name, T_above_body)
+
+
+def _link_name(name: str, links: set[str]) -> str:
+    while name in links:
+        name += "_"
+    links.add(name)
+    return name
+
+
+def _shift(by: Floats) -> Floats:
+    T = np.eye(4)
+    T[:3, 3] = by
+    return T
+
+
+def _moving(joint: MjcfJoint, parent: str, child: str, origin: Floats) -> Joint:
+    limited = math.isfinite(joint.lower) or math.isfinite(joint.upper)
+    return Joint(
+        name=joint.name,
+        kind=KINDS.get(joint.kind, "revolute" if limited else "continuous"),
+        parent=parent,
+        child=child,
+        origin=origin,
+        axis=joint.axis,
+        lower=joint.lower,
+        upper=joint.upper,
+        velocity=math.nan,
+        mimic=None,
+        line=0,
+        reference=joint.reference,
+    )
+
+
+def _fixed(parent: str, child: str, origin: Floats) -> Joint:
+    none = np.array([1.0, 0.0, 0.0])
+    return Joint(child, "fixed", parent, child, origin, none, -math.inf, math.inf, math.nan, None, 0)

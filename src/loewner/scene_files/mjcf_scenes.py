@@ -1,0 +1,21 @@
+"""Models of MuJoCo as scenes: bodies that stand where the model says."""
+
+from pathlib import Path
+
+from loewner.fits import DEFAULT_TOLERANCE
+from loewner.mjcf_models import read_mjcf
+from loewner.scenes import Scene
+
+# Ends of the names of files that are models, not YAML.
+MJCF_SUFFIXES = (".xml", ".mjcf")
+
+
+def mjcf_scene(file: Path) -> Scene:
+    """All that collides in a model, joints at their references; what MuJoCo does not collide may touch."""
+    model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
+    for body in model.bodies:
+        for part in body.parts:
+            scene.add(part.name, part.body, body.T_world_body)
+    for pair in sorted(model.related_pairs | model.excluded_pairs):
+        scene.allow(*pair)
+    return scene

@@ -1,0 +1,294 @@
+"""MJCF: robots and scenes as MuJoCo has them; what cannot be read is refused."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import loewner
+from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, Robot, Scene, load_scene
+from mjcf_oracle import compare
+
+# Two geoms and a joint of each kind, by MuJoCo's names.
+SHAPES = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """MuJoCo logs what it warns of in the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+
+def written(folder: Path, inside: str, outside: str = "") -> Path:
+    """A model with this in its world."""
+    path = folder / "model.xml"
+    path.write_text(f'<mujoco model="model">{outside}<worldbody>{inside}</worldbody></mujoco>')
+    return path
+
+
+def numbers(values: np.ndarray) -> str:
+    return " ".join(map(repr, np.asarray(values, dtype=float).tolist()))
+
+
+def random_geom(rng: np.random.Generator, mesh: bool) -> str:
+    masks = f'contype="{rng.integers(4)}" conaffinity="{rng.integers(4)}"'
+    pose = f'pos="{numbers(rng.normal(size=3) * 0.1)}" quat="{numbers(rng.normal(size=4))}"'
+    if mesh:
+        return f'<geom type="mesh" mesh="stone" {masks} {pose}/>'
+    kind = rng.choice(list(SHAPES))
+    return f'<geom type="{kind}" size="{numbers(rng.uniform(0.05, 0.2, SHAPES[kind]))}" {masks} {pose}/>'
+
+
+def random_joint(rng: np.random.Generator, kinds: list[str]) -> str:
+    kind = rng.choice(kinds)
+    free = f'axis="{numbers(rng.normal(size=3))}" ref="{rng.normal()}"' if kind in ("hinge", "slide") else ""
+    limits = f'range="{rng.uniform(-2, 0)} {rng.uniform(0, 2)}"' if free and rng.random() < 0.7 else ""
+    return f'<joint type="{kind}" pos="{numbers(rng.normal(size=3) * 0.1)}" {free} {limits}/>'
+
+
+def random_body(rng: np.random.Generator, depth: int) -> str:
+    """A body with joints of all kinds and geoms of all shapes, and others in it."""
+    if depth == 0 and rng.random() < 0.3:
+        joints = "<freejoint/>"
+    elif rng.random() < 0.3:
+        joints = random_joint(rng, ["ball"]) + random_joint(rng, ["slide"]) * int(rng.integers(2))
+    else:
+        joints = "".join(random_joint(rng, ["hinge", "slide"]) for _ in range(rng.integers(4)))
+    geoms = "".join(random_geom(rng, rng.random() < 0.15) for _ in range(1 + rng.integers(3)))
+    inside = "".join(random_body(rng, depth + 1) for _ in range(rng.integers(3) if depth < 3 else 0))
+    pose = f'pos="{numbers(rng.normal(size=3) * 0.3)}" quat="{numbers(rng.normal(size=4))}"'
+    return f"<body {pose}>{joints}{geoms}{inside}</body>"
+
+
+def random_model(rng: np.random.Generator, folder: Path) -> Path:
+    """A model of some trees of bodies on a floor, with bodies that are excluded, geoms that are paired, and a mesh."""
+    stone = f'<asset><mesh name="stone" vertex="{numbers(rng.normal(size=30) * 0.1)}"/></asset>'
+    filters = '<option><flag filterparent="disable"/></option>' * int(rng.random() < 0.3)
+    bodies = "".join(random_body(rng, 0) for _ in range(3))
+    named = bodies.count("<body ")
+    for number in range(named):
+        bodies = bodies.replace("<body pos", f'<body name="b{number}" pos', 1)
+    for number in range(bodies.count("<geom type")):
+        bodies = bodies.replace("<geom type", f'<geom name="g{number}" type', 1)
+    one, other = rng.choice(named, 2, replace=False)
+    contact = f'<contact><exclude body1="b{one}" body2="b{other}"/><pair geom1="g0" geom2="floor"/></contact>'
+    floor = '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.5"/>' + random_geom(rng, False)
+    return written(folder, floor + bodies, stone + filters + contact)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_models_agree_with_mujoco(seed, tmp_path):
+    """A configuration is MuJoCo's qpos: its bodies are where we have them, and the same pairs of geoms touch."""
+    rng = np.random.default_rng(seed)
+    path = random_model(rng, tmp_path)
+    robot = Robot.from_mjcf(path)
+    assert robot.dof == mujoco.MjModel.from_xml_path(str(path)).nq
+    told = compare(robot, path, robot.random_configurations(40, seed=seed))
+    assert told["off"] < 1e-13
+    assert told["ours"] == told["theirs"] == 0
+
+
+def test_random_models_do_touch(tmp_path):
+    """The models of the test above have contacts for it to miss, and free pairs as well."""
+    robot = Robot.from_mjcf(random_model(np.random.default_rng(3), tmp_path))
+    hits = CollisionChecker(robot).collide_by_pair(robot.random_configurations(40))
+    assert 0.01 < hits.mean() < 0.9
+
+
+# -- what a model says ---------------------------------------------------------------------------------
+
+
+def test_limits_references_and_keyframes(tmp_path):
+    """Limits are those of qpos, whatever the reference; a keyframe is a state, by the names of the joints."""
+    arm = (
+        '<body name="arm"><joint name="turn" ref="90" range="-10 120" axis="0 0 1"/>'
+        '<geom size="0.1"/><body name="ball"><joint name="wrist" type="ball"/><geom size="0.1"/></body></body>'
+    )
+    key = '<keyframe><key name="home" qpos="0.5 0 1 0 0"/><key qpos="1 1 0 0 0"/></keyframe>'
+    robot = Robot.from_mjcf(written(tmp_path, arm, key))
+    assert robot.configuration_names == ("turn", "wrist/qw", "wrist/qx", "wrist/qy", "wrist/qz")
+    assert np.allclose(robot.lower, [np.deg2rad(-10), -1, -1, -1, -1])
+    assert np.allclose(robot.upper, [np.deg2rad(120), 1, 1, 1, 1])
+    assert robot.configuration("home").tolist() == [0.5, 0, 1, 0, 0]
+    assert robot.configuration("key1").tolist() == [1, 1, 0, 0, 0]
+    assert np.allclose(robot.forward_kinematics([np.pi / 2, 1, 0, 0, 0]), np.eye(4))
+
+
+def test_names_are_made_where_there_are_none(tmp_path):
+    """Bodies, joints and geoms without a name get their kind and number, with a mark where a file has that name."""
+    bodies = '<body><joint/><geom size="1"/></body><body name="body1"><geom size="1"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, '<geom size="0.1"/>' + bodies))
+    assert robot.link_names == ("world", "geom0", "body1_", "body1")
+    assert robot.joint_names == ("joint0",)
+
+
+def test_visual_geoms_are_left_out(tmp_path):
+    """A geom whose masks are 0 collides with nothing, and is not read; unless a <pair> names it."""
+    looks = '<body name="a"><freejoint/><geom name="looks" size="1" contype="0" conaffinity="0"/></body>'
+    geoms = looks + '<body name="b"><geom name="g" size="1"/></body>'
+    assert set(Robot.from_mjcf(written(tmp_path, geoms)).bodies) == {"b"}
+    paired = Robot.from_mjcf(written(tmp_path, geoms, '<contact><pair geom1="looks" geom2="g"/></contact>'))
+    assert set(paired.bodies) == {"a", "b"}
+    assert CollisionChecker(paired).collide(paired.configuration())
+
+
+def test_meshes_are_the_hulls_that_mujoco_has(tmp_path):
+    """A mesh that is not convex is its convex hull, placed where MuJoCo puts it."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)] + [[0.5, 0.5, 0.2]], dtype=float)
+    asset = f'<asset><mesh name="m" vertex="{numbers(corners.ravel())}"/></asset>'
+    inside = '<body name="a" pos="1 2 3"><geom type="mesh" mesh="m" pos="1 0 0"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, inside, asset))
+    vertices = robot.bodies["a"].pieces[0].vertices
+    assert len(vertices) == 8
+    assert np.allclose(np.sort(vertices, axis=0), np.sort(corners[:8] + [1, 0, 0], axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "kind", "message"),
+    [
+        (
+            '<geom name="hill" type="hfield" hfield="h"/>',
+            '<asset><hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/></asset>',
+            InputError,
+            "geom 'hill': expected a sphere.*found a height field.*from_surface",
+        ),
+        ('<geom type="spehre"/>', "", FileError, "MuJoCo refuses"),
+        ("<body><freejoint/></body>", "", FileError, "mass and inertia"),
+        ('<geom size="1e-40"/>', "", GeometryError, "geom 'geom0'"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(inside, outside, kind, message, tmp_path):
+    """The error names the file, and the geom; MuJoCo's own words are passed on."""
+    with pytest.raises(kind, match=message):
+        Robot.from_mjcf(written(tmp_path, inside, outside))
+
+
+def test_missing_files_are_refused(tmp_path):
+    """A file that is not there, and what is no path."""
+    with pytest.raises(FileError, match="none.xml"):
+        Robot.from_mjcf(tmp_path / "none.xml")
+    with pytest.raises(InputError, match="path to an MJCF file"):
+        Robot.from_mjcf(3)
+
+
+def test_flexible_bodies_are_told(tmp_path):
+    """What bends is left out, with a warning: nobody else says that it is not checked."""
+    cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" dim="2" radius="0.01"/>'
+    with pytest.warns(UserWarning, match="1 flexible"):
+        Robot.from_mjcf(written(tmp_path, cloth + '<geom size="1"/>'))
+
+
+# -- ball joints ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """A checker of an arm with a ball joint and a hinge, beside a wall."""
+    robot = Robot.from_mjcf(
+        written(
+            tmp_path,
+            '<body name="upper" pos="0.1 0 0"><joint name="shoulder" type="ball" pos="0 0.05 0"/>'
+            '<geom type="capsule" fromto="0.1 0 0 0.4 0 0" size="0.05"/><body name="lower" pos="0.5 0 0">'
+            '<joint name="elbow" axis="0 1 0"/><geom type="box" size="0.2 0.02 0.02" pos="0.25 0 0"/></body></body>',
+        )
+    )
+    scene = Scene()
+    T = np.eye(4)
+    T[0, 3] = 0.9
+    scene.add("wall", Body.box([0.2, 2, 2]), T)
+    return CollisionChecker(robot, scene)
+
+
+def test_gradients_of_ball_joints(arm):
+    """Jacobians and gradients of clearances are those of differences, across the sphere of unit quaternions."""
+    robot, h = arm.robot, 1e-6
+    for q in robot.random_configurations(20, seed=1):
+        _, found = arm.clearance(q, gradient=True)
+        J = robot.jacobian(q, "lower", [0.3, 0, 0])
+        for step in np.random.default_rng(0).normal(size=(4, robot.dof)):
+            step[:4] -= q[:4] * (q[:4] @ step[:4])
+            ends = q + np.array([[-h], [h]]) * step
+            ends[:, :4] /= np.linalg.norm(ends[:, :4], axis=1, keepdims=True)
+            low, high = arm.clearance(ends)
+            assert found @ step == pytest.approx((high - low) / (2 * h), abs=1e-5)
+            T = robot.forward_kinematics(ends)[:, robot.link_names.index("lower")]
+            moved = (T[1] - T[0]) @ [0.3, 0, 0, 1]
+            assert np.allclose(J[:3] @ step, moved[:3] / (2 * h), atol=1e-6)
+
+
+def test_motions_of_ball_joints(arm):
+    """A motion proven free has no configuration that collides, and one said to collide does so where it says."""
+    Q = arm.robot.random_configurations(400, seed=2)
+    told = arm.certify_edges(Q[:-1], Q[1:])
+    t = np.linspace(0, 1, 200)
+    for q0, q1, verdict, fraction in zip(Q, Q[1:], told.verdict, told.fraction, strict=False):
+        way = arm.robot.between(q0, q1, t)
+        assert np.allclose(np.linalg.norm(way[:, :4], axis=1), 1)
+        if verdict == loewner.Verdict.FREE:
+            assert not arm.collide(way).any()
+        elif verdict == loewner.Verdict.COLLIDING:
+            assert arm.collide(arm.robot.between(q0, q1, [fraction])).all()
+    counts = np.bincount(told.verdict, minlength=3)
+    assert counts[loewner.Verdict.FREE] > 50
+    assert counts[loewner.Verdict.COLLIDING] > 50
+
+
+def test_a_ball_joint_turns_as_three_hinges_do(tmp_path):
+    """The same rotation by a ball joint and by three hinges puts the body in the same place."""
+    geom = '<geom size="0.1" pos="1 0 0"/>'
+    hinges = "".join(f'<joint axis="{axis}" pos="0 0 0.2"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    ball = f'<body name="ball"><joint type="ball" pos="0 0 0.2"/>{geom}</body>'
+    robot = Robot.from_mjcf(written(tmp_path, f'{ball}<body name="hinges">{hinges}{geom}</body>'))
+    angles = np.random.default_rng(4).uniform(-1, 1, 3)
+    turn = np.array([1.0, 0, 0, 0])
+    for k, angle in enumerate(angles):
+        by, both = np.zeros(4), np.zeros(4)
+        by[0], by[1 + k] = np.cos(angle / 2), np.sin(angle / 2)
+        mujoco.mju_mulQuat(both, turn, by)
+        turn = both
+    Ts = robot.forward_kinematics([*turn, *angles])
+    assert np.allclose(*(Ts[robot.link_names.index(name)] for name in ("ball", "hinges")))
+
+
+def test_no_urdf_has_a_ball_joint(tmp_path):
+    """The kind is MuJoCo's alone."""
+    joint = '<joint name="j" type="ball"><parent link="a"/><child link="b"/></joint>'
+    with pytest.raises(InputError, match="floating, found 'ball'"):
+        Robot.from_urdf(text=f'<robot name="r"><link name="a"/><link name="b"/>{joint}</robot>')
+
+
+# -- scenes --------------------------------------------------------------------------------------------
+
+
+def test_scenes_stand_where_mujoco_puts_them(tmp_path):
+    """A scene has what collides, where the references of the joints put it, and lets touch what MuJoCo does."""
+    path = random_model(np.random.default_rng(5), tmp_path)
+    scene, robot = load_scene(path), Robot.from_mjcf(path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    Ts = robot.forward_kinematics(np.array(model.qpos0))
+    assert set(scene) == set(robot.bodies)
+    for name in scene:
+        assert np.allclose(scene.pose(name), Ts[robot.link_names.index(name)], atol=1e-14)
+    found = (scene.pairs(), CollisionChecker(robot).pairs(np.array(model.qpos0)))
+    ours, theirs = ({tuple(sorted((c.name_a, c.name_b))) for c in contacts} for contacts in found)
+    assert ours == theirs
+
+
+def test_a_plane_is_the_space_below_it(tmp_path):
+    """What is under a plane collides with it, however deep, and what is over it does not."""
+    scene = load_scene(written(tmp_path, '<geom name="floor" type="plane" size="0.1 0.1 0.1"/>'))
+    ball, T = Body.sphere(0.1), np.tile(np.eye(4), (4, 1, 1))
+    T[:, :3, 3] = [[300, -200, 0.1001], [300, -200, 0.0999], [0, 0, -1], [0, 0, -900]]
+    assert loewner.collide(ball, T, scene["floor"], scene.pose("floor")).tolist() == [False, True, True, True]
+
+
+def test_a_viewer_shows_what_stands_on_a_plane(tmp_path):
+    """The camera starts at the robot, not where it would see all of the floor; a ball joint has sliders."""
+    viewer = pytest.importorskip("loewner.viewer")
+    pytest.importorskip("viser")
+    inside = '<geom type="plane" size="1 1 1"/><body pos="0 0 1"><joint name="b" type="ball"/><geom size="0.2"/></body>'
+    robot = Robot.from_mjcf(written(tmp_path, inside))
+    with viewer.show_robot(CollisionChecker(robot), robot.configuration()) as page:
+        assert np.linalg.norm(page.server.initial_camera.position) < 10
+        assert len(page._sliders) == 4
