@@ -611,6 +611,37 @@ CALLS: dict[str, Call] = {
             "scale": arg(2.0, NUMBERS, NEGATIVE),
         },
     ),
+    "Body.spheres": Call(
+        Body.spheres, {"centers": array([[0.0, 0, 0], [1, 0, 0]], FINITE), "radii": array([0.5, 0.25], FINITE)}
+    ),
+    "Body.boxes": Call(
+        Body.boxes, {"centers": array([[0.0, 0, 0], [1, 0, 0]]), "edges": array([[1.0, 2, 3], [1, 1, 1]])}
+    ),
+    "Body.from_cloud": Call(
+        Body.from_cloud,
+        {
+            "points": array(CUBE, FINITE, "without the first row", "without the last row"),
+            "radius": positive(0.25),
+            "voxel": arg(None, NONE),
+        },
+    ),
+    "Body.from_voxels": Call(
+        Body.from_voxels,
+        {"grid": arg(lambda: np.ones((2, 3, 4), bool)), "size": positive(), "origin": array([1.0, 2.0, 3.0], FINITE)},
+    ),
+    "Body.height_field": Call(
+        Body.height_field,
+        {
+            "heights": array([[0.0, 1, 0], [0, 0.5, 0]], FINITE),
+            "spacing": array([1.0, 2.0], FINITE),
+            "base": arg(-1.0, NONE, NEGATIVE),
+        },
+    ),
+    "Body.half_space": Call(
+        Body.half_space,
+        {"normal": array([0.0, 0.0, 1.0], FINITE), "offset": arg(1.0, NUMBERS, NEGATIVE), "extent": positive()},
+    ),
+    "Body.from_octree": Call(Body.from_octree, {"path": arg("none.bt")}),
     "Body.box": Call(Body.box, {"size": array([1.0, 2.0, 3.0], FINITE)}),
     "Body.sphere": Call(Body.sphere, {"radius": positive()}),
     "Body.ellipsoid": Call(Body.ellipsoid, {"semi_axes": array([1.0, 2.0, 3.0], FINITE)}),

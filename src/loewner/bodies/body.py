@@ -490,7 +490,7 @@ class Body(_Bodies):
         """
         c = _rows_of_three(centers, "centers")
         e = np.broadcast_to(_validate.positive_lengths(edges, "edges", (len(c), 3)), (len(c), 3))
-        return cls(Packed.of(sensed.box_pieces(c, e)))
+        return cls(Packed.of(sensed.box_pieces(c - e / 2, c + e / 2)))
 
     @classmethod
     def from_cloud(cls, points: ArrayLike, *, radius: float | None = None, voxel: float | None = None) -> Body:
@@ -509,7 +509,8 @@ class Body(_Bodies):
         Returns
         -------
         Body
-            Of one piece, whose tree serves `collide` and `distance`. FREE is proven for the union as it is.
+            Of one piece with a tree over the points; with voxels, of boxes, as `from_voxels`. FREE is proven for the
+            union as it is.
 
         Raises
         ------
@@ -533,11 +534,11 @@ class Body(_Bodies):
             return cls(Packed.of(sensed.point_pieces(x, length, fits.DEFAULT_TOLERANCE)))
         edge = _validate.positive_scalar(voxel, "voxel")
         cells = sensed.cells_of(x, edge)
-        return cls(Packed.of(sensed.voxel_pieces(cells, edge, np.zeros(3), fits.DEFAULT_TOLERANCE)))
+        return cls(Packed.of(sensed.voxel_pieces(cells, edge, np.zeros(3))))
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-        """Occupancy grid: the union of the occupied cells, as one solid.
+        """Occupancy grid: the union of the occupied cells, those in a row as one box.
 
         Parameters
         ----------
@@ -560,7 +561,7 @@ class Body(_Bodies):
         >>> grid = np.zeros((4, 4, 4), bool)
         >>> grid[1:3, 1:3, 0] = True
         >>> Body.from_voxels(grid, 0.1)
-        Body(solid, 32 triangles)
+        Body(2 pieces, 16 vertices)
         """
         try:
             occupied = np.asarray(grid)
@@ -575,7 +576,36 @@ class Body(_Bodies):
         cells = np.argwhere(occupied)
         if len(cells) == 0:
             raise GeometryError("grid: expected at least one occupied cell, found none")
-        return cls(Packed.of(sensed.voxel_pieces(cells, edge, corner, fits.DEFAULT_TOLERANCE)))
+        return cls(Packed.of(sensed.voxel_pieces(cells, edge, corner)))
+
+    @classmethod
+    def from_octree(cls, path: str | os.PathLike[str]) -> Body:
+        """Octree of OctoMap: the union of its occupied leaves, each a box.
+
+        Parameters
+        ----------
+        path : path
+            A ``.bt`` file.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, or no whole octree.
+        GeometryError
+            If nothing in it is occupied.
+        MissingExtraError
+            If octomap-python is not installed.
+
+        Examples
+        --------
+        >>> Body.from_octree("none.bt")
+        Traceback (most recent call last):
+            ...
+        loewner.errors.FileError: none.bt: expected an octree in .bt, found no such file or directory
+        """
+        from loewner.bodies.octrees import occupied_leaves
+
+        return cls(Packed.of(sensed.box_pieces(*occupied_leaves(path))))
 
     @classmethod
     def height_field(cls, heights: ArrayLike, spacing: ArrayLike, *, base: float | None = None) -> Body:

@@ -16,21 +16,8 @@ from loewner.polytopes import box_hull
 # Bytes of a piece in all arrays, nearly.
 PIECE_BYTES, BOX_BYTES = 1100, 2200
 
-# Cells are counted along each axis within this many from the origin: three such numbers fit into one.
+# Cells of a cloud are within this many of the origin along each axis: three such numbers fit into one.
 MOST_CELLS = 2**20
-
-# Corners of the six sides of a cell, counter-clockwise from outside: -x, +x, -y, +y, -z, +z.
-_SIDES = np.array(
-    [
-        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
-        [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]],
-        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
-        [[0, 1, 0], [0, 1, 1], [1, 1, 1], [1, 1, 0]],
-        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
-        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
-    ]
-)
-_BEYOND = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
 
 
 def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
@@ -62,51 +49,53 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
     )
 
 
-def box_pieces(centers: Floats, edges: Floats) -> PieceArrays:
-    """One body of boxes along the axes, each a polytope.
+def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
+    """One body of boxes along the axes, each a polytope between two corners as they are.
 
-    Corners are center ± half an edge, rounded: by less than two roundings of the lengths. The ellipsoids of the boxes
-    are grown and shrunk by what that is of the shortest edge.
+    Centers and half edges are rounded. The ellipsoids are grown and shrunk by what that is of the shortest edge.
 
     Parameters
     ----------
-    centers, edges : ndarray, shape (n, 3)
+    lower, upper : ndarray, shape (n, 3)
 
     Raises
     ------
     GeometryError
         If rounding leaves no digits for a box this thin so far from the origin.
     """
-    n, half = len(centers), edges / 2
+    n = len(lower)
     _validate.fits_memory(n * BOX_BYTES, f"{n} boxes")
-    unit = box_hull(np.ones(3), "edges")
-    corners = centers[:, None] + half[:, None] * unit.vertices
-    off = 4 * 2.0**-53 * (np.abs(centers).max(axis=1) + half.max(axis=1)) / half.min(axis=1) + CLOSED_FORM_ROUNDING
+    unit = box_hull(np.ones(3), "boxes")
+    center, half = (lower + upper) / 2, (upper - lower) / 2
+    farthest, thinnest = np.maximum(np.abs(lower), np.abs(upper)).max(axis=1), half.min(axis=1)
+    with np.errstate(divide="ignore"):
+        off = 8 * 2.0**-53 * farthest / thinnest + CLOSED_FORM_ROUNDING
     if not (off < 1e-3).all():
         i = int(off.argmax())
         raise GeometryError(
-            f"boxes: expected edges that are more than rounding, found box {i} with an edge of {edges[i].min():g} m at "
-            f"{np.abs(centers[i]).max():g} m from the origin"
+            f"boxes: expected edges that are more than rounding, found box {i} with an edge of {2 * thinnest[i]:g} m "
+            f"{farthest[i]:g} m from the origin"
         )
-    faces = np.broadcast_to(unit.normals, (n, *unit.normals.shape))
-    offsets = np.einsum("fk,nvk->nfv", unit.normals, corners).max(axis=2)
+    corners = np.where(unit.vertices > 0, upper[:, None], lower[:, None])
+    # A face is where its corners are, to the last bit: its normal is an axis.
+    ends = np.where(unit.normals > 0, upper[:, None], -lower[:, None])
+    offsets = np.take_along_axis(ends, np.abs(unit.normals).argmax(axis=1)[None, :, None], axis=2)
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = columns.POLYTOPE
-    numbers = np.arange(n)
     for column, count in ((columns.POINTS_FROM, 8), (columns.PLANES_FROM, 6)):
-        layout[:, column], layout[:, column + 1] = count * numbers, count * (numbers + 1)
+        layout[:, column], layout[:, column + 1] = count * np.arange(n), count * np.arange(1, n + 1)
     factor = half[:, None] * np.eye(3)
     return PieceArrays(
         layout=layout,
         points=corners.reshape(-1, 3),
-        planes=np.concatenate([faces, offsets[:, :, None]], axis=2).reshape(-1, 4),
+        planes=np.concatenate([np.broadcast_to(unit.normals, (n, 6, 3)), offsets], axis=2).reshape(-1, 4),
         piece_start=np.array([0, n], dtype=np.int64),
         frames=np.zeros((n, 13)),
         triangles=np.tile(unit.triangles, (n, 1)),
         triangle_start=np.arange(n + 1, dtype=np.int64) * len(unit.triangles),
-        inner_center=centers.copy(),
+        inner_center=center,
         inner_factor=factor * (1 - off)[:, None, None],
-        outer_center=centers.copy(),
+        outer_center=center.copy(),
         outer_factor=factor * (np.sqrt(3.0) * (1 + off))[:, None, None],
         gaps=np.repeat(6 * off[:, None], 2, axis=1),
     )
@@ -121,12 +110,19 @@ def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
 def cells_of(points: Floats, edge: float) -> Ints:
     """The cells, of a grid through the origin, that points are in; each once, shape (k, 3)."""
     cells = np.floor(points / edge)
-    _expect_cells(cells, "voxel")
-    return np.asarray(_cells_from(np.unique(_keys(cells.astype(np.int64)))))
+    farthest = float(np.abs(cells).max())
+    if not farthest < MOST_CELLS:
+        raise InputError(
+            f"voxel: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.3g}"
+        )
+    side = 2 * MOST_CELLS
+    x, y, z = cells.astype(np.int64).T + MOST_CELLS
+    rest, z = np.divmod(np.unique((x * side + y) * side + z), side)
+    return np.column_stack([*np.divmod(rest, side), z]) - MOST_CELLS
 
 
-def voxel_pieces(cells: Ints, edge: float, origin: Floats, tol: float) -> PieceArrays:
-    """One body of one piece, a solid: the union of occupied cells, bounded by the sides between occupied and free.
+def voxel_pieces(cells: Ints, edge: float, origin: Floats) -> PieceArrays:
+    """One body of boxes: the union of occupied cells, those in a row as one.
 
     Parameters
     ----------
@@ -136,21 +132,18 @@ def voxel_pieces(cells: Ints, edge: float, origin: Floats, tol: float) -> PieceA
         Metres.
     origin : ndarray, shape (3,)
         The lowest corner of cell (0, 0, 0).
-    tol : float
-        Certified log-volume gap of the outer ellipsoid.
     """
-    _expect_cells(cells, "grid")
-    keys = np.sort(_keys(cells))
-    cells = _cells_from(keys)
-    quads = []
-    for side, beyond in zip(_SIDES, _BEYOND, strict=True):
-        other = _keys(cells + beyond)
-        place = np.minimum(np.searchsorted(keys, other), len(keys) - 1)
-        quads.append(cells[keys[place] != other][:, None] + side)
-    corners, numbers = np.unique(_keys(np.concatenate(quads).reshape(-1, 3)), return_inverse=True)
-    quad = numbers.reshape(-1, 4)
-    triangles = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    return surface_pieces("voxels", origin + edge * _cells_from(corners), triangles, 0.0, True, tol)
+    first, last = min((_rows_along(cells, axis) for axis in range(3)), key=lambda rows: len(rows[0]))
+    return box_pieces(origin + edge * first, origin + edge * (last + 1))
+
+
+def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
+    """First and last cells of rows without gaps along an axis."""
+    i, j = (k for k in range(3) if k != axis)
+    ordered = cells[np.lexsort((cells[:, axis], cells[:, j], cells[:, i]))]
+    step = np.diff(ordered, axis=0)
+    ends = np.flatnonzero((step[:, axis] != 1) | (step[:, i] != 0) | (step[:, j] != 0))
+    return ordered[np.concatenate([[0], ends + 1])], ordered[np.concatenate([ends, [len(ordered) - 1]])]
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
@@ -184,25 +177,3 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
     return surface_pieces(
         "heights", np.concatenate([top, ground, center]), np.concatenate([surface, sides, below]), 0.0, True, tol
     )
-
-
-def _expect_cells(cells: Floats | Ints, name: str) -> None:
-    farthest = float(np.abs(cells).max())
-    if not farthest < MOST_CELLS - 2:
-        raise InputError(
-            f"{name}: expected cells within {MOST_CELLS} of the origin along each axis, found one at {farthest:.0f}"
-        )
-
-
-def _keys(cells: Ints) -> Ints:
-    """One number for each cell."""
-    return np.asarray(((cells[:, 0] + MOST_CELLS) * (2 * MOST_CELLS) + cells[:, 1] + MOST_CELLS) * (2 * MOST_CELLS)) + (
-        cells[:, 2] + MOST_CELLS
-    )
-
-
-def _cells_from(keys: Ints) -> Ints:
-    """The cells with these numbers."""
-    first, last = np.divmod(keys, 2 * MOST_CELLS)
-    first, middle = np.divmod(first, 2 * MOST_CELLS)
-    return np.column_stack([first, middle, last]) - MOST_CELLS

@@ -22,6 +22,7 @@ from loewner.bodies import ARRAYS, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
+from loewner.scene_files.sensor_shapes import SENSOR_SHAPES
 from loewner.scenes import Scene
 
 Maker = Callable[..., Body]
@@ -46,7 +47,7 @@ ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "capsule": (Body.capsule, ("radius", "length")),
     "cone": (Body.cone, ("radius", "length")),
 }
-SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", "mesh", "saved")
+SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", *SENSOR_SHAPES, "mesh", "saved")
 
 # What YAML calls the plain values; another tag asks for something that a scene has no place for.
 YAML_TAGS = tuple(
@@ -319,6 +320,9 @@ def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Bo
     if shape == "points":
         points = entry.rows(3)
         return (shape, *map(tuple, points)), functools.partial(Body.from_points, np.array(points).reshape(-1, 3))
+    if shape in SENSOR_SHAPES:
+        recipe, make_sensed = SENSOR_SHAPES[shape](entry)
+        return (shape, *recipe), make_sensed
     name = entry.text()
     with entry.blamed():
         file = entry.file.parent / _validate.path(name, shape)
@@ -403,7 +407,7 @@ def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[
 
 def _primitive_of(body: Body) -> dict[str, Any] | None:
     """The shape and sizes that make exactly this body, if there are any."""
-    if len(body.pieces) != 1 or body.covering is not None:
+    if len(body._packed.layout) != 1 or body.covering is not None:
         return None
     kind, vertices = body.pieces[0].kind, body.pieces[0].vertices
     # Rounding radius and axes of the unit shape's image are the sizes, unrounded.

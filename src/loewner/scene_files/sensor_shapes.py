@@ -1,0 +1,112 @@
+"""Shapes of scene files that sensors see: point clouds, voxels, terrain, and unions of balls and boxes."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loewner import _validate
+from loewner._files import read_regular
+from loewner.bodies import Body
+from loewner.errors import FileError
+from loewner.scene_files.node import Node
+
+# Bytes of a file of numbers: a cloud of ten million points in text.
+MOST_BYTES = 2**29
+
+Recipe = tuple[Any, Callable[[], Body]]
+
+
+def _spheres(entry: Node) -> Recipe:
+    rows = np.array(entry.rows(4)).reshape(-1, 4)
+    return (rows.tobytes(),), lambda: Body.spheres(rows[:, :3], rows[:, 3])
+
+
+def _boxes(entry: Node) -> Recipe:
+    rows = np.array(entry.rows(6)).reshape(-1, 6)
+    return (rows.tobytes(),), lambda: Body.boxes(rows[:, :3], rows[:, 3:])
+
+
+def _half_space(entry: Node) -> Recipe:
+    given = entry.mapping(("normal", "offset", "extent"), required=("normal", "offset"))
+    normal, offset = given["normal"].numbers(3), given["offset"].number()
+    sizes = {"extent": given["extent"].number()} if "extent" in given else {}
+    return (*normal, offset, *sizes.values()), functools.partial(Body.half_space, normal, offset, **sizes)
+
+
+def _cloud(entry: Node) -> Recipe:
+    given = entry.mapping(("file", "radius", "voxel"), required=("file",))
+    file = _file(given["file"])
+    sizes = {key: given[key].number() for key in ("radius", "voxel") if key in given}
+    return (file, *sizes.items()), lambda: Body.from_cloud(read_array(file), **sizes)
+
+
+def _voxels(entry: Node) -> Recipe:
+    given = entry.mapping(("file", "size", "origin"), required=("file", "size"))
+    file, size = _file(given["file"]), given["size"].number()
+    origin = given["origin"].numbers(3) if "origin" in given else [0.0] * 3
+    return (file, size, *origin), lambda: Body.from_voxels(read_array(file), size, origin=origin)
+
+
+def _height_field(entry: Node) -> Recipe:
+    given = entry.mapping(("file", "spacing", "base"), required=("file", "spacing"))
+    file, spacing = _file(given["file"]), given["spacing"].numbers(2)
+    base = given["base"].number() if "base" in given else None
+    return (file, *spacing, base), lambda: Body.height_field(read_array(file), spacing, base=base)
+
+
+def _octree(entry: Node) -> Recipe:
+    file = _file(entry)
+    return (file,), functools.partial(Body.from_octree, file)
+
+
+SENSOR_SHAPES: dict[str, Callable[[Node], Recipe]] = {
+    "cloud": _cloud,
+    "voxels": _voxels,
+    "octree": _octree,
+    "height_field": _height_field,
+    "half_space": _half_space,
+    "spheres": _spheres,
+    "boxes": _boxes,
+}
+
+
+def _file(entry: Node) -> Path:
+    """A file beside the scene's."""
+    name = entry.text()
+    with entry.blamed():
+        return entry.file.parent / _validate.path(name, "file")
+
+
+def read_array(path: Path) -> Any:
+    """Numbers of a file: an array of NumPy (`.npy`, never a pickle), or lines of numbers (`.xyz`, `.txt`, `.csv`).
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    FileError
+        If the file is missing, too large or something else.
+    """
+    data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".npy":
+            return np.load(io.BytesIO(data), allow_pickle=False)
+        if suffix in (".xyz", ".txt", ".csv"):
+            text = data.decode("ascii").replace(",", " ")
+            return np.loadtxt(io.StringIO(text), ndmin=2)
+    except (ValueError, OSError, EOFError, MemoryError) as error:
+        raise FileError(f"{path}: expected an array of numbers, found something else ({_short(error)})") from None
+    raise FileError(f"{path}: expected a file that ends in .npy, .xyz, .txt or .csv")
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,367 @@
+"""Bodies of what sensors see: clouds, voxels, spheres, boxes, terrain, half-spaces; against loops over all parts."""
+
+import pickle
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loewner
+from exact import halfspaces_crossed, points_outside
+from gantry import gantry
+from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, Robot, Scene
+from loewner.bodies import sensed
+
+SHAPES = {
+    "ball": Body.sphere(0.07),
+    "box": Body.box([0.2, 0.1, 0.05]),
+    "capsule": Body.capsule(0.03, 0.2),
+    "hull": Body.from_points(np.random.default_rng(5).normal(size=(40, 3)) * 0.06),
+}
+
+
+def places(rng: np.random.Generator, n: int, low: float = -0.2, high: float = 1.2) -> np.ndarray:
+    """Random poses whose translations are in a cube."""
+    T = np.tile(np.eye(4), (n, 1, 1))
+    q = rng.normal(size=(n, 4))
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    T[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)
+    T[:, 1, :3] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1)
+    T[:, 2, :3] = np.cross(T[:, 0, :3], T[:, 1, :3])
+    T[:, :3, 3] = rng.uniform(low, high, size=(n, 3))
+    return T
+
+
+def one_by_one(parts: list[Body], body: Body, T: np.ndarray) -> np.ndarray:
+    """Whether a body meets any of the parts, in a loop over these."""
+    return np.any([loewner.collide(part, None, body, T) for part in parts], axis=0)
+
+
+def ball_at(center: np.ndarray, radius: float) -> Body:
+    T = np.eye(4)
+    T[:3, 3] = center
+    return Body.sphere(radius).transformed(T)
+
+
+# -- against a loop over all parts ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["cloud", "spheres", "boxes", "voxels"])
+def test_collide_and_distance_agree_with_a_loop_over_all_parts(kind: str, shape: str, rng: np.random.Generator) -> None:
+    """A hundred parts: the same verdicts, distances to 1e-9, and no certified verdict that is wrong."""
+    centers = rng.uniform(size=(100, 3))
+    if kind == "cloud":
+        body, parts = Body.from_cloud(centers, radius=0.02), [ball_at(c, 0.02) for c in centers]
+    elif kind == "spheres":
+        radii = rng.uniform(0.01, 0.05, size=100)
+        body = Body.spheres(centers, radii)
+        parts = [ball_at(c, r) for c, r in zip(centers, radii, strict=True)]
+    elif kind == "boxes":
+        edges = rng.uniform(0.01, 0.1, size=(100, 3))
+        body = Body.boxes(centers, edges)
+        corners = np.array(list(product([-0.5, 0.5], repeat=3)))
+        parts = [Body.from_points(c + e * corners) for c, e in zip(centers, edges, strict=True)]
+    else:
+        body = Body.from_cloud(centers, voxel=0.05)
+        corners = np.array(list(product([0.0, 1.0], repeat=3)))
+        parts = [Body.from_points(0.05 * (np.floor(c / 0.05) + corners)) for c in centers]
+    T = places(rng, 400)
+    other = SHAPES[shape]
+    expected = one_by_one(parts, other, T)
+    assert 0.03 < expected.mean() < 0.95
+    assert (loewner.collide(body, None, other, T) == expected).all()
+    verdicts = loewner.classify(body, None, other, T)
+    assert not expected[verdicts == loewner.Verdict.FREE].any()
+    assert expected[verdicts == loewner.Verdict.COLLIDING].all()
+    free = T[~expected]
+    least = np.min([loewner.distance(p, None, other, free, exact=True).distance for p in parts], axis=0)
+    np.testing.assert_allclose(loewner.distance(body, None, other, free, exact=True).distance, least, atol=1e-9)
+
+
+@given(st.integers(1, 60), st.floats(1e-3, 0.2), st.integers(0, 2**32 - 1))
+def test_a_ball_meets_a_cloud_when_a_point_is_near(count: int, radius: float, seed: int) -> None:
+    """For clouds of any size, some with points that are equal, in a line or in a plane."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(size=(count, 3)) * [1, rng.integers(2), rng.integers(2)]
+    points = points[rng.integers(count, size=count)]
+    T = places(rng, 50)
+    near = np.linalg.norm(points[:, None] - T[:, :3, 3], axis=2).min(axis=0)
+    found = loewner.collide(Body.from_cloud(points, radius=radius), None, Body.sphere(0.05), T)
+    clear = np.abs(near - radius - 0.05) > 1e-12
+    assert (found == (near <= radius + 0.05))[clear].all()
+
+
+def test_planes_that_spare_searches_change_no_verdict(rng: np.random.Generator) -> None:
+    """20,000 points on a wavy sheet, at a thousand places near it, for pieces of all kinds: as points one by one."""
+    xy = rng.uniform(size=(20_000, 2))
+    points = np.column_stack([xy, 0.1 * np.sin(8 * xy[:, 0]) * np.cos(5 * xy[:, 1])])
+    cloud = Body.from_cloud(points, radius=0.005)
+    ball = Body.sphere(0.005)
+    for body in SHAPES.values():
+        T = places(rng, 250, -0.1, 0.9)
+        T[:, 2, 3] = rng.uniform(-0.2, 0.2, size=250)
+        found = loewner.collide(cloud, None, body, T)
+        assert 0.1 < found.mean() < 0.9
+        for k in rng.choice(250, size=25, replace=False):
+            at = np.tile(np.eye(4), (len(points), 1, 1))
+            at[:, :3, 3] = points
+            assert loewner.collide(body, T[k], ball, at).any() == found[k]
+
+
+# -- what the parts are -----------------------------------------------------------------------------
+
+
+def test_boxes_hold_their_ellipsoids_exactly(rng: np.random.Generator) -> None:
+    """In rational arithmetic, also far from the origin: inner in the half-spaces of the corners, corners in outer."""
+    centers = np.concatenate([rng.uniform(-1, 1, size=(10, 3)), 1e3 + rng.uniform(size=(10, 3))])
+    body = Body.boxes(centers, rng.uniform(0.01, 1, size=(20, 3)))
+    for piece in body.pieces:
+        lower, upper = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+        A, b = np.concatenate([np.eye(3), -np.eye(3)]), np.concatenate([upper, -lower])
+        assert halfspaces_crossed(A, b, piece.inner.center, piece.inner.factor) == 0
+        assert points_outside(piece.vertices, piece.outer.center, piece.outer.factor) == 0
+        assert (np.sort(piece.offsets) == np.sort(b)).all()
+        assert (piece.vertices @ piece.normals.T <= piece.offsets).all()
+        assert max(piece.inner_gap, piece.outer_gap) < 1e-8
+
+
+def test_voxels_are_the_cells_that_points_are_in(rng: np.random.Generator) -> None:
+    """Rows of cells cover each occupied cell once and nothing else, whatever the axis they run along."""
+    cells = np.unique(rng.integers(-4, 5, size=(300, 3)), axis=0)
+    for axis in range(3):
+        first, last = sensed._rows_along(cells, axis)
+        covered = [tuple(a + k * np.eye(3, dtype=int)[axis]) for a, b in zip(first, last, strict=True)
+                   for k in range(b[axis] - a[axis] + 1)]  # fmt: skip
+        assert len(covered) == len(cells)
+        assert set(covered) == set(map(tuple, cells))
+    points = rng.uniform(-1, 1, size=(200, 3))
+    expected = {tuple(int(Fraction(x) // Fraction(0.25)) for x in p) for p in points}
+    assert set(map(tuple, sensed.cells_of(points, 0.25))) == expected
+
+
+def test_a_grid_is_where_its_origin_says() -> None:
+    """One row of cells is one box, at origin + size (i, j, k)."""
+    grid = np.zeros((5, 4, 3), bool)
+    grid[1:4, 2, 1] = True
+    (piece,) = Body.from_voxels(grid, 0.5, origin=[10, 20, 30]).pieces
+    np.testing.assert_allclose(piece.vertices.min(axis=0), [10.5, 21, 30.5])
+    np.testing.assert_allclose(piece.vertices.max(axis=0), [12, 21.5, 31])
+
+
+def test_terrain_is_solid_down_to_its_base(rng: np.random.Generator) -> None:
+    """Small balls collide exactly where they are below the surface that the triangles make."""
+    heights = rng.uniform(0, 0.3, size=(7, 9))
+    ground = Body.height_field(heights, [0.5, 0.25], base=-1.0)
+    assert ground.pieces[0].kind == "solid"
+    xy = rng.uniform([0.01, 0.01], [2.99, 1.99], size=(500, 2))
+    z = rng.uniform(-0.9, 0.5, size=500)
+    i, j = np.floor(xy / [0.5, 0.25]).astype(int).T
+    s, t = (xy / [0.5, 0.25] - np.stack([i, j], axis=1)).T
+    a, b, c, d = heights[i, j], heights[i + 1, j], heights[i + 1, j + 1], heights[i, j + 1]
+    surface = np.where(s >= t, a + s * (b - a) + t * (c - b), a + t * (d - a) + s * (c - d))
+    T = np.tile(np.eye(4), (500, 1, 1))
+    T[:, :3, 3] = np.column_stack([xy, z])
+    found = loewner.collide(ground, None, Body.sphere(1e-6), T)
+    clear = np.abs(z - surface) > 1e-5
+    assert clear.sum() > 490
+    assert (found == (z < surface))[clear].all()
+    default = Body.height_field(heights, 0.5)
+    assert default.pieces[0].vertices[:, 2].min() == heights.min() - 4.0
+
+
+@pytest.mark.parametrize("normal", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1, 2, 3], [-1e-200, 1e-200, 0], [1e200, 1, 1]])
+def test_half_spaces_end_at_their_plane(normal: list[float]) -> None:
+    """The distance of a ball from a floor or wall is that from its plane, on the side the normal points to."""
+    n = np.array(normal) / np.abs(normal).max()
+    n /= np.linalg.norm(n)
+    wall = Body.half_space(normal, -0.5, extent=50.0)
+    T = np.eye(4)
+    for height in (0.3, 2.0):
+        T[:3, 3] = (height - 0.5) * n + np.cross(n, [0.3, 0.4, 0.5])
+        found = loewner.distance(wall, None, Body.sphere(0.1), T, exact=True).distance
+        np.testing.assert_allclose(found, height - 0.1, atol=1e-9)
+    T[:3, 3] = -0.5 * n - 3 * n
+    assert loewner.collide(wall, None, Body.sphere(0.1), T)
+
+
+# -- as any other body ------------------------------------------------------------------------------
+
+
+def test_clouds_are_bodies_like_any_other(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Saved, pickled, moved, united with others, and against each other."""
+    cloud = Body.from_cloud(rng.uniform(size=(500, 3)), radius=0.01)
+    T = places(rng, 100)
+    expected = loewner.collide(cloud, None, SHAPES["box"], T)
+    cloud.save(tmp_path / "cloud.npz")
+    for copy in (Body.load(tmp_path / "cloud.npz"), pickle.loads(pickle.dumps(cloud))):
+        assert repr(copy) == repr(cloud) == "Body(cloud, 500 points, radius 0.01)"
+        assert (loewner.collide(copy, None, SHAPES["box"], T) == expected).all()
+    moved = cloud.transformed(T[0])
+    assert (loewner.collide(moved, None, SHAPES["box"], T[0] @ T) == expected).all()
+    both = Body.union([cloud, ball_at(np.array([3.0, 0, 0]), 0.1)])
+    assert (loewner.collide(both, None, SHAPES["box"], T) == expected).all()
+    other = Body.from_cloud(rng.uniform(size=(400, 3)), radius=0.005)
+    a, b = cloud.pieces[0].vertices, other.pieces[0].vertices
+    far = T[:20].copy()
+    far[:, 0, 3] += 0.8
+    placed = np.einsum("tij,nj->tni", far[:, :3, :3], b) + far[:, None, :3, 3]
+    least = np.linalg.norm(placed[:, :, None] - a, axis=3).min(axis=(1, 2)) - 0.015
+    found = loewner.distance(cloud, None, other, far, exact=True).distance
+    assert (found <= 0).tolist() == (least <= 0).tolist()
+    np.testing.assert_allclose(found[least > 0], least[least > 0], atol=1e-9)
+    assert (loewner.collide(cloud, None, other, far) == (least <= 0)).all()
+
+
+@pytest.mark.parametrize("kind", ["cloud", "voxels", "spheres"])
+def test_robots_among_sensor_data(kind: str, rng: np.random.Generator, tmp_path: Path) -> None:
+    """Configurations, motions and clearances of a robot agree with a loop over parts; a new cloud is noticed."""
+    robot = Robot.from_urdf(gantry(tmp_path)[0])
+    checker = CollisionChecker(robot, scene := Scene())
+    Q = robot.random_configurations(200, 0)
+    reach = robot.forward_kinematics(Q)[:, -1, :3, 3]
+    for _ in range(2):
+        centers = rng.uniform(reach.min(axis=0), reach.max(axis=0), size=(60, 3))
+        if kind == "cloud":
+            body, parts = Body.from_cloud(centers, radius=0.03), [ball_at(c, 0.03) for c in centers]
+        elif kind == "spheres":
+            body, parts = Body.spheres(centers, 0.03), [ball_at(c, 0.03) for c in centers]
+        else:
+            body = Body.from_cloud(centers, voxel=0.06)
+            parts = [Body.boxes([p.outer.center], np.ptp(p.vertices, axis=0)) for p in body.pieces]
+        if "seen" in scene:
+            scene.remove("seen")
+        scene.add("seen", body)
+        single = Scene()
+        for k, part in enumerate(parts):
+            single.add(str(k), part)
+        loop = CollisionChecker(robot, single)
+        expected = loop.collide(Q)
+        assert 0.02 < expected.mean() < 0.98
+        assert (checker.collide(Q) == expected).all()
+        np.testing.assert_allclose(
+            checker.distance(Q[~expected], exact=True).distance,
+            loop.distance(Q[~expected], exact=True).distance,
+            atol=1e-9,
+        )
+        free = Q[~expected][:8]
+        found = checker.certify_edges(free[:-1], free[1:])
+        assert loop.valid_edges(free[:-1], free[1:], 0.005)[found.verdict == loewner.Verdict.FREE].all()
+        for k in np.flatnonzero(found.verdict == loewner.Verdict.COLLIDING):
+            assert loop.collide(robot.between(free[k], free[k + 1], found.fraction[k]))
+
+
+# -- bad input --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: Body.from_cloud(np.zeros((0, 3)), radius=1), GeometryError, "at least one point, found none"),
+        (lambda: Body.from_cloud([[0, 0, np.nan]], radius=1), InputError, "points"),
+        (lambda: Body.from_cloud([[0, 0]], radius=1), InputError, "points"),
+        (lambda: Body.from_cloud([[0, 0, 0]]), InputError, "expected one of the two, found none"),
+        (lambda: Body.from_cloud([[0, 0, 0]], radius=1, voxel=1), InputError, "found both"),
+        (lambda: Body.from_cloud([[0, 0, 0]], radius=0), InputError, "radius"),
+        (lambda: Body.from_cloud([[0, 0, 0]], radius=-1), InputError, "radius"),
+        (lambda: Body.from_cloud([[0, 0, 0]], voxel=np.inf), InputError, "voxel"),
+        (lambda: Body.from_cloud([[1e9, 0, 0]], voxel=1e-3), InputError, "cells within 1048576"),
+        (lambda: Body.spheres([[0, 0, 0]], [1, 2]), InputError, "radii"),
+        (lambda: Body.spheres([[0, 0, 0]], 0), InputError, "radii"),
+        (lambda: Body.spheres(np.zeros((0, 3)), 1), GeometryError, "centers"),
+        (lambda: Body.boxes([[0, 0, 0]], [1, 2]), InputError, "edges"),
+        (lambda: Body.boxes([[0, 0, 0]], [[1, 2, -3]]), InputError, "edges"),
+        (lambda: Body.boxes([[1e9, 0, 0]], 1e-6), GeometryError, "more than rounding, found box 0"),
+        (lambda: Body.boxes([[1e300, 0, 0]], 1.0), GeometryError, "more than rounding"),
+        (lambda: Body.from_voxels(np.zeros((2, 2, 2), bool), 1), GeometryError, "found none"),
+        (lambda: Body.from_voxels(np.zeros((2, 2, 2)), 1), InputError, "array of bool"),
+        (lambda: Body.from_voxels(np.ones((2, 2), bool), 1), InputError, "array of bool"),
+        (lambda: Body.from_voxels(np.ones((2, 2, 2), bool), 0), InputError, "size"),
+        (lambda: Body.from_voxels(np.ones((2, 2, 2), bool), 1, origin=[0, 0]), InputError, "origin"),
+        (lambda: Body.height_field([[1.0]], 1), InputError, "at least two along each axis"),
+        (lambda: Body.height_field([[1.0, np.nan], [0, 0]], 1), InputError, "heights"),
+        (lambda: Body.height_field(np.zeros((2, 2)), [1, 2, 3]), InputError, "spacing"),
+        (lambda: Body.height_field(np.zeros((2, 2)), 1, base=0.0), InputError, "below the lowest, 0 m, found 0"),
+        (lambda: Body.half_space([0, 0, 0], 1), InputError, "normal"),
+        (lambda: Body.half_space([0, 0, 1], np.inf), InputError, "offset"),
+        (lambda: Body.half_space([0, 0, 1], 0, extent=0), InputError, "extent"),
+    ],
+)
+def test_bad_input_says_what_was_expected(call: object, error: type[Exception], message: str) -> None:
+    """Each is an error of this library."""
+    with pytest.raises(error, match=message):
+        call()
+
+
+# -- octrees, scene files ---------------------------------------------------------------------------
+
+
+def test_octrees_are_the_boxes_of_their_leaves(rng: np.random.Generator, tmp_path: Path) -> None:
+    """A written octree is read back: each point is inside, leaves have the size of the tree, and damage is told."""
+    octomap = pytest.importorskip("octomap")
+    tree = octomap.OcTree(0.1)
+    points = rng.uniform(size=(200, 3))
+    tree.insertPointCloud(points, np.array([0.5, 0.5, 3.0]))
+    file = tmp_path / "map.bt"
+    tree.writeBinary(str(file).encode())
+    body = Body.from_octree(file)
+    T = np.tile(np.eye(4), (200, 1, 1))
+    T[:, :3, 3] = points
+    assert loewner.collide(body, None, Body.sphere(1e-9), T).mean() > 0.95  # rays to others pass through some
+    edges = np.array([np.ptp(piece.vertices, axis=0) for piece in body.pieces])
+    np.testing.assert_allclose(edges / 0.1, np.round(edges / 0.1), atol=1e-6)
+    data = file.read_bytes()
+    for broken, message in ((b"# Octo", "begins with"), (data[: len(data) // 2], "cut off or altered")):
+        (tmp_path / "broken.bt").write_bytes(broken)
+        with pytest.raises(FileError, match=message):
+            Body.from_octree(tmp_path / "broken.bt")
+
+
+def test_scene_files_know_sensor_data(rng: np.random.Generator, tmp_path: Path) -> None:
+    """All shapes, from files beside the scene; saved and read again they give the same verdicts."""
+    points = rng.uniform(size=(50, 3))
+    np.save(tmp_path / "points.npy", points)
+    np.savetxt(tmp_path / "points.csv", points, delimiter=",", fmt="%.17g")
+    grid = rng.uniform(size=(4, 5, 6)) < 0.3
+    np.save(tmp_path / "grid.npy", grid)
+    np.save(tmp_path / "heights.npy", rng.uniform(size=(4, 5)))
+    (tmp_path / "scene.yaml").write_text(
+        """
+        bodies:
+          a: {cloud: {file: points.npy, radius: 0.02}}
+          b: {cloud: {file: points.csv, voxel: 0.1}, position: [2, 0, 0]}
+          c: {voxels: {file: grid.npy, size: 0.1, origin: [0, 0, 1]}}
+          d: {height_field: {file: heights.npy, spacing: [0.1, 0.2], base: -1}}
+          e: {half_space: {normal: [0, 0, 1], offset: -3}}
+          f: {spheres: [[0, 0, 5, 0.5], [1, 0, 5, 0.25]]}
+          g: {boxes: [[0, 0, 7, 1, 2, 3]]}
+        """
+    )
+    scene = loewner.load_scene(tmp_path / "scene.yaml")
+    assert repr(scene["a"]) == "Body(cloud, 50 points, radius 0.02)"
+    assert len(scene["f"].pieces) == 2
+    loewner.save_scene(scene, tmp_path / "again.yaml")
+    again = loewner.load_scene(tmp_path / "again.yaml")
+    T = places(rng, 100, -1, 8)
+    for name in scene:
+        expected = loewner.collide(scene[name], scene.pose(name), SHAPES["ball"], T)
+        assert (loewner.collide(again[name], again.pose(name), SHAPES["ball"], T) == expected).all()
+    for text, message in (
+        ("cloud: {file: points.npy}", "found none"),
+        ("cloud: {file: none.npy, radius: 1}", "found no such file"),
+        ("cloud: {file: scene.yaml, radius: 1}", "ends in .npy"),
+        ("voxels: {file: points.npy, size: 1}", "array of bool"),
+        ("spheres: [[0, 0, 0]]", "sequence of 4"),
+        ("half_space: {normal: [0, 0, 0], offset: 0}", "normal"),
+    ):
+        (tmp_path / "bad.yaml").write_text(f"bodies: {{x: {{{text}}}}}")
+        with pytest.raises(FileError, match=message):
+            loewner.load_scene(tmp_path / "bad.yaml")
+    (tmp_path / "pickled.npy").write_bytes(b"\x93NUMPY\x01\x00 not an array")
+    (tmp_path / "bad.yaml").write_text("bodies: {x: {cloud: {file: pickled.npy, radius: 1}}}")
+    with pytest.raises(FileError, match="array of numbers"):
+        loewner.load_scene(tmp_path / "bad.yaml")
