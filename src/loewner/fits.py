@@ -30,6 +30,7 @@ from loewner.polytopes import (
     center_error,
     check_enough,
     check_halfspaces,
+    check_size,
     flat_error,
     interior_point,
     writeable,
@@ -165,7 +166,9 @@ def _checked_center(center: ArrayLike | None, n: int) -> Floats | None:
     if center is None:
         return None
     array = _validate.float_array(center, "center")
-    return _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
+    given = _validate.finite_array(np.full(n, array) if array.ndim == 0 else array, "center", (n,))
+    check_size(float(np.abs(given).max()), "center")
+    return given
 
 
 def _is_large(m: int, n: int) -> bool:
@@ -274,7 +277,9 @@ def _mvie_about(center: Floats, A: Floats, b: Floats, tol: float, reporter: Repo
     if not (slack > 0).all():
         i = int(slack.argmin())
         raise GeometryError(f"center: expected a point inside every half-space, found row {i} at slack {slack[i]:.3g}")
-    polar, origin = A / slack[:, None], np.zeros(A.shape[1])
+    with np.errstate(over="ignore"):  # infinite is too large, and told so
+        polar, origin = A / slack[:, None], np.zeros(A.shape[1])
+    check_size(float(np.abs(polar).max()), "A, b about the center, rows by slacks")
     try:
         _, around, _, iterations, weights = large_outer.smallest_around(
             polar, max(0.5 * tol, SMALLEST_TOLERANCE), origin, reporter

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import octomap
 
 import loewner
 from families import box_corners, translation
@@ -384,6 +385,9 @@ def write_files() -> None:
     gantry(Path())
     Path("part.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in CUBE) + TRIANGLES)
     cube().save("part.npz")
+    tree = octomap.OcTree(0.5)
+    tree.updateNode(np.array([0.25, 0.25, 0.25]), True)
+    tree.writeBinary(b"map.bt")
     pair_of_cubes().save("parts.npz")
     roadmap().save("roadmap.npz")
     loewner.save_scene(scene(), "scene.yaml")
@@ -552,7 +556,7 @@ CALLS: dict[str, Call] = {
         {
             "points": FLAT_POINTS,
             "tol": TOL,
-            "center": array(np.zeros(3), NONE, FINITE),
+            "center": array(np.zeros(3), NONE, NUMBERS, ZERO, NEGATIVE, "a number alone", "one 5e-324"),
             "weights": flag(),
             "progress": callback(),
         },
@@ -563,7 +567,7 @@ CALLS: dict[str, Call] = {
             "A": array(np.concatenate([np.eye(3), -np.eye(3)]), FINITE, "without the last column"),
             "b": array(np.ones(6), NONE, FINITE),
             "tol": TOL,
-            "center": array(np.zeros(3), NONE, FINITE),
+            "center": array(np.zeros(3), NONE, NUMBERS, ZERO, NEGATIVE, "a number alone", "one 5e-324"),
             "progress": callback(),
         },
     ),
@@ -612,10 +616,18 @@ CALLS: dict[str, Call] = {
         },
     ),
     "Body.spheres": Call(
-        Body.spheres, {"centers": array([[0.0, 0, 0], [1, 0, 0]], FINITE), "radii": array([0.5, 0.25], FINITE)}
+        Body.spheres,
+        {
+            "centers": array([[0.0, 0, 0], [1, 0, 0]], FINITE),
+            "radii": array([0.5, 0.25], FINITE, NUMBERS, "a number alone"),
+        },
     ),
     "Body.boxes": Call(
-        Body.boxes, {"centers": array([[0.0, 0, 0], [1, 0, 0]]), "edges": array([[1.0, 2, 3], [1, 1, 1]])}
+        Body.boxes,
+        {
+            "centers": array([[0.0, 0, 0], [1, 0, 0]], "one 5e-324"),
+            "edges": array([[1.0, 2, 3], [1, 1, 1]], NUMBERS, "a number alone"),
+        },
     ),
     "Body.from_cloud": Call(
         Body.from_cloud,
@@ -632,16 +644,23 @@ CALLS: dict[str, Call] = {
     "Body.height_field": Call(
         Body.height_field,
         {
-            "heights": array([[0.0, 1, 0], [0, 0.5, 0]], FINITE),
-            "spacing": array([1.0, 2.0], FINITE),
+            "heights": array(
+                [[0.0, 1, 0], [0, 0.5, 0]],
+                FINITE,
+                "100,000 zeros",
+                "without the last column",
+                "a column more",
+                "turned over",
+            ),
+            "spacing": array([1.0, 2.0], FINITE, NUMBERS, "a number alone"),
             "base": arg(-1.0, NONE, NEGATIVE),
         },
     ),
     "Body.half_space": Call(
         Body.half_space,
-        {"normal": array([0.0, 0.0, 1.0], FINITE), "offset": arg(1.0, NUMBERS, NEGATIVE), "extent": positive()},
+        {"normal": array([0.0, 0.0, 1.0], FINITE), "offset": arg(1.0, NUMBERS, NEGATIVE, ZERO), "extent": positive()},
     ),
-    "Body.from_octree": Call(Body.from_octree, {"path": arg("none.bt")}),
+    "Body.from_octree": Call(Body.from_octree, {"path": arg("map.bt")}),
     "Body.box": Call(Body.box, {"size": array([1.0, 2.0, 3.0], FINITE)}),
     "Body.sphere": Call(Body.sphere, {"radius": positive()}),
     "Body.ellipsoid": Call(Body.ellipsoid, {"semi_axes": array([1.0, 2.0, 3.0], FINITE)}),
