@@ -50,6 +50,11 @@ class Pinocchio:
         self.model = pin.buildModelFromUrdf(str(urdf))
         self.geometry = _geometry(self.model, checker)
         self._columns = _columns(self.model, checker, urdf)
+        self.prepare()
+
+    def prepare(self) -> None:
+        """Make what works on the geometry as it is now."""
+        pin = self._pin
         self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
         fixed = self.model, self.data
         self.single: dict[str, Callable[[Array, bool], bool]] = {

@@ -12,6 +12,8 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, UNCOUNTED
+from loewner._kernels.columns import OUTER_CENTER, OUTER_SHAPE
+from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, measure_along, place_piece
@@ -437,8 +439,9 @@ def _count(bits):
 def _with_piece(A, B, near, far, memory, listed_at, room):
     """Walk through the tree of a surface A for a convex piece B.
 
-    Where GJK separates a triangle from B, the plane that it found mostly separates those around it, too. So the last
-    few planes are kept, and what lies beyond one of them is not looked at.
+    It starts with the box around B's outer ellipsoid: the one around B itself takes six searches, and is for those that
+    come near. Where GJK separates a triangle from B, the plane that it found mostly separates those around it, too. So
+    the last few planes are kept, and what lies beyond one of them is not looked at.
     """
     a = surface_of(A)
     shift = shift_between(A, B)
@@ -447,10 +450,10 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
     planes = floats_at(memory + SEPARATING, (PLANES * PLANE,))
     listed = integers_at(listed_at, (2 * room,))
-    ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
-    middle, half, single, wide = box_in_frame(A, B, shift, far, size)
+    ends = np.int64(LEAF), np.int64(LEAF)
+    middle, half, single, wide = oval_in_frame(A, B, shift, far, size)
     R = rotation_of(A)
-    center = apply(R, middle)
+    center, closer = (0.0, 0.0, 0.0), False
     stack = integers_at(memory, (STACK,))
     stack[0] = 0
     height, open_pairs, found = 1, 0, 0
@@ -468,6 +471,12 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
         leaf = leaf_of(child)
         placed = floats_at(memory + PLACED, (2 * BLOCK,))
         bits = movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0) & ((1 << size_of(child)) - 1)
+        if bits != 0 and not closer:
+            closer = True
+            ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
+            middle, half, single, wide = box_in_frame(A, B, shift, far, size)
+            center = apply(R, middle)
+            bits &= movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0)
         for k in range(min(found, PLANES)):
             if bits != 0:
                 bits &= _not_beyond(a.blocks, leaf, planes, k)
@@ -551,13 +560,43 @@ def box_in_frame(A, B, shift, far, size):
     Both twice: in double precision, and in single, where `ROUNDINGS` covers their rounding.
     """
     R = rotation_of(A)
-    bend = off_orthonormal(R) + 1e-15
-    slack = far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
+    slack = _slack(R, far, size)
     m0, h0 = _extent(B, shift, (R[0], R[3], R[6]), slack)
     m1, h1 = _extent(B, shift, (R[1], R[4], R[7]), slack)
     m2, h2 = _extent(B, shift, (R[2], R[5], R[8]), slack)
     f = np.float32
     return (m0, m1, m2), (h0, h1, h2), (f(m0), f(m1), f(m2)), (f(h0), f(h1), f(h2))
+
+
+@inline
+def _slack(R, far, size):
+    """What a box along the axes of R is widened by: the distance, what poses bend, and what rounds."""
+    bend = off_orthonormal(R) + 1e-15
+    return far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
+
+
+@njit()
+def oval_in_frame(A, B, shift, far, size):
+    """As `box_in_frame`, around the outer ellipsoid of a convex piece."""
+    R, S = rotation_of(A), rotation_of(B)
+    slack = _slack(R, far, size)
+    t, p = B.table, B.piece
+    c = plus(apply(S, (t[p, OUTER_CENTER], t[p, OUTER_CENTER + 1], t[p, OUTER_CENTER + 2])), shift)
+    q = OUTER_SHAPE
+    Q = t[p, q], t[p, q + 1], t[p, q + 2], t[p, q + 3], t[p, q + 4], t[p, q + 5]
+    h0 = _half_width(Q, apply_transposed(S, (R[0], R[3], R[6]))) + slack
+    h1 = _half_width(Q, apply_transposed(S, (R[1], R[4], R[7]))) + slack
+    h2 = _half_width(Q, apply_transposed(S, (R[2], R[5], R[8]))) + slack
+    m = apply_transposed(R, c)
+    f = np.float32
+    return m, (h0, h1, h2), (f(m[0]), f(m[1]), f(m[2])), (f(h0), f(h1), f(h2))
+
+
+@inline
+def _half_width(Q, n):
+    """How far an ellipsoid with shape matrix Q goes along n from its center; rounded outward."""
+    width, _ = outward_width(Q, n, dot(n, n))
+    return width
 
 
 @inline
