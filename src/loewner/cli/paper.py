@@ -10,7 +10,7 @@ from typing import Any
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 
-NOTE_COLUMNS = 80  # no table is wider, so the text around them is not either
+TEXT_COLUMNS = 80  # no table is wider, so the text around them is not either
 
 EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs
@@ -44,7 +44,7 @@ def _run(options: argparse.Namespace) -> int:
         found = paper.run(
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
-    print(f"{sheets.colliding(found)}.")
+    print(textwrap.fill(f"{sheets.colliding(found)}.", TEXT_COLUMNS))
     for sheet in sheets.in_order(found):
         print(f"\n{sheet.title}")
         head, *rows = sheet.aligned
@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
         for row in rows:
             table.add_row(*row)
         print_table(table)
-        print(textwrap.fill(sheet.note, NOTE_COLUMNS))
+        print(textwrap.fill(sheet.note, TEXT_COLUMNS))
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:
             print(f"{name}: {path}")

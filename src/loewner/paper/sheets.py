@@ -98,7 +98,7 @@ def right(experiment: Experiment) -> Sheet:
     rows = []
     fourth = experiment.detectors[3]
     for result in (*experiment.detectors, experiment.estimate):
-        printed = PAPER.get(result.id, (None, None))
+        printed = PAPER[result.id][:2] if result.id in PAPER else (None, None)
         for part, letter in enumerate(("(a)", "(b)")):
             table = f"{result.id} {letter}" if result.id else letter
             rows.append(_right(table, result, part, printed[part]))
