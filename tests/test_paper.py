@@ -340,6 +340,8 @@ def test_columns_of_a_table_are_aligned():
     head, *rows = sheets.Sheet("", ("a", "b", "c"), (("x", "9 (0.9)", "yes"), ("long", "-", "1 of 2")), "").aligned
     assert head == ("a   ", "      b", "c     ")
     assert rows == [("x   ", "9 (0.9)", "yes   "), ("long", "      -", "1 of 2")]
+    for cell, numeric in (("2.5e-05", True), ("34.5 [31.6, 37.5]", True), ("yes (p = 1)", False), ("1: name", False)):
+        assert sheets.Sheet("", ("a",), ((cell,),), "").numeric == (numeric,)
 
 
 def test_right_answers_are_counted(experiment):

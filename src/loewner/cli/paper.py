@@ -44,7 +44,7 @@ def _run(options: argparse.Namespace) -> int:
         found = paper.run(
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
-    print(textwrap.fill(f"{sheets.colliding(found)}.", TEXT_COLUMNS))
+    print(_wrapped(f"{sheets.colliding(found)}."))
     for sheet in sheets.in_order(found):
         print(f"\n{sheet.title}")
         head, *rows = sheet.aligned
@@ -52,8 +52,12 @@ def _run(options: argparse.Namespace) -> int:
         for row in rows:
             table.add_row(*row)
         print_table(table)
-        print(textwrap.fill(sheet.note, TEXT_COLUMNS))
+        print(_wrapped(sheet.note))
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:
             print(f"{name}: {path}")
     return 0
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, TEXT_COLUMNS, break_on_hyphens=False)

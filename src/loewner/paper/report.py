@@ -94,7 +94,7 @@ def markdown(experiment: Experiment) -> str:
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}"
     "table{border-collapse:collapse;margin:1rem 0;font-size:13px}"
-    "td,th{border:1px solid #ccc;padding:.25rem .5rem;text-align:right}td:first-child,th:first-child{text-align:left}"
+    "td,th{border:1px solid #ccc;padding:.25rem .5rem;text-align:left}.number{text-align:right}"
     "caption{text-align:left;font-weight:600;padding:.25rem 0}.note{color:#555;font-size:13px;margin-top:-.5rem}"
     "figure{margin:1.5rem 0}img{max-width:100%}figcaption{color:#555;font-size:13px}"
 )
@@ -115,8 +115,7 @@ def html(experiment: Experiment, images: dict[str, bytes]) -> str:
             parts.append("<ul>" + "".join(f"<li>{escape(item)}</li>" for item in content) + "</ul>")
         elif kind == "sheet":
             parts.append(f"<table><caption>{escape(content.title)}</caption>")
-            parts.append("<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in content.head) + "</tr>")
-            parts += ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in content.rows]
+            parts += [_html_row(content, content.head, "th"), *(_html_row(content, row, "td") for row in content.rows)]
             parts.append("</table>")
             parts += [f'<p class="note">{escape(content.note)}</p>'] if content.note else []
         elif kind == "figure":
@@ -131,6 +130,13 @@ def html(experiment: Experiment, images: dict[str, bytes]) -> str:
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{STYLE}</style></head><body>" + "\n".join(parts) + "</body></html>\n"
     )
+
+
+def _html_row(sheet: sheets.Sheet, cells: tuple[str, ...], kind: str) -> str:
+    """A row of cells of the kind "th" or "td"."""
+    classes = (' class="number"' if numeric else "" for numeric in sheet.numeric)
+    texts = zip(classes, cells, strict=True)
+    return "<tr>" + "".join(f"<{kind}{style}>{_html.escape(cell)}</{kind}>" for style, cell in texts) + "</tr>"
 
 
 # -- what it says ----------------------------------------------------------------------------------
