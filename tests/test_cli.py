@@ -690,9 +690,10 @@ def test_plan_needs_states_and_pairs(with_end, capsys, arguments, message):
 
 
 def test_paper_prints_tables_and_writes_counts(saved, capsys):
-    """All tables are printed, and the counts add up."""
+    """All tables are printed, within 80 columns, and the counts add up."""
     status, out, _ = run(capsys, "paper", "--pairs", "40", "--seed", "3", "--json", "counts.json")
     assert status == 0
+    assert max(map(len, out.splitlines())) <= 80
     for k in "1234":
         assert f"Table {k} (a)" in out
     counts = json.loads(Path("counts.json").read_text())

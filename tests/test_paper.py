@@ -13,6 +13,7 @@ from scipy.stats import binomtest, chi2_contingency, kstest
 from loewner import (
     Bodies,
     Body,
+    ConvergenceError,
     FileError,
     InputError,
     MissingExtraError,
@@ -21,11 +22,12 @@ from loewner import (
     classify,
     contact_function,
     distance,
+    mvce,
     near_points,
     paper,
 )
 from loewner._proportions import wilson
-from loewner.paper import Confusion, detectors, figures, report, tables
+from loewner.paper import Confusion, detectors, figures, fitting, report, sheets, tables
 from loewner.paper.experiment import write_atomically
 from oracles import hull, pack, signed_distances
 
@@ -286,6 +288,108 @@ def test_the_paper_s_own_tables_add_up():
     assert sum(tables.PAPER_CLASSES) == 1000
 
 
+def test_errors_outside_the_ambiguous_pairs(experiment):
+    """They are the wrong answers that a detector's own checks gave; the paper prints three for its detector 2."""
+    printed = {k: tables.errors_outside(*tables.PAPER[k][:2]) for k in tables.PAPER}
+    assert printed == {1: (162, 0), 2: (3, 0), 3: (0, 0), 4: (3, 0)}
+    rows = {row[0]: row[1:] for row in sheets.outside(experiment).rows}
+    for result in (*experiment.detectors, experiment.estimate):
+        sure, said, truth = ~result.answers.ambiguous, result.answers.collides, experiment.truth
+        own = int((sure & ~said & truth).sum()), int((sure & said & ~truth).sum())
+        assert tables.errors_outside(result.all, result.ambiguous) == own
+        missed, missed_printed, false, false_printed = rows[f"{result.id}: {result.name}" if result.id else result.name]
+        assert (int(missed), int(false)) == own
+        assert (missed_printed, false_printed) == tuple(map(str, printed.get(result.id, "--")))
+    assert int(rows["1: earlier method, with polyhedra"][0]) > 0
+
+
+# -- the tables as text ----------------------------------------------------------------------------
+
+
+def leading(cell):
+    """The number that a cell begins with."""
+    return int(cell.split()[0])
+
+
+def test_matrices_stand_beside_the_paper_s(experiment):
+    """Rows are the detector, columns the truth, in ours as in the paper's."""
+    for sheet, result in zip(sheets.counts(experiment), (*experiment.detectors, experiment.estimate), strict=True):
+        own = [*result.all.counts, *result.ambiguous.counts]
+        assert [leading(cell) for row in sheet.rows for cell in row[1:3]] == own
+        printed = [count for part in tables.PAPER.get(result.id, ())[:2] for count in part.counts]
+        assert [leading(cell) for row in sheet.rows for cell in row[3:]] == printed
+
+
+def test_every_table_names_detectors_and_fits_eighty_columns(experiment):
+    """With the lines that the terminal draws around it; where a table is about detectors, it says which."""
+    every = (*sheets.in_order(experiment), *sheets.shares(experiment))
+    for sheet in every:
+        assert len(sheet.title) <= 80
+        for row in sheet.aligned:
+            assert sum(map(len, row)) + 3 * len(row) + 1 <= 80, sheet.title
+    names = [result.name for result in (*experiment.detectors, experiment.estimate)]
+    about_one = [sheet.title for sheet in (*sheets.counts(experiment), *sheets.shares(experiment))]
+    assert all(name in title for name, title in zip(names * 2, about_one, strict=True))
+    for sheet in (sheets.right(experiment), sheets.outside(experiment), sheets.times(experiment)):
+        text = str(sheet.rows)
+        assert all(f"{k}: {name}" in text for k, name in enumerate(names[:4], start=1))
+
+
+def test_columns_of_a_table_are_aligned():
+    """Every cell of a column has one width; numbers, with what follows in brackets, stand to the right."""
+    head, *rows = sheets.Sheet("", ("a", "b", "c"), (("x", "9 (0.9)", "yes"), ("long", "-", "1 of 2")), "").aligned
+    assert head == ("a   ", "      b", "c     ")
+    assert rows == [("x   ", "9 (0.9)", "yes   "), ("long", "      -", "1 of 2")]
+    for cell, numeric in (("2.5e-05", True), ("34.5 [31.6, 37.5]", True), ("yes (p = 1)", False), ("1: name", False)):
+        assert sheets.Sheet("", ("a",), ((cell,),), "").numeric == (numeric,)
+
+
+def test_right_answers_are_counted(experiment):
+    """The shares of right answers are those of the confusion matrices; Table 2 is set against detector 4 too."""
+    rows = {row[:2]: row[2:] for row in sheets.right(experiment).rows}
+    assert len(rows) == 12
+    second, fourth = experiment.detectors[1], experiment.detectors[3]
+    for name, result in (("2: Lin-Han near points", second), ("4: center-line near points", fourth)):
+        for letter, own, printed in zip("ab", (result.all, result.ambiguous), tables.PAPER[2][:2], strict=True):
+            right, paper_right, consistent = rows[f"2 ({letter})", name]
+            assert right == f"{100 * (own.tp + own.tn) / own.total:.1f}"
+            assert paper_right == f"{100 * (printed.tp + printed.tn) / printed.total:.1f}"
+            assert consistent == tables.statement(tables.homogeneity(own.counts, printed.counts))
+
+
+# -- the fits --------------------------------------------------------------------------------------
+
+
+def test_every_polyhedron_is_fitted_to_the_paper_s_tolerance(experiment):
+    """None of 2000 fails, and the gaps are certified to be within 1e-4."""
+    assert [f.name for f in experiment.fittings] == list(fitting.FITS)
+    for found in experiment.fittings:
+        assert (found.tried, found.failed) == (2000, 0)
+        assert 0 <= found.largest_gap <= 1e-4
+        assert found.microseconds > 0
+
+
+def test_fits_that_fail_are_counted(experiment, monkeypatch):
+    """A fit that ends in an error is counted as failed, and the others are fitted all the same."""
+    calls = []
+
+    def every_third_fails(points):
+        calls.append(points)
+        if len(calls) % 3 == 0:
+            raise ConvergenceError("too hard")
+        return mvce(points)
+
+    def fails(points):
+        raise ConvergenceError("too hard")
+
+    monkeypatch.setattr(fitting, "FITS", {"some": every_third_fails, "none": fails})
+    some, none = fitting.fit_one_by_one(experiment.bodies_1[:6], experiment.bodies_2[:6])
+    assert (some.tried, some.failed) == (12, 4)
+    assert some.largest_gap <= 1e-4
+    assert (none.tried, none.failed) == (12, 12)
+    assert math.isnan(none.largest_gap)
+
+
 @pytest.mark.parametrize(("count", "total"), [(0, 10), (10, 10), (1, 3), (375, 1000), (5, 237)])
 def test_wilson_against_scipy(count, total):
     """The interval of a share is SciPy's Wilson interval."""
@@ -368,6 +472,8 @@ def test_report_says_what_must_be_said(outcome):
         "Detector 4 does not generalise",
         "Table 1 (a)",
         "Estimate (b)",
+        "Errors outside the ambiguous pairs",
+        "How reliable the fits are",
     ):
         assert phrase in text
         assert phrase.replace("'", "&#x27;") in page
@@ -403,6 +509,41 @@ def test_figures_show_points_where_the_sections_are(experiment):
     for k in np.flatnonzero(answers.ambiguous)[:30]:
         line = figures.line_of_pair((p.inner_1[k], p.inner_2[k]), (p.outer_1[k], p.outer_2[k]), "rimon-boyd")
         assert ((line.L + line.alpha - line.beta) / 2 <= 0) == answers.collides[k]
+
+
+def test_arrows_of_the_flow_chart_meet_their_boxes():
+    """Each begins on the border of one box and ends, at right angles, on that of the next."""
+    for start, end, _ in figures.ARROWS:
+        path = figures.arrow_path(start, end)
+        for name, (x, y) in ((start, path[0]), (end, path[-1])):
+            middle_x, middle_y, width, height, *_ = figures.BOXES[name]
+            off = abs(x - middle_x) / width, abs(y - middle_y) / height
+            assert sorted(off) == pytest.approx([0.0, 1.0])
+        assert all((a == b).any() for a, b in zip(path[:-1], path[1:], strict=True))
+
+
+def test_text_of_the_flow_chart_stays_in_its_boxes():
+    """Drawn, no text is wider or higher than the box that arrows end at."""
+    figure = figures._flow_chart()
+    figure.draw_without_rendering()
+    ax = figure.axes[0]
+    texts = {text.get_text(): text for text in ax.texts}
+    for x, y, width, height, text, _ in figures.BOXES.values():
+        extent = texts[text].get_window_extent().transformed(ax.transData.inverted())
+        assert x - width < extent.x0 < extent.x1 < x + width
+        assert y - height < extent.y0 < extent.y1 < y + height
+
+
+def test_polyhedra_can_be_seen(experiment):
+    """Figures 1 and 2 fill both polyhedra and draw their borders."""
+    drawn = figures.draw(experiment)
+    for name in ("figure-1", "figure-2"):
+        polygons = drawn[name].axes[0].patches
+        assert len(polygons) == 2
+        for polygon in polygons:
+            assert polygon.get_facecolor()[3] >= 0.2
+            assert polygon.get_edgecolor()[3] >= 0.5
+            assert polygon.get_linewidth() > 0
 
 
 # -- bad input -------------------------------------------------------------------------------------

@@ -1255,7 +1255,7 @@ LINES: dict[str, Call] = {
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
-    "paper.DataSet", "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
+    "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.Trajectory",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}

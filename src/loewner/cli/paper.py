@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 
-if TYPE_CHECKING:
-    from loewner import paper
+TEXT_COLUMNS = 80  # no table is wider, so the text around them is not either
 
 EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs
@@ -31,6 +31,7 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from loewner import paper
+    from loewner.paper import sheets
 
     with progress_bar() as progress:
         tasks: dict[str, Any] = {}
@@ -43,19 +44,20 @@ def _run(options: argparse.Namespace) -> int:
         found = paper.run(
             options.pairs, options.seed, options.dataset, out=options.out, json=options.json, progress=report
         )
-    title = f"{len(found):,} pairs, {int(found.truth.sum()):,} colliding; in percent, +- 95 % / the paper"
-    table = new_table("table", "detector", *paper.tables.CELLS, "right", "as the paper", "us", title=title)
-    for row in paper.tables.tables(found):
-        cells = (_cell_text(cell) for cell in row.cells)
-        number, right = paper.tables.number(row.microseconds), paper.tables.percent(row.accuracy)
-        table.add_row(row.title, row.detector, *cells, right, row.statement, number)
-    print_table(table)
+    print(_wrapped(f"{sheets.colliding(found)}."))
+    for sheet in sheets.in_order(found):
+        print(f"\n{sheet.title}")
+        head, *rows = sheet.aligned
+        table = new_table(*head)
+        for row in rows:
+            table.add_row(*row)
+        print_table(table)
+        print(_wrapped(sheet.note))
     for name, path in (("report", options.out), ("counts", options.json)):
         if path is not None:
             print(f"{name}: {path}")
     return 0
 
 
-def _cell_text(cell: paper.tables.Cell) -> str:
-    own = f"{100 * cell.share:.1f} +-{50 * (cell.high - cell.low):.1f}"
-    return own if cell.paper_count is None else f"{own} / {100 * cell.paper_share:.1f}"
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, TEXT_COLUMNS, break_on_hyphens=False)

@@ -1,8 +1,9 @@
 """The paper's experiment: its data set, four detectors, tables and figures; and its own methods, for comparison.
 
 `run` does it all and returns an `Experiment`; `tables.rows` gives its tables as text. The modules read in
-the paper's order: `dataset`, `detectors`, `experiment`, `tables`, `figures`, `report`. What the library itself does in
-another way is in `estimates` (f, section 4), `overlap` (appendix A) and `lifted_mvie` (appendix B).
+the paper's order: `dataset`, `fitting`, `detectors`, `experiment`, `tables`, `sheets`, `figures`, `report`. What the
+library itself does in another way is in `estimates` (f, section 4), `overlap` (appendix A) and `lifted_mvie`
+(appendix B).
 """
 
 from loewner.paper import tables
@@ -10,6 +11,7 @@ from loewner.paper.dataset import DataSet, sample
 from loewner.paper.detectors import Answers, Confusion, Pairs, detect, estimate
 from loewner.paper.estimates import distance_estimate
 from loewner.paper.experiment import Experiment, Result, run
+from loewner.paper.fitting import Fitting
 from loewner.paper.lifted_mvie import mvce_by_lifted_mvie
 from loewner.paper.overlap import overlap_by_eigenvalue
 
@@ -18,6 +20,7 @@ __all__ = [
     "Confusion",
     "DataSet",
     "Experiment",
+    "Fitting",
     "Pairs",
     "Result",
     "detect",

@@ -29,7 +29,7 @@ from loewner.errors import InputError, UnknownNameError
 Bools = NDArray[np.bool_]
 
 DETECTORS = {
-    1: "the earlier method, with polyhedra",
+    1: "earlier method, with polyhedra",
     2: "Lin-Han near points",
     3: "level-surface near points",
     4: "center-line near points",

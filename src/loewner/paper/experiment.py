@@ -19,6 +19,7 @@ from loewner.errors import FileError
 from loewner.paper import detectors
 from loewner.paper.dataset import DataSet, sample
 from loewner.paper.detectors import Answers, Confusion, Pairs
+from loewner.paper.fitting import Fitting, fit_one_by_one
 from loewner.queries import collide
 
 Bools = NDArray[np.bool_]
@@ -76,6 +77,8 @@ class Experiment:
         Detectors 1 to 4.
     estimate : Result
         F_in F_out <= 1, ambiguous by the two exact overlap checks.
+    fittings : tuple of Fitting
+        How reliable each kind of fit is on these polyhedra, at most the first 2000.
 
     Examples
     --------
@@ -92,6 +95,7 @@ class Experiment:
     truth: Bools
     detectors: tuple[Result, ...]
     estimate: Result
+    fittings: tuple[Fitting, ...] = ()
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -206,6 +210,7 @@ def run(
         truth,
         tuple(results),
         _counted(0, "F_in F_out <= 1", detectors.estimate(model), truth),
+        fit_one_by_one(bodies_1, bodies_2),
     )
     if counts is not None:
         write_atomically(counts, (_json.dumps(found.as_dict(), indent=2) + "\n").encode())

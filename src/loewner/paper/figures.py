@@ -139,6 +139,8 @@ def _ellipsoids(
 
 def _section(experiment: Experiment, k: int, kind: str) -> Any:
     """Cut pair k by the plane of its near-point line; `kind` names the inner ellipsoids to use."""
+    from matplotlib.colors import to_rgba
+
     earlier = kind == "heuristic"
     inner, outer = _ellipsoids(experiment, k, kind)
     line = line_of_pair(inner, outer, "rimon-boyd" if earlier else "lin-han")
@@ -164,7 +166,7 @@ def _section(experiment: Experiment, k: int, kind: str) -> Any:
     for piece, color in zip(pieces, (BLUE, RED), strict=True):
         polygon = _polygon(*_faces(piece), line.v1, line.e, across)
         if len(polygon):
-            ax.fill(*polygon.T, color=color, alpha=0.15 if earlier else 0.05, lw=0)
+            ax.fill(*polygon.T, facecolor=to_rgba(color, 0.22), edgecolor=to_rgba(color, 0.8), lw=1.0)
     marks = {
         "$v_1^i$": (0.0, BLUE),
         "$v_2^i$": (line.L, RED),
@@ -226,14 +228,14 @@ def _polygon(normals: Floats, offsets: Floats, origin: Floats, x: Floats, y: Flo
 
 # -- figure 3: the flow ----------------------------------------------------------------------------
 
-# name: (x, y, text, question?)
+# name: (x, y, half width, half height, text, question?); wide and high enough for the text.
 BOXES = {
-    "outer": (0.0, 3.0, "outer ellipsoids\n(MVCEs) overlap?", True),
-    "inner": (0.0, 2.0, "inner ellipsoids\n(MVIEs) overlap?", True),
-    "near": (0.0, 1.0, "near points $v_1^i$, $v_2^i$;\nray hits $v_1^c$, $v_2^c$", False),
-    "f": (0.0, 0.0, "$f(v_1^i, v_2^i, v_1^c, v_2^c) \\leq 0$ ?", True),
-    "free": (-2.4, 0.0, "no collision", False),
-    "hit": (2.4, 0.0, "collision", False),
+    "outer": (0.0, 3.0, 0.62, 0.24, "outer ellipsoids\n(MVCEs) overlap?", True),
+    "inner": (0.0, 2.0, 0.62, 0.24, "inner ellipsoids\n(MVIEs) overlap?", True),
+    "near": (0.0, 1.0, 0.68, 0.27, "near points $v_1^i$, $v_2^i$;\nray hits $v_1^c$, $v_2^c$", False),
+    "f": (0.0, 0.0, 0.72, 0.18, "$f(v_1^i, v_2^i, v_1^c, v_2^c) \\leq 0$ ?", True),
+    "free": (-2.4, 0.0, 0.48, 0.18, "no collision", False),
+    "hit": (2.4, 0.0, 0.48, 0.18, "collision", False),
 }
 ARROWS = (
     ("outer", "inner", "yes"),
@@ -246,25 +248,48 @@ ARROWS = (
 )
 
 
+def arrow_path(start: str, end: str) -> Floats:
+    """Corners of an arrow from the border of one box to that of another, shape (2 or 3, 2).
+
+    Straight down, or sideways, or sideways and then down where an answer skips the questions below.
+    """
+    x0, y0, width_0, height_0 = BOXES[start][:4]
+    x1, y1, width_1, height_1 = BOXES[end][:4]
+    if x0 == x1:
+        return np.array([(x0, y0 - height_0), (x1, y1 + height_1)])
+    side = np.sign(x1 - x0)
+    leaves = (x0 + side * width_0, y0)
+    if y0 == y1:
+        return np.array([leaves, (x1 - side * width_1, y1)])
+    return np.array([leaves, (x1, y0), (x1, y1 + height_1)])
+
+
 def _flow_chart() -> Any:
     figure = require_matplotlib()(figsize=(7.0, 4.6), layout="constrained")
+    from matplotlib.patches import FancyBboxPatch
+
     ax = figure.add_subplot()
     ax.set(xlim=(-3.0, 3.0), ylim=(-0.35, 3.35))
     ax.axis("off")
-    for x, y, text, question in BOXES.values():
-        shape = {"boxstyle": "round,pad=0.5", "fc": "#eef3f9" if question else "#f6f6f6", "ec": GREY}
-        ax.text(x, y, text, ha="center", va="center", fontsize=10, bbox=shape, zorder=2)
+    for x, y, width, height, text, question in BOXES.values():
+        ax.add_patch(
+            FancyBboxPatch(
+                (x - width, y - height), 2 * width, 2 * height, boxstyle="round,pad=0,rounding_size=0.06",
+                fc="#eef3f9" if question else "#f6f6f6", ec=GREY,
+            )
+        )  # fmt: skip
+        ax.text(x, y, text, ha="center", va="center", fontsize=10)
     for start, end, answer in ARROWS:
-        (x0, y0, *_), (x1, y1, *_) = BOXES[start], BOXES[end]
-        # Sideways first, then down, when an answer skips the questions below.
-        corner = (x1, y0)
-        ax.plot([x0, corner[0], x1], [y0, corner[1], y1 + (0.3 if y1 != y0 else 0.0)], color=GREY, lw=1.1, zorder=1)
-        tip, tail = (
-            ((x1, y1 + 0.25), (x1, y1 + 0.35)) if y0 != y1 else ((x1 * (0.8 if x1 < 0 else 0.84), y1), (x1 * 0.7, y1))
-        )
-        ax.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": GREY}, zorder=3)
-        at = (x0 + 0.12, y0 - 0.5) if x0 == x1 else (x0 + np.sign(x1 - x0) * 1.3, y0 + 0.08)
-        ax.text(*at, answer, ha="left" if x0 == x1 else "center", va="center" if x0 == x1 else "bottom", fontsize=9)
+        corners = arrow_path(start, end)
+        ax.plot(*corners[:-1].T, color=GREY, lw=1.1)
+        tip = {"arrowstyle": "-|>", "color": GREY, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", corners[-1], corners[-2], arrowprops=tip)
+        # The answer stands beside the first stretch: right of it going down, above it going sideways.
+        (x, y), down = corners[:2].mean(axis=0), corners[0, 0] == corners[1, 0]
+        ax.annotate(
+            answer, (x, y), (5, 0) if down else (0, 4), textcoords="offset points",
+            ha="left" if down else "center", va="center" if down else "bottom", fontsize=9,
+        )  # fmt: skip
     return figure
 
 
@@ -280,7 +305,10 @@ def _samples(experiment: Experiment) -> Any:
     answers, truth = experiment.detectors[1].answers, experiment.truth
     for place, (said, is_so) in enumerate(((True, True), (True, False), (False, True), (False, False))):
         ax = figure.add_subplot(2, 2, place + 1, projection="3d")
-        ax.set_title(f"says {'collision' if said else 'none'}, is {'collision' if is_so else 'none'}", fontsize=10)
+        cell = f"cell ({place // 2 + 1},{place % 2 + 1})"
+        ax.set_title(
+            f"{cell}: says {'collision' if said else 'free'}, is {'colliding' if is_so else 'free'}", fontsize=10
+        )
         ax.set_axis_off()
         found = np.flatnonzero(answers.ambiguous & (answers.collides == said) & (truth == is_so))
         if not len(found):

@@ -14,18 +14,28 @@ from loewner.errors import InputError
 from loewner.paper.detectors import Confusion
 from loewner.paper.experiment import Experiment, Result
 
-# The paper's confusion matrices and milliseconds per check (Pentium 4 at 1.8 GHz, MATLAB 6.5), by table,
-# which is also the detector: all pairs, ambiguous pairs.
+# The paper's numbers by the number of their table, which is also the detector's: its part (a), all pairs, and its
+# part (b), the ambiguous ones, then the milliseconds per check that the caption gives for (a) and (b) (Pentium 4 at
+# 1.8 GHz, MATLAB 6.5). A matrix is read row by row: tp is cell (1,1), fp (1,2), fn (2,1), tn (2,2).
 PAPER = {
     1: (Confusion(375, 32, 167, 426), Confusion(50, 32, 5, 150), 100.0, 146.0),
     2: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 46.0, 75.0),
     3: (Confusion(524, 28, 18, 430), Confusion(128, 28, 18, 160), 10.0, 19.0),
     4: (Confusion(515, 23, 27, 435), Confusion(134, 23, 24, 136), 10.0, 15.0),
 }
+PAPER_PAIRS = PAPER[1][0].total
+PAPER_COLLIDING = PAPER[1][0].tp + PAPER[1][0].fn  # the same in all four tables
+
 # What Table 3 implies about the data: inner ellipsoids overlap, ambiguous and colliding, ambiguous and
-# free, outer ellipsoids apart.
+# free, outer ellipsoids apart. Beside each class the cells that it comes from.
 CLASSES = ("inner overlap", "ambiguous, colliding", "ambiguous, free", "outer apart")
-PAPER_CLASSES = (396, 146, 188, 270)
+CLASS_SOURCES = ("(a) (1,1) - (b) (1,1)", "(b) (1,1) + (2,1)", "(b) (1,2) + (2,2)", "(a) (2,2) - (b) (2,2)")
+PAPER_CLASSES = (
+    PAPER[3][0].tp - PAPER[3][1].tp,
+    PAPER[3][1].tp + PAPER[3][1].fn,
+    PAPER[3][1].fp + PAPER[3][1].tn,
+    PAPER[3][0].tn - PAPER[3][1].tn,
+)
 
 CELLS = ("true collision", "false collision", "missed collision", "true free")
 SIGNIFICANCE = 0.01  # below this p the numbers are called different
@@ -134,6 +144,25 @@ def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
     inner = experiment.estimate.answers.collides & ~hard
     counts = tuple(int(c.sum()) for c in (inner, hard & truth, hard & ~truth, ~hard & ~inner))
     return counts, homogeneity(counts, PAPER_CLASSES)
+
+
+def errors_outside(every: Confusion, ambiguous: Confusion) -> tuple[int, int]:
+    """Collisions missed and false alarms among the pairs that a detector's overlap checks decided.
+
+    Parameters
+    ----------
+    every, ambiguous : Confusion
+        Parts (a) and (b) of one table.
+
+    Examples
+    --------
+    The three errors that section 5 of the paper speaks of:
+
+    >>> from loewner.paper import tables
+    >>> tables.errors_outside(*tables.PAPER[2][:2])
+    (3, 0)
+    """
+    return every.fn - ambiguous.fn, every.fp - ambiguous.fp
 
 
 def _expect_experiment(experiment: object) -> None:
