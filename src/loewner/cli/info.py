@@ -26,6 +26,7 @@ EXTRAS = {
     "viewer": ("viser",),
     "jax": ("jax",),
     "torch": ("torch",),
+    "cluster": ("dask", "distributed"),
 }
 
 MISSING = "not installed"
