@@ -167,7 +167,7 @@ def fit(
     >>> for k in range(3):
     ...     _ = trimesh.creation.box((0.1, 0.2, 0.1 + 0.1 * k)).export(f"box{k}.stl")
     >>> meshes = [f"box{k}.stl" for k in range(3)]
-    >>> with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as workers, Client(workers) as client:
+    >>> with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as workers, Client(workers) as client:
     ...     cluster.fit(meshes, client, "bodies")
     ...     cluster.fit([*meshes, "none.stl"], client, "bodies")
     Fitted(3 done, 0 skipped, 0 failed)
@@ -348,7 +348,7 @@ def _outcomes(
     )
     meshes = dict(zip(futures, targets, strict=True))
     try:
-        for future in distributed.as_completed(futures):
+        for future in distributed.as_completed(futures, loop=client.loop):
             found[meshes[future]] = _outcome(future, meshes[future])
             if progress is not None:
                 progress(len(found), total)
