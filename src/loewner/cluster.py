@@ -335,7 +335,6 @@ def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
 ) -> dict[Path, _Outcome]:
     """Have the workers make all bodies, and wait for them; whatever ends the wait ends the work."""
-    distributed = _distributed()
     total, found = len(targets), dict[Path, _Outcome]()
     futures = client.map(
         _fit_one,
@@ -346,15 +345,19 @@ def _outcomes(
         pure=False,
         batch_size=AT_A_TIME,
     )
-    meshes = dict(zip(futures, targets, strict=True))
+    # An outcome that somebody still holds is kept by the worker that made it, and made again if that one dies.
+    waiting = dict(zip(futures, targets, strict=True))
+    del futures
     try:
-        for future in distributed.as_completed(futures, loop=client.loop):
-            found[meshes[future]] = _outcome(future, meshes[future])
+        for future in _distributed().as_completed(waiting, loop=client.loop):
+            mesh = waiting.pop(future)
+            found[mesh] = _outcome(future, mesh)
+            future.release()
             if progress is not None:
                 progress(len(found), total)
     except BaseException:
         with suppress(Exception):  # the scheduler may be what went away
-            client.cancel(futures)
+            client.cancel(list(waiting))
         raise
     return found
 

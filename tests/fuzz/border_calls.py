@@ -30,6 +30,7 @@ import loewner
 from families import box_corners, translation
 from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
+from loewner import cluster as clustering
 from loewner import compilation as compiling
 from loewner import jax as for_jax
 from loewner import plots as drawing
@@ -337,6 +338,21 @@ def roadmap() -> planners.Roadmap:
 @cache
 def experiment() -> paper.Experiment:
     return paper.run(20)
+
+
+@cache
+def client() -> Any:
+    """A client of workers in this process; of the forked one, since a cluster does not outlive a fork."""
+    import distributed
+
+    workers = distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0")
+    return distributed.Client(workers, set_as_default=False)
+
+
+def in_chunks() -> Any:
+    import dask.array
+
+    return dask.array.from_array(np.array(Q), chunks=1)
 
 
 def flat_axes() -> Any:
@@ -1168,11 +1184,41 @@ LINES: dict[str, Call] = {
     ),
 }
 
+if find_spec("distributed"):
+    CHUNKS = {"checker": arg(checker), "Q": arg(in_chunks)}
+    CALLS |= {
+        "cluster.fit": Call(
+            clustering.fit,
+            {
+                "paths": arg(lambda: ["part.obj"], NOTHING, "list of text", "dict of numbers"),
+                "client": arg(client),
+                "out": arg("made", TEXTS - {"NUL", "surrogate", "long text"}, "folder", "missing file"),
+                "root": arg(".", NONE, "folder"),
+                "decompose": flag(),
+                "tol": positive(0.125, "1e308"),
+                "scale": arg(2.0, NUMBERS, NEGATIVE),
+                "cover": flag(),
+                "tolerance": positive(0.5, NONE),
+                "threshold": arg(0.125, "Fraction"),
+                "max_pieces": count(4, NONE),
+                "seed": count(0, "0"),
+                "progress": callback(),
+            },
+        ),
+        "cluster.collide": Call(clustering.collide, CHUNKS),
+        "cluster.distance": Call(clustering.distance, CHUNKS),
+        "cluster.certify_edges": Call(
+            clustering.certify_edges,
+            {"checker": arg(checker), "Q0": arg(in_chunks), "Q1": arg(in_chunks), "tolerance": positive(0.125)},
+        ),
+    }
+
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Pairs", "paper.Result", "planners.Trajectory",
+    "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}
@@ -1189,6 +1235,9 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
         "meshes.": _own(meshes),
         "plots.": _own(drawing),
         "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},
+        "cluster.": {name: getattr(clustering, name) for name in clustering.__all__}
+        if find_spec("distributed")
+        else {},
         **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
         "cli.": {"main": cli.main},
