@@ -31,7 +31,7 @@ from loewner import Body, CollisionChecker, Verdict, cluster
 from robot_samples import obstacles, panda
 
 MESHES, QUICK = 1000, 12
-CONFIGURATIONS, MOTIONS = 2_000_000, 20_000
+CONFIGURATIONS, MOTIONS = 2_000_000, 10_000
 
 
 def corpus(folder: Path, count: int) -> list[Path]:
@@ -198,8 +198,8 @@ def main(quick: bool) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fits(folder, count, 1 if quick else 2)
-    overhead(count)
-    checkers(*(10_000, 100) if quick else (CONFIGURATIONS, MOTIONS))
+        overhead(count)
+        checkers(folder, *(10_000, 100) if quick else (CONFIGURATIONS, MOTIONS))
 
 
 if __name__ == "__main__":

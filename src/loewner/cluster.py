@@ -157,7 +157,8 @@ def fit(
     fitted anew.
 
     If a worker dies, Dask gives its files to others. A file at which four workers died counts as failed: it may take
-    more memory than they have. After an interrupt nobody begins another file; those that workers are at are finished.
+    more memory than they have. While there is no worker at all, the call waits for one. After an interrupt nobody
+    begins another file; those that workers are at are finished.
 
     Examples
     --------
