@@ -151,7 +151,7 @@ def overhead(count: int) -> None:
         print(f"{count} empty tasks: {1e3 * taken / count:.2f} ms each")
 
 
-def checkers(folder: Path, configurations: int, motions: int) -> None:
+def checkers(configurations: int, motions: int) -> None:
     """Configurations and motions of an arm among boxes: on one worker and on two, and in this process."""
     robot = panda().robot
     checker = CollisionChecker(robot, obstacles(0))
@@ -163,14 +163,12 @@ def checkers(folder: Path, configurations: int, motions: int) -> None:
         f"{8 * robot.dof} bytes a configuration there, 1 back"
     )
     Q = robot.random_configurations(configurations, seed=0)
-    np.save(folder / "Q.npy", Q)
-    kept = np.load(folder / "Q.npy", mmap_mode="r")
     ends = [da.from_array(part, chunks=(1000, -1)) for part in (Q[:motions], Q[motions : 2 * motions])]
     with workers(1) as one, workers(2) as two:
         for chunk in (5_000, 50_000):
             share = da.random.default_rng(0).random((configurations, robot.dof), chunks=(chunk, -1))
             made = robot.lower + share * (robot.upper - robot.lower)
-            for name, lazy in (("made by the workers", made), ("of a file", da.from_array(kept, chunks=(chunk, -1)))):
+            for name, lazy in (("made by the workers", made), ("sent to them", da.from_array(Q, chunks=(chunk, -1)))):
                 hits = cluster.collide(checker, lazy).sum()
                 report(f"configurations {name}, {chunk} a chunk", one, two, hits, configurations)
         report("motions", one, two, (cluster.certify_edges(checker, *ends) == Verdict.FREE).sum(), motions)
@@ -199,7 +197,7 @@ def main(quick: bool) -> None:
         folder = Path(name)
         fits(folder, count, 1 if quick else 2)
         overhead(count)
-        checkers(folder, *(10_000, 100) if quick else (CONFIGURATIONS, MOTIONS))
+        checkers(*(10_000, 100) if quick else (CONFIGURATIONS, MOTIONS))
 
 
 if __name__ == "__main__":

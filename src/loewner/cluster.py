@@ -532,7 +532,8 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 
     Notes
     -----
-    As for `collide`. A motion takes tens of times as long as a configuration: chunks of a thousand suit.
+    As for `collide`. A motion takes tens of times as long as a configuration: chunks of a thousand suit. Values run
+    straight: a roadmap takes joints that turn without limits the shorter way around, so add whole turns to `Q1` there.
 
     Examples
     --------

@@ -100,7 +100,7 @@ def test_the_benchmark_runs(tmp_path, capsys):
 
     benchmark.fits(tmp_path, 6, 1)
     benchmark.overhead(10)
-    benchmark.checkers(tmp_path, 2000, 20)
+    benchmark.checkers(2000, 20)
     out = capsys.readouterr().out
     assert "6 skipped" in out
     assert "not those of the serial call: 0 of 6" in out
