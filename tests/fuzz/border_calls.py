@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import loewner
 from families import box_corners, translation
@@ -340,13 +341,30 @@ def experiment() -> paper.Experiment:
     return paper.run(20)
 
 
-@cache
 def client() -> Any:
-    """A client of workers in this process; of the forked one, since a cluster does not outlive a fork."""
+    """What passes for a client of Dask: a real one has threads and locks, which do not survive a fork."""
     import distributed
 
-    workers = distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0")
-    return distributed.Client(workers, set_as_default=False)
+    class Here(distributed.Client):
+        asynchronous, status = False, "running"
+
+        def __init__(self) -> None:
+            pass
+
+        __del__ = __init__
+
+    return Here()
+
+
+def fit_here(**arguments: Any) -> clustering.Fitted:
+    """`cluster.fit`, with the tasks of its workers done by this process one after the other."""
+
+    def outcomes(_: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Any) -> dict[Path, Any]:
+        return {m: clustering._fit_one(str(m.absolute()), str(t.absolute()), options, "") for m, t in targets.items()}
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(clustering, "_outcomes", outcomes)
+        return clustering.fit(**arguments)
 
 
 def in_chunks() -> Any:
@@ -1188,7 +1206,7 @@ if find_spec("distributed"):
     CHUNKS = {"checker": arg(checker), "Q": arg(in_chunks)}
     CALLS |= {
         "cluster.fit": Call(
-            clustering.fit,
+            fit_here,
             {
                 "paths": arg(lambda: ["part.obj"], NOTHING, "list of text", "dict of numbers"),
                 "client": arg(client),
