@@ -13,7 +13,7 @@ from gantry import gantry
 
 OPTIONAL = (
     "trimesh", "coacd", "matplotlib", "mpl_toolkits", "rich", "collada", "lxml", "networkx", "ompl", "viser", "jax",
-    "torch",
+    "torch", "dask", "distributed",
 )  # fmt: skip
 
 
@@ -70,6 +70,7 @@ def test_scipy_waits_for_a_hull(tmp_path):
 # Of loewner itself: for one purpose each, or for files only.
 LATE = (
     "cli",
+    "cluster",
     "compilation",
     "paper",
     "planners",

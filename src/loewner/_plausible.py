@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from operator import le
 
 import numpy as np
@@ -37,8 +39,31 @@ LARGEST_VALUE = 1e200
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
 
+class _Listener(threading.local):
+    """Where the calling thread wants its warnings; Python's own way to catch them is one for all threads."""
+
+    texts: list[str] | None = None
+
+
+_listener = _Listener()
+
+
+@contextmanager
+def told_to(texts: list[str]) -> Iterator[None]:
+    """List what this thread is warned of here, instead of warning, until the block ends."""
+    before = _listener.texts
+    _listener.texts = texts
+    try:
+        yield
+    finally:
+        _listener.texts = before
+
+
 def warn(text: str) -> None:
     """Warn whoever called the library, not the part of it that noticed."""
+    if _listener.texts is not None:
+        _listener.texts.append(text)
+        return
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "loewner":
         level, frame = level + 1, frame.f_back

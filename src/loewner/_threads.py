@@ -11,7 +11,8 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from queue import SimpleQueue
 from typing import Generic, TypeVar
@@ -101,6 +102,17 @@ def get_num_threads() -> int:
     """
     count = _setting.count
     return _of_process() if count is None else count
+
+
+@contextmanager
+def at_most(n: int) -> Iterator[None]:
+    """Let the calls of this thread use no more than so many threads, until the block ends."""
+    before = _setting.count
+    _setting.count = min(n, get_num_threads())
+    try:
+        yield
+    finally:
+        _setting.count = before
 
 
 @cache

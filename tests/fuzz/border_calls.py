@@ -26,11 +26,13 @@ from typing import Any
 
 import numpy as np
 import octomap
+import pytest
 
 import loewner
 from families import box_corners, translation
 from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
+from loewner import cluster as clustering
 from loewner import compilation as compiling
 from loewner import jax as for_jax
 from loewner import plots as drawing
@@ -340,6 +342,38 @@ def roadmap() -> planners.Roadmap:
 @cache
 def experiment() -> paper.Experiment:
     return paper.run(20)
+
+
+def client() -> Any:
+    """What passes for a client of Dask: a real one has threads and locks, which do not survive a fork."""
+    import distributed
+
+    class Here(distributed.Client):
+        asynchronous, status = False, "running"
+
+        def __init__(self) -> None:
+            pass
+
+        __del__ = __init__
+
+    return Here()
+
+
+def fit_here(**arguments: Any) -> clustering.Fitted:
+    """`cluster.fit`, with the tasks of its workers done by this process one after the other."""
+
+    def outcomes(_: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Any) -> dict[Path, Any]:
+        return {m: clustering._fit_one(str(m.absolute()), str(t.absolute()), options, "") for m, t in targets.items()}
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(clustering, "_outcomes", outcomes)
+        return clustering.fit(**arguments)
+
+
+def in_chunks() -> Any:
+    import dask.array
+
+    return dask.array.from_array(np.array(Q), chunks=1)
 
 
 def flat_axes() -> Any:
@@ -1251,11 +1285,41 @@ LINES: dict[str, Call] = {
     ),
 }
 
+if find_spec("distributed"):
+    CHUNKS = {"checker": arg(checker), "Q": arg(in_chunks)}
+    CALLS |= {
+        "cluster.fit": Call(
+            fit_here,
+            {
+                "paths": arg(lambda: ["part.obj"], NOTHING, "list of text", "dict of numbers"),
+                "client": arg(client),
+                "out": arg("made", TEXTS - {"NUL", "surrogate", "long text"}, "folder", "missing file"),
+                "root": arg(".", NONE, "folder"),
+                "decompose": flag(),
+                "tol": positive(0.125, "1e308"),
+                "scale": arg(2.0, NUMBERS, NEGATIVE),
+                "cover": flag(),
+                "tolerance": positive(0.5, NONE),
+                "threshold": arg(0.125, "Fraction"),
+                "max_pieces": count(4, NONE),
+                "seed": count(0, "0"),
+                "progress": callback(),
+            },
+        ),
+        "cluster.collide": Call(clustering.collide, CHUNKS),
+        "cluster.distance": Call(clustering.distance, CHUNKS),
+        "cluster.certify_edges": Call(
+            clustering.certify_edges,
+            {"checker": arg(checker), "Q0": arg(in_chunks), "Q1": arg(in_chunks), "tolerance": positive(0.125)},
+        ),
+    }
+
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
     "CertifiedMotions", "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.Trajectory",
+    "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}
@@ -1272,6 +1336,9 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
         "meshes.": _own(meshes),
         "plots.": _own(drawing),
         "viewer.": {name: getattr(viewing, name) for name in viewing.__all__},
+        "cluster.": {name: getattr(clustering, name) for name in clustering.__all__}
+        if find_spec("distributed")
+        else {},
         **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
         "cli.": {"main": cli.main},

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from pathlib import Path
 from typing import Any
 
 import loewner
 from loewner import _validate
 from loewner.cli import inputs
-from loewner.cli.output import model_text, new_table, print_table, progress_bar
+from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
 from loewner.fits import DEFAULT_TOLERANCE
 
@@ -19,6 +20,7 @@ EXAMPLES = """examples:
   loewner fit mug.stl -o bodies --tolerance 0.002       pieces that stick out by at most 2 mm
   loewner fit table.glb -o bodies --hull                one piece: the convex hull
   loewner fit cup.stl -o bodies --model surface         the triangles as they are, no fit of pieces
+  loewner fit parts/*.stl -o bodies --scheduler tcp://host:8786    on the workers of a Dask cluster
 """
 
 
@@ -31,6 +33,12 @@ def add(commands: Any) -> None:
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
     fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
+    fit.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster whose workers do it; what they did before with the same options is not done again, and "
+        "meshes that fail are listed in the end",
+    )
     fit.set_defaults(run=_run)
 
 
@@ -42,6 +50,11 @@ def _run(options: argparse.Namespace) -> int:
     if options.tol is not None and inputs.model(options) == "surface":
         raise InputError("--tol: expected it with pieces or hulls only, found it with --model surface")
     tol = DEFAULT_TOLERANCE if options.tol is None else options.tol
+    return _on_this_machine(options, targets, tol) if options.scheduler is None else _on_a_cluster(options, tol)
+
+
+def _on_this_machine(options: argparse.Namespace, targets: list[Path], tol: float) -> int:
+    """One mesh after the other, up to the first that fails."""
     table = new_table(
         "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
     )
@@ -61,6 +74,36 @@ def _run(options: argparse.Namespace) -> int:
             progress.advance(task)
     print_table(table)
     return 0
+
+
+def _on_a_cluster(options: argparse.Namespace, tol: float) -> int:
+    """All meshes on the workers of a cluster; what failed is a table."""
+    from loewner import cluster
+
+    model = inputs.model(options)
+    if model == "surface":
+        raise InputError("--scheduler: expected pieces or hulls to fit, found --model surface, which fits nothing")
+    with progress_bar() as progress:
+        task = progress.add_task("meshes", total=len(options.meshes))
+        fitted = cluster.fit(
+            options.meshes,
+            options.scheduler,
+            options.out,
+            decompose=model == "pieces",
+            scale=options.scale,
+            tol=tol,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+            **inputs.given(options, inputs.OF_PIECES),
+        )
+    for text in (text for texts in fitted.warned.values() for text in texts):
+        warnings.warn(text, stacklevel=1)
+    print(f"{len(fitted.done)} done, {len(fitted.skipped)} done before, {len(fitted.failed)} failed")
+    if fitted.failed:
+        table = new_table("mesh", "what is wrong", title="loewner fit: failed")
+        for mesh, text in fitted.failed.items():
+            table.add_row(str(mesh), text)
+        print_table(table)
+    return ERROR if fitted.failed else 0
 
 
 def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:

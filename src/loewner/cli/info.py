@@ -27,6 +27,7 @@ EXTRAS = {
     "mujoco": ("mujoco",),
     "jax": ("jax",),
     "torch": ("torch",),
+    "cluster": ("dask", "distributed"),
 }
 
 MISSING = "not installed"

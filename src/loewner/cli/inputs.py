@@ -87,7 +87,7 @@ def from_mesh(
     """Body of a mesh, with a bar of its own unless the caller shows progress."""
     chosen = model(options)
     if chosen == "surface":
-        return loewner.Body.from_surface(path, scale=options.scale, **_given(options, OF_SURFACES))
+        return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
     if progress is None:
         with progress_bar() as bar:
             task = bar.add_task(path.name, total=None)
@@ -100,7 +100,7 @@ def from_mesh(
         scale=options.scale,
         tol=tol,
         progress=progress,
-        **_given(options, OF_PIECES),
+        **given(options, OF_PIECES),
     )
 
 
@@ -108,7 +108,7 @@ def model(options: argparse.Namespace) -> str:
     """What a mesh becomes, by all options that say so."""
     if options.hull and options.model not in (None, "hull"):
         raise InputError(f"--hull: expected no other model with it, found --model {options.model}")
-    of_pieces, of_surfaces = _given(options, OF_PIECES), _given(options, OF_SURFACES)
+    of_pieces, of_surfaces = given(options, OF_PIECES), given(options, OF_SURFACES)
     chosen = "hull" if options.hull else options.model
     if chosen is None:
         chosen = "surface" if of_surfaces else "pieces" if of_pieces else options.usual_model
@@ -119,7 +119,7 @@ def model(options: argparse.Namespace) -> str:
     return str(chosen)
 
 
-def _given(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
+def given(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
     """Those of some options that were given, by their names."""
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 

@@ -78,7 +78,8 @@ def print_table(table: Table | PlainTable) -> None:
 
     console = Console()
     # A pipe has no width; there a table is not cut to 80 columns.
-    Console(width=None if console.is_terminal else 200).print(table)
+    # Nor are names and messages a markup language: they say `pip install "loewner[meshes]"`.
+    Console(width=None if console.is_terminal else 200, markup=False, emoji=False).print(table)
 
 
 def is_surface(body: loewner.Body) -> bool:

@@ -1,0 +1,632 @@
+"""Work on several processes or machines, by Dask: corpora of meshes to bodies, and checkers on large arrays.
+
+Dask is imported when a function here is called, and not before: ``pip install "loewner[cluster]"``.
+
+A task uses one thread. Dask starts as many tasks at a time as a worker has threads, and counts on that; a call that
+took all processors, as it does elsewhere, would have them fight each other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate, mesh_files
+from loewner._archives import LARGEST_CONTENT
+from loewner._files import read_regular, replacing, shown
+from loewner._guard import guarded
+from loewner._plausible import told_to
+from loewner._threads import at_most
+from loewner._validate import Bools, Floats, Progress
+from loewner.bodies import Body
+from loewner.errors import FileError, GeometryError, InputError, LoewnerError, MissingExtraError, installing
+from loewner.robots import CollisionChecker
+
+__all__ = ["Fitted", "certify_edges", "collide", "distance", "fit"]
+
+# How long a scheduler may take to answer [s].
+PATIENCE = 10
+
+# Files that are handed to the scheduler in one message.
+AT_A_TIME = 4096
+
+# Records are a few hundred bytes, and a name of 255 letters at most.
+LARGEST_RECORD = 2**16
+
+# A mesh of such a file may be in other files, which its own bytes do not tell.
+LINKING = (".gltf", ".glb")
+
+HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker ADDRESS --nworkers auto`"
+
+# A small body to try options on.
+TETRAHEDRON = (
+    np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+
+
+# -- corpora of meshes ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What became of each mesh of a corpus, in the order in which they were given.
+
+    Attributes
+    ----------
+    done : dict of Path to Path
+        From meshes to the files of their bodies: those that this call made.
+    skipped : dict of Path to Path
+        Likewise, those that were there already, of the same mesh and with the same options.
+    failed : dict of Path to str
+        What is wrong with each of the others.
+    warned : dict of Path to tuple of str
+        What `Body.from_mesh` warns of, for meshes done or skipped: holes, for instance, or an unusual size.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> Fitted({Path("a.stl"): Path("a.npz")}, {}, {Path("b.stl"): "b.stl: expected a mesh file, found none"}, {})
+    Fitted(1 done, 0 skipped, 1 failed)
+    """
+
+    done: Mapping[Path, Path]
+    skipped: Mapping[Path, Path]
+    failed: Mapping[Path, str]
+    warned: Mapping[Path, tuple[str, ...]]
+
+    def __repr__(self) -> str:
+        return f"Fitted({len(self.done)} done, {len(self.skipped)} skipped, {len(self.failed)} failed)"
+
+
+@guarded
+def fit(
+    paths: Iterable[str | os.PathLike[str]],
+    client: Any,
+    out: str | os.PathLike[str],
+    *,
+    root: str | os.PathLike[str] | None = None,
+    decompose: bool = True,
+    tol: float = 1e-4,
+    scale: ArrayLike = 1.0,
+    cover: bool = True,
+    tolerance: float | None = None,
+    threshold: float = 0.05,
+    max_pieces: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Fitted:
+    """Make bodies of many mesh files on the workers of a cluster, as `Body.from_mesh` does, and save them.
+
+    Parameters
+    ----------
+    paths : iterable of path
+        Mesh files. The workers read them, and write the bodies, under the same names: on several machines the folders
+        have to be shared. A path that is given twice counts once.
+    client : distributed.Client or str
+        Of the cluster, or the address of its scheduler.
+    out : path
+        Folder for the bodies; it is made if there is none. The body of ``part.stl`` is ``part.npz``. Beside it,
+        ``part.fit.json`` says what it was made of.
+    root : path, optional
+        A folder that all meshes are in: below `out`, bodies are then in the same folders as their meshes below `root`.
+        Default: all bodies are in `out` itself.
+    decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
+        As of `Body.from_mesh`: a `tolerance` is in metres.
+    progress : callable, optional
+        Called as ``progress(done, total)`` after each file.
+
+    Returns
+    -------
+    Fitted
+        Files that could not be fitted are listed in it; they are no error of the call.
+
+    Raises
+    ------
+    InputError
+        If an option is none of what it should be; if two meshes would have the same body file, or one is not in
+        `root`; or if `client` is no client of Dask, is closed, or is an address where no scheduler answers.
+    FileError
+        If the folder cannot be made.
+    MissingExtraError
+        If Dask is not installed.
+    LoewnerError
+        If the scheduler goes away. What was done by then need not be done again.
+
+    See Also
+    --------
+    loewner.Body.from_mesh : The same for one mesh.
+
+    Notes
+    -----
+    Each body is that of the serial call. It is written to a temporary name, then renamed.
+
+    A mesh is skipped if its body and record are in place, the body is as it was written, and the record has the
+    checksum of the mesh file, the same options and the same version of loewner. So a call that was interrupted, or
+    whose workers died, goes on where it stopped when it is made again. A glTF file that names other files is always
+    fitted anew.
+
+    If a worker dies, Dask gives its files to others. A file at which four workers died counts as failed: it may take
+    more memory than they have. While there is no worker at all, the call waits for one. After an interrupt nobody
+    begins another file; those that workers are at are finished.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from distributed import Client, LocalCluster
+    >>> from loewner import Body, cluster
+    >>> for k in range(3):
+    ...     _ = trimesh.creation.box((0.1, 0.2, 0.1 + 0.1 * k)).export(f"box{k}.stl")
+    >>> meshes = [f"box{k}.stl" for k in range(3)]
+    >>> with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as workers, Client(workers) as client:
+    ...     cluster.fit(meshes, client, "bodies")
+    ...     cluster.fit([*meshes, "none.stl"], client, "bodies")
+    Fitted(3 done, 0 skipped, 0 failed)
+    Fitted(0 done, 3 skipped, 1 failed)
+    >>> Body.load("bodies/box2.npz")
+    Body(polytope, 8 vertices)
+    """
+    options = _checked_options(decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed)
+    targets = _targets(paths, _validate.path(out, "out", wanted="a folder"), root)
+    _validate.callback(progress, "progress")
+    with _connected(client) as connected:
+        for folder in dict.fromkeys(target.parent for target in targets.values()):
+            _make_folder(folder)
+        outcomes = _outcomes(connected, targets, options, progress)
+    return _told(targets, outcomes)
+
+
+def _checked_options(
+    decompose: Any, tol: Any, scale: Any, cover: Any, tolerance: Any, threshold: Any, max_pieces: Any, seed: Any
+) -> dict[str, Any]:
+    """Options of `Body.from_mesh` as plain numbers, which a record can hold.
+
+    Raises
+    ------
+    InputError
+        If it would refuse them. It is asked, for a body that it takes no time to fit: nobody wants to hear the same of
+        each of a thousand files.
+    """
+    options = {
+        "decompose": decompose, "tol": tol, "scale": scale, "cover": cover, "tolerance": tolerance,
+        "threshold": threshold, "max_pieces": max_pieces, "seed": seed,
+    }  # fmt: skip
+    with told_to([]), suppress(GeometryError):  # too small or too large a body for this scale; meshes need not be
+        Body.from_mesh(TETRAHEDRON, **options)
+    return {
+        "decompose": bool(decompose),
+        "tol": float(tol),
+        "scale": np.asarray(scale, dtype=np.float64).tolist(),
+        "cover": bool(cover),
+        "tolerance": None if tolerance is None else float(tolerance),
+        "threshold": float(threshold),
+        "max_pieces": None if max_pieces is None else int(max_pieces),
+        "seed": int(seed),
+    }
+
+
+def _targets(paths: Any, out: Path, root: Any) -> dict[Path, Path]:
+    """Where the body of each mesh goes.
+
+    Raises
+    ------
+    InputError
+        If two meshes would go to the same file, or one is not below the root.
+    """
+    meshes = [_validate.path(path, "paths") for path in _validate.listed(paths, "paths", wanted="paths of files")]
+    base = None if root is None else _absolute(_validate.path(root, "root", wanted="a folder"))
+    owners: dict[Path, Path] = {}
+    for mesh in dict.fromkeys(meshes):
+        target = out / _below(mesh, base).with_suffix(".npz")
+        if target in owners:
+            raise InputError(
+                f"paths: expected meshes whose bodies have different names, found {shown(owners[target])} and "
+                f"{shown(mesh)}, both for {shown(target)}; root= keeps folders apart"
+            )
+        owners[target] = mesh
+    return {mesh: target for target, mesh in owners.items()}
+
+
+def _below(mesh: Path, root: Path | None) -> Path:
+    """Name of a mesh, with the folders that lead to it from the root."""
+    if not mesh.name:
+        raise InputError(f"paths: expected paths of files, found {shown(mesh)!r}")
+    if root is None:
+        return Path(mesh.name)
+    try:
+        return _absolute(mesh).relative_to(root)
+    except ValueError:
+        raise InputError(f"paths: expected meshes below root, {shown(root)}, found {shown(mesh)}") from None
+
+
+def _absolute(path: Path) -> Path:
+    """The same file for a process in another folder."""
+    return Path(os.path.abspath(path))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{shown(folder)}: expected a folder, could not make it ({error.strerror or error})") from None
+
+
+# -- what a worker does ---------------------------------------------------------------------------
+
+
+class _Outcome(NamedTuple):
+    """What became of a mesh: done, skipped or failed; why, if it failed; and what there was to warn of."""
+
+    status: str
+    message: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> _Outcome:
+    """Make the body of a mesh, unless it is there: the task of a worker. A file's errors are its result."""
+    try:
+        with at_most(1):
+            return _body_of(Path(mesh), Path(target), options, run)
+    except LoewnerError as error:
+        return _Outcome("failed", str(error))
+    except Exception as error:
+        return _Outcome("failed", f"{mesh}: {type(error).__name__}: {error}")
+
+
+def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> _Outcome:
+    from loewner import __version__
+
+    data = read_regular(mesh, "a mesh file", mesh_files.LIMIT)
+    wanted = {"loewner": __version__, "mesh_sha256": _checksum(data), "options": options}
+    alone = mesh.suffix.lower() not in LINKING or not (b"uri" in data or rb"\u" in data)
+    del data
+    record = _record(target)
+    if record is not None and (alone or record.get("run") == run) and wanted.items() <= record.items():
+        # Another worker may have made it for this same call, and died before it could say so.
+        status = "done" if record.get("run") == run else "skipped"
+        return _Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
+    warnings: list[str] = []
+    with told_to(warnings):
+        body = Body.from_mesh(mesh, **options)
+    # Old and new record differ in the checksum of the body: whenever a worker dies here, neither fits the other's body.
+    body.save(target)
+    made = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
+    with replacing(_record_path(target)) as temporary:
+        temporary.write_text(json.dumps(made, indent=1), encoding="utf-8")
+    return _Outcome("done", warnings=tuple(warnings))
+
+
+def _record(target: Path) -> dict[str, Any] | None:
+    """What was written beside a body about it; None if there is none, or it is about another one."""
+    try:
+        record = json.loads(read_regular(_record_path(target), "a record", LARGEST_RECORD))
+        if isinstance(record, dict) and record.get("body_sha256") == _checksum_of_body(target):
+            return record
+    except (FileError, ValueError, RecursionError):  # not there, or damaged
+        pass
+    return None
+
+
+def _record_path(target: Path) -> Path:
+    return target.with_suffix(".fit.json")
+
+
+def _checksum_of_body(path: Path) -> str:
+    return _checksum(read_regular(path, "a body", LARGEST_CONTENT))
+
+
+def _checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+# -- what the client does -------------------------------------------------------------------------
+
+
+def _outcomes(
+    client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
+) -> dict[Path, _Outcome]:
+    """Have the workers make all bodies, and wait for them; whatever ends the wait ends the work."""
+    total, found = len(targets), dict[Path, _Outcome]()
+    futures = client.map(
+        _fit_one,
+        [str(_absolute(mesh)) for mesh in targets],
+        [str(_absolute(target)) for target in targets.values()],
+        options=options,
+        run=os.urandom(8).hex(),
+        pure=False,
+        batch_size=AT_A_TIME,
+    )
+    # An outcome that somebody still holds is kept by the worker that made it, and made again if that one dies.
+    waiting = dict(zip(futures, targets, strict=True))
+    del futures
+    try:
+        for future in _distributed().as_completed(waiting, loop=client.loop):
+            mesh = waiting.pop(future)
+            found[mesh] = _outcome(future, mesh)
+            future.release()
+            if progress is not None:
+                progress(len(found), total)
+    except BaseException:
+        with suppress(Exception):  # the scheduler may be what went away
+            client.cancel(list(waiting))
+        raise
+    return found
+
+
+def _outcome(future: Any, mesh: Path) -> _Outcome:
+    """What a worker returned; or why none could."""
+    if future.status in ("cancelled", "lost"):
+        raise LoewnerError(
+            "expected a scheduler that stays until the work is done, found that it went away, or that somebody "
+            "cancelled the work; what is done is kept: make the same call again"
+        )
+    if future.status == "error":
+        error = future.exception()
+        if isinstance(error, _distributed().KilledWorker):
+            return _Outcome(
+                "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
+            )
+        return _Outcome("failed", f"{shown(mesh)}: {type(error).__name__}: {error}")
+    outcome: _Outcome = future.result()
+    return outcome
+
+
+def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, _Outcome]) -> Fitted:
+    """All outcomes, in the order of the meshes."""
+
+    def those(status: str) -> dict[Path, Path]:
+        return {mesh: target for mesh, target in targets.items() if outcomes[mesh].status == status}
+
+    return Fitted(
+        done=those("done"),
+        skipped=those("skipped"),
+        failed={mesh: outcomes[mesh].message for mesh in those("failed")},
+        warned={mesh: outcomes[mesh].warnings for mesh in targets if outcomes[mesh].warnings},
+    )
+
+
+@contextmanager
+def _connected(client: Any) -> Iterator[Any]:
+    """A client that can be used; one made for an address is closed in the end.
+
+    Raises
+    ------
+    InputError
+        If it is neither a client that is open nor the address of a scheduler.
+    """
+    distributed = _distributed()
+    if isinstance(client, str):
+        try:
+            distributed.comm.resolve_address(client)  # what is no address: a client would be left half made
+            made = distributed.Client(client, timeout=PATIENCE, set_as_default=False)
+        except Exception as error:  # whatever a protocol raises: most are ValueError or OSError
+            raise InputError(
+                f"client: expected the address of a Dask scheduler, as tcp://host:8786, found "
+                f"{_validate.short(client)} ({error}); {HOW_TO_START}"
+            ) from None
+        with made:
+            yield made
+        return
+    if not isinstance(client, distributed.Client):
+        raise InputError(
+            f"client: expected a distributed.Client or the address of a scheduler, found {_validate.short(client)}; "
+            "distributed.Client(address) makes one"
+        )
+    if client.asynchronous:
+        raise InputError("client: expected a client that waits, found one made with asynchronous=True")
+    if client.status != "running":
+        raise InputError(f"client: expected a client that is connected, found one that is {client.status}")
+    yield client
+
+
+# -- checkers on arrays ---------------------------------------------------------------------------
+
+
+def collide(checker: CollisionChecker, Q: Any) -> Any:
+    """Decide exactly which configurations of a Dask array are in collision, as `CollisionChecker.collide` does.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+        Robot and scene as they are now: later changes do not matter.
+    Q : dask.array.Array, shape (..., dof)
+        In chunks of any shape; chunks of some ten thousand configurations suit.
+
+    Returns
+    -------
+    dask.array.Array of bool, shape (...)
+        Not computed yet. Its chunks are those of `Q`, one task each.
+
+    Raises
+    ------
+    InputError
+        If `checker` is none, `Q` is no array of Dask, has another width than dof, or holds no real numbers. Whoever
+        computes the result gets the errors of `CollisionChecker.collide`.
+    MissingExtraError
+        If Dask is not installed.
+
+    Notes
+    -----
+    The checker is one more task: it is sent to each worker once in a computation, and prepared there once. Each task
+    uses one thread, on whichever of Dask's schedulers it runs.
+
+    Examples
+    --------
+    >>> import dask.array as da
+    >>> from loewner import CollisionChecker, Robot, cluster
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> checker = CollisionChecker(robot)
+    >>> Q = da.from_array(robot.random_configurations(1000), chunks=(250, -1))
+    >>> hit = cluster.collide(checker, Q)
+    >>> hit.shape, hit.numblocks, bool((hit.compute() == checker.collide(Q.compute())).all())
+    ((1000,), (4,), True)
+    """
+    return _by_chunks(_collisions, np.bool_, checker, {"Q": Q})
+
+
+def distance(checker: CollisionChecker, Q: Any) -> Any:
+    """Find exact distances of the configurations of a Dask array, as `CollisionChecker.distance` does.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+    Q : dask.array.Array, shape (..., dof)
+
+    Returns
+    -------
+    dask.array.Array of float64, shape (...)
+        In metres; negative is a depth. Not computed yet.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        As for `collide`.
+
+    Notes
+    -----
+    As for `collide`.
+
+    Examples
+    --------
+    >>> import dask.array as da
+    >>> from loewner import Body, CollisionChecker, Robot, Scene, cluster
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+    >>> cluster.distance(checker, da.from_array([[0.5, 0.0], [1.0, 0.0]])).compute().round(6)
+    array([0.35, 0.35])
+    """
+    return _by_chunks(_distances, np.float64, checker, {"Q": Q})
+
+
+def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
+    """Prove motions free, the edges of a roadmap for instance, as `CollisionChecker.certify_edges` does.
+
+    Parameters
+    ----------
+    checker : CollisionChecker
+    Q0, Q1 : dask.array.Array, shape (..., dof)
+        Ends of the motions, of one shape; `Q1` is cut into the chunks of `Q0`.
+    tolerance : float
+        Metres; see `CollisionChecker.certify_edges`.
+
+    Returns
+    -------
+    dask.array.Array of int8, shape (...)
+        A `Verdict` each, not computed yet: FREE is proven.
+
+    Raises
+    ------
+    InputError, MissingExtraError
+        As for `collide`; InputError also if the shapes differ, or the tolerance is not positive.
+
+    Notes
+    -----
+    As for `collide`. A motion takes tens of times as long as a configuration: chunks of a thousand suit. Values run
+    straight: a roadmap takes joints that turn without limits the shorter way around, so add whole turns to `Q1` there.
+
+    Examples
+    --------
+    >>> import dask.array as da
+    >>> from loewner import CollisionChecker, Robot, Verdict, cluster, planners
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> made = planners.roadmap(checker, 100)
+    >>> a, b = (da.from_array(made.nodes[ends], chunks=(500, -1)) for ends in made.edges.T)
+    >>> free = cluster.certify_edges(checker, a, b) == Verdict.FREE
+    >>> free.numblocks, bool(free.all().compute())
+    ((3,), True)
+    """
+    tolerance = _validate.positive_scalar(tolerance, "tolerance")
+    return _by_chunks(_verdicts, np.int8, checker, {"Q0": Q0, "Q1": Q1}, tolerance=tolerance)
+
+
+def _by_chunks(
+    task: Callable[..., Any], dtype: Any, checker: CollisionChecker, arrays: dict[str, Any], **more: Any
+) -> Any:
+    """What a task says of each chunk, the last axis of which is a configuration's."""
+    da, delayed = _dask_array()
+    if not isinstance(checker, CollisionChecker):
+        raise InputError(f"checker: expected loewner.CollisionChecker, found {_validate.short(checker)}")
+    for name, Q in arrays.items():
+        _check_array(da, Q, name, checker.robot.dof)
+    (first, *others) = arrays.values()
+    if any(Q.shape != first.shape for Q in others):
+        raise InputError(
+            f"expected Q0 and Q1 of one shape, found {' and '.join(str(Q.shape) for Q in arrays.values())}"
+        )
+    first = first.rechunk({-1: -1})
+    # As bytes: a copy of this moment, whose checksum names it. The task that unpacks them is sent once, its result to
+    # each worker that has a chunk; a checker that is in a task's arguments would be sent with each task.
+    packed = pickle.dumps(checker, protocol=pickle.HIGHEST_PROTOCOL)
+    there = delayed(pickle.loads)(packed, dask_key_name=f"loewner-checker-{_checksum(packed)[:32]}")
+    return da.map_blocks(
+        task,
+        first,
+        *(Q.rechunk(first.chunks) for Q in others),
+        checker=there,
+        **more,
+        dtype=dtype,
+        drop_axis=first.ndim - 1,
+        meta=np.empty((0,) * (first.ndim - 1), dtype=dtype),
+    )
+
+
+def _check_array(da: Any, Q: Any, name: str, dof: int) -> None:
+    if not isinstance(Q, da.Array):
+        raise InputError(
+            f"{name}: expected a dask.array.Array, found {_validate.short(Q)}; dask.array.from_array makes one, and "
+            "CollisionChecker takes all others"
+        )
+    if Q.ndim == 0 or Q.shape[-1] != dof:
+        raise InputError(f"{name}: expected shape (..., {dof}), found {Q.shape}")
+    if Q.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected real numbers, found dtype {Q.dtype}")
+
+
+def _collisions(Q: Floats, checker: CollisionChecker) -> Bools:
+    with at_most(1):
+        return np.asarray(checker.collide(Q))
+
+
+def _distances(Q: Floats, checker: CollisionChecker) -> Floats:
+    with at_most(1):
+        return np.asarray(checker.distance(Q, exact=True).distance)
+
+
+def _verdicts(Q0: Floats, Q1: Floats, checker: CollisionChecker, tolerance: float) -> Any:
+    with at_most(1):
+        return np.asarray(checker.certify_edges(Q0, Q1, tolerance=tolerance).verdict, dtype=np.int8)
+
+
+# -- Dask -----------------------------------------------------------------------------------------
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise _missing() from None
+    return distributed
+
+
+def _dask_array() -> tuple[Any, Any]:
+    try:
+        import dask
+        import dask.array
+    except ImportError:
+        raise _missing() from None
+    return dask.array, dask.delayed
+
+
+def _missing() -> MissingExtraError:
+    return MissingExtraError(f"work on a cluster needs Dask: {installing('cluster')}")
