@@ -233,6 +233,14 @@ def test_example_humanoid_self_collision(tmp_path):
     assert 0 < checked < kinds["never"] + 1000
 
 
+def test_ratios_are_drawn_from_the_readme(tmp_path):
+    """docs/images/ratios.svg is what its script makes of the table as it is now."""
+    source = ROOT / "docs/images/ratios.py"
+    (tmp_path / "ratios.py").write_text(source.read_text())
+    subprocess.run([sys.executable, str(tmp_path / "ratios.py"), str(ROOT / "README.md")], check=True, cwd=tmp_path)
+    assert (tmp_path / "ratios.svg").read_text() == source.with_suffix(".svg").read_text()
+
+
 def test_picture_is_what_its_script_draws(tmp_path, monkeypatch):
     """docs/images/verdicts.svg is made of ellipses that the library fits now, to the drawing's rounding."""
     source = ROOT / "docs/images/verdicts.py"
