@@ -204,6 +204,23 @@ def test_a_wrong_guess_is_taken_back(n: int, rng: np.random.Generator, monkeypat
     assert abs(fit.ellipsoid.log_volume - right.ellipsoid.log_volume) <= 1e-7
 
 
+@pytest.mark.parametrize("n", [2, 3, 5, 8])
+@pytest.mark.parametrize("rows", ["signs", "whole numbers", "few again and again"])
+@pytest.mark.usefixtures("always_large")
+def test_rows_that_repeat_change_nothing(rows: str, n: int, rng: np.random.Generator) -> None:
+    """Thousands of rows of which few differ: the same ellipsoid as of those that differ, each once."""
+    if rows == "signs":
+        A = rng.choice([-1.0, 1.0], size=(4000, n))
+    elif rows == "whole numbers":
+        A = rng.integers(-1, 2, size=(4000, n)).astype(float)
+    else:
+        few = rng.normal(size=(20 * n, n))
+        A = few[rng.integers(20 * n, size=4000)]
+    fit = mvie(A, np.ones(4000), tol=1e-8)
+    once = np.unique(A, axis=0)
+    assert abs(fit.ellipsoid.log_volume - mvie(once, np.ones(len(once)), tol=1e-8).ellipsoid.log_volume) <= 1e-8
+
+
 @pytest.mark.parametrize(("k", "n"), [(40, 3), (9, 5), (200, 8)])
 def test_both_factorisations_solve_the_same_system(
     k: int, n: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
@@ -280,6 +297,8 @@ def test_about_a_center_one_side_is_enough() -> None:
     """Half-spaces without bounds hold a largest ellipsoid about a point, unless a line is inside; outside none."""
     A = np.array([[1.0, 0], [0, 1]])
     np.testing.assert_allclose(mvie(A, [2.0, 3.0], center=[1, 1]).ellipsoid.semi_axes, [2, 1], rtol=1e-4)
+    np.testing.assert_allclose(mvie([[1.0], [2.0], [-1.0]], [3, 5, 7], center=0).ellipsoid.factor, [[2.5]])
+    np.testing.assert_allclose(mvce([[1.0], [1.5]], center=-100).ellipsoid.factor, [[101.5]])
     with pytest.raises(GeometryError, match="unbounded"):
         mvie([[1.0, 0], [-1, 0]], [1, 1], center=0)
     with pytest.raises(GeometryError, match="center: expected a point inside every half-space, found row 1"):

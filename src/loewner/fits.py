@@ -38,6 +38,8 @@ from loewner.polytopes import (
 
 # The paper's tolerance: volumes within a factor e^0.0001.
 DEFAULT_TOLERANCE = 1e-4
+# The kernel for half-spaces is tried where `_large_fits` did not get there, if it costs some seconds at most.
+MANY_FOR_KERNEL = 1e10
 # Below this the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
 
@@ -255,19 +257,31 @@ def mvie(
 
 
 def _mvie_of_halfspaces(A: Floats, b: Floats, tol: float, reporter: Reporter) -> Fit:
-    m, n = A.shape
+    n = A.shape[1]
     x = interior_point(A, b)
+    if len(A) * n**3 >= MANY_HALFSPACES:
+        return _mvie_of_many_halfspaces(A, b, x, tol, reporter)
     center, factor, direction = np.empty(n), np.empty((n, n)), np.empty(n)
-    if m * n**3 >= MANY_HALFSPACES:
-        code = entries.center_in(A, b, x, factor, direction, FLATNESS)
-        if code != 0:
-            raise center_error(code, A, direction)
-        center, factor, lam, iterations = large_inner.largest_inside(A, b, x, factor, tol, reporter)
-        factor, gap = large_inner.proven(A, b, center, factor, lam)
-        return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
     code, gap, iterations = entries.fit_halfspaces(A, b, x, tol, FLATNESS, center, factor, direction)
     if code == codes.UNBOUNDED or (code != 0 and iterations == 0):
         raise center_error(code, A, direction)
+    return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
+
+
+def _mvie_of_many_halfspaces(A: Floats, b: Floats, x: Floats, tol: float, reporter: Reporter) -> Fit:
+    m, n = A.shape
+    frame, direction = np.empty((n, n)), np.empty(n)
+    code = entries.center_in(A, b, x, frame, direction, FLATNESS)
+    if code != 0:
+        raise center_error(code, A, direction)
+    center, factor, lam, iterations = large_inner.largest_inside(A, b, x, frame, tol, reporter)
+    factor, gap = large_inner.proven(A, b, center, factor, lam)
+    if gap > tol and m * n**4 <= MANY_FOR_KERNEL:
+        # Half-spaces that nearly agree leave the working set without digits, which the kernel has.
+        around, low = np.empty(n), np.empty((n, n))
+        code, reached, more = entries.fit_halfspaces(A, b, x, tol, FLATNESS, around, low, direction)
+        if code == 0:
+            center, factor, gap, iterations = around, low, reached, iterations + more
     return certified_fit("mvie", center, factor, gap, iterations, tol, reporter=reporter)
 
 

@@ -94,12 +94,13 @@ def largest_inside(
     to rounding; `proven` says how good it is. Where nothing was found the factor is zero.
     """
     n = A.shape[1]
+    distinct, lam = _distinct(A, b), np.zeros(len(A))
+    A, b = A[distinct], b[distinct]
     slack = b - A @ center
     R = (A @ frame) / slack[:, None]
     active = _first(R)
     target = 0.25 * tol if len(active.index) == len(R) else max(0.25 * tol, 0.02 * n)
     x, steps, volume = np.zeros(n), 0, np.inf
-    lam = np.zeros(len(R))
     for turn in range(MAX_ROUNDS):
         found = _solve(R[active.index], x, active, target, reporter)
         steps += found.steps
@@ -135,9 +136,20 @@ def largest_inside(
         return center, np.zeros((n, n)), lam, steps
     if not found.gap < np.inf:
         return center, np.zeros((n, n)), lam, steps
-    lam[active.index] = active.y * np.linalg.norm(R[active.index] @ found.root, axis=1) / slack[active.index]
+    lam[distinct[active.index]] = active.y * np.linalg.norm(R[active.index] @ found.root, axis=1) / slack[active.index]
     factor = frame @ found.root
     return center + frame @ found.x, lower_root(factor.T), lam, steps
+
+
+def _distinct(A: Floats, b: Floats) -> Ints:
+    """Rows without repeats: those whose product with one vector is that of another row are compared with it."""
+    n = A.shape[1]
+    key = A @ np.random.default_rng(0).normal(size=n) + b
+    order = np.argsort(key, kind="stable")
+    close = np.flatnonzero(np.diff(key[order]) <= 1e-12 * np.abs(key[order[1:]]))
+    one, other = order[close], order[close + 1]
+    again = other[(b[one] == b[other]) & (A[one] == A[other]).all(axis=1)]
+    return np.delete(np.arange(len(A)), again)
 
 
 def _first(R: Floats) -> _WorkingSet:
@@ -147,12 +159,12 @@ def _first(R: Floats) -> _WorkingSet:
         return _WorkingSet(np.arange(m), np.ones(m))
     nearest = np.argpartition(-np.einsum("ij,ij->i", R, R), FIRST * n)[: FIRST * n]
     index = np.unique(np.concatenate([nearest, R.argmax(axis=0), R.argmin(axis=0)]))
-    for _ in range(n):
+    for _ in range(4 * n):
         direction = _way_out(R[index])
         if direction is None:
-            break
+            return _WorkingSet(index, np.ones(len(index)))
         index = np.union1d(index, np.argpartition(-(R @ direction), n)[:n])
-    return _WorkingSet(index, np.ones(len(index)))
+    return _WorkingSet(np.arange(m), np.ones(m))
 
 
 def _way_out(R: Floats) -> Floats | None:
@@ -327,6 +339,8 @@ def proven(
     If the center is given (not `balanced`), c = 0 and λ are taken as they are.
     """
     n = A.shape[1]
+    if not factor.any():
+        return factor, np.inf
     low, high = np.empty(len(A)), np.empty(len(A))
     for first, block in blocks(A):
         part = slice(first, first + len(block))

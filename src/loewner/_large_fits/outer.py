@@ -283,6 +283,9 @@ def _ascend(active: _WorkingSet, inverse: Floats, w: Floats, count: int, target:
     """At most `count` steps towards the farthest point or away from the nearest one that has weight."""
     Q, u = active.Q, active.u.copy()
     N = Q.shape[1]
+    if N == 1:  # the farthest point on a line from the center given, and nothing else
+        active.u = np.where(np.arange(len(u)) == w.argmax(), 1.0, 0.0)
+        return
     enough = active.lifted + active.dim * np.exp(2.0 * target / active.dim)
     nearest = np.where(u > 0, w, np.inf)
     for _ in range(count):
