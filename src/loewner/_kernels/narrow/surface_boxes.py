@@ -215,19 +215,34 @@ def near_box(boxes, node, middle, half):
 
 
 @inline
-def within_planes(boxes, node, planes, count, bits):
-    """Those of some boxes of a node that lie wholly in none of `count` half-spaces {m x <= limit}, rows of four."""
+def within_planes(boxes, node, planes, count, reach, bits):
+    """Those of some boxes of a node that come within `reach` of `count` planes m x = limit from below, rows of four."""
     middles, halves = boxes_of(boxes, node)
-    f = np.float32
     for k in range(count):
         if bits == 0:
             break
-        x, y, z = f(planes[4 * k]), f(planes[4 * k + 1]), f(planes[4 * k + 2])
-        farthest = (middles[0] * x + middles[1] * y + middles[2] * z) + (
-            halves[0] * abs(x) + halves[1] * abs(y) + halves[2] * abs(z)
-        )
-        bits &= ~movemask(farthest <= f(planes[4 * k + 3]))
+        bits &= ~movemask(_farthest(middles, halves, planes, k) <= np.float32(planes[4 * k + 3] - reach))
     return bits
+
+
+@inline
+def plane_gaps(middles, halves, planes, count, gaps):
+    """Squared lower bounds on distances from what lies above planes, where they are larger than those in `gaps`."""
+    for k in range(count):
+        gap = np.float32(planes[4 * k + 3]) - _farthest(middles, halves, planes, k)
+        gap = maximum(gap, np.float32(0.0))
+        gaps = maximum(gaps, gap * gap)
+    return gaps
+
+
+@inline
+def _farthest(middles, halves, planes, k):
+    """How far boxes go along the normal of a plane."""
+    f = np.float32
+    x, y, z = f(planes[4 * k]), f(planes[4 * k + 1]), f(planes[4 * k + 2])
+    return (middles[0] * x + middles[1] * y + middles[2] * z) + (
+        halves[0] * abs(x) + halves[1] * abs(y) + halves[2] * abs(z)
+    )
 
 
 @inline

@@ -38,6 +38,7 @@ from loewner._kernels.narrow.surface_boxes import (
     is_surface,
     near_box,
     opens_first,
+    plane_gaps,
     push_meeting,
     reach_at,
     reaches_of,
@@ -51,15 +52,21 @@ from loewner._kernels.narrow.surfaces import (
     CORNER_ERROR,
     GJK,
     PLACED,
+    PLANE,
+    PLANES,
     RESULT,
+    SEPARATING,
     STACK,
     WITHIN,
     box_in_frame,
     corners_at,
     gap_to_box,
+    keep_plane,
     least,
     measured,
+    measured_along,
     most,
+    not_beyond,
     placed_corners,
     point_within,
     store_corners,
@@ -411,7 +418,10 @@ def _gap(a, b, axis):
 
 @njit()
 def _nearest_to_piece(A, B, shift, limit, memory):
-    """Triangle of surface A that is nearest to the convex piece B; -1 if none comes within `limit`."""
+    """Triangle of surface A that is nearest to the convex piece B; -1 if none comes within `limit`.
+
+    Each search ends with a plane, and the last few are kept: what lies far beyond one of them is not looked at.
+    """
     a = surface_of(A)
     size = lengths(A, B, shift)
     error = rounding_error(A, B, shift)
@@ -421,8 +431,9 @@ def _nearest_to_piece(A, B, shift, limit, memory):
     center = image(rotation_of(A), (0.0, 0.0, 0.0), middle)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
     lanes = floats_at(memory + _LANES, (2 * WIDE,))
-    placed = floats_at(memory + PLACED, (2 * BLOCK,))
-    best, found = limit, -1
+    placed, planes = floats_at(memory + PLACED, (2 * BLOCK,)), floats_at(memory + SEPARATING, (PLANES * PLANE,))
+    R = rotation_of(A)
+    best, found, searches = limit, -1, 0
     stack[0], stack[1], bounds[0] = 0, 0, 0.0
     height = 1
     while height > 0:
@@ -434,12 +445,16 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             middles, halves = boxes_of(a.boxes, child)
             t = minus(middles, single)
             gaps = squared_gap(t, halves, wide)
+            gaps = plane_gaps(middles, halves, planes, min(searches, PLANES), gaps)
             none = np.int64(0)
             height = push_near(stack, bounds, lanes, height, gaps, t, halves, best * best, child, none, True)
             continue
         leaf = leaf_of(child)
         near = gap_to_box(a.blocks, leaf, middle, half) * BELIEVED <= best * best
         bits = movemask(near) & ((1 << size_of(child)) - 1)
+        for k in range(min(searches, PLANES)):
+            if bits != 0:
+                bits &= not_beyond(a.blocks, leaf, planes, k, best)
         if bits == 0:
             continue
         store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
@@ -451,14 +466,19 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             n = minus(center, corners[0])
             if not dot(n, n) > 0.0:
                 n = (1.0, 0.0, 0.0)
-            status, _, above = measured(A, B, shift, W, ends, n, error, -np.inf, best, result)
+            status, _, above, n = measured_along(A, B, shift, W, ends, n, error, -np.inf, best, result)
+            k = searches % PLANES
+            searches += 1
+            keep_plane(B, shift, R, n, size, planes, k)
             if status == APART:
+                bits &= not_beyond(a.blocks, leaf, planes, k, best)
                 continue
             if status != NEAREST:  # so near to contact that it takes more care
                 piece = triangle_piece(A, leaf * LEAF + lane, 0.0, memory + _PIECES)
                 above, _ = _between_pieces(piece, B, shift, n, memory, result)
             if above <= best:
                 best, found = max(above, 0.0), leaf * LEAF + lane
+            bits &= not_beyond(a.blocks, leaf, planes, k, best)
     return found
 
 

@@ -462,7 +462,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
         child = a.children[stack[height]]
         if child >= 0:
             bits = near_box(a.boxes, child, single, wide)
-            bits = within_planes(a.boxes, child, planes, min(found, PLANES), bits)
+            bits = within_planes(a.boxes, child, planes, min(found, PLANES), far, bits)
             while bits != 0:
                 stack[height] = child * WIDE + lowest_bit(bits)
                 height += 1
@@ -479,7 +479,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
             bits &= movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0)
         for k in range(min(found, PLANES)):
             if bits != 0:
-                bits &= _not_beyond(a.blocks, leaf, planes, k)
+                bits &= not_beyond(a.blocks, leaf, planes, k, far)
         if bits == 0:
             continue
         store_corners(placed, BLOCK, placed_corners(A, a.blocks, leaf, (0.0, 0.0, 0.0)))
@@ -505,8 +505,8 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
                 continue
             k = found % PLANES
             found += 1
-            _keep_plane(B, shift, R, n, far, size, planes, k)
-            bits &= _not_beyond(a.blocks, leaf, planes, k)
+            keep_plane(B, shift, R, n, size, planes, k)
+            bits &= not_beyond(a.blocks, leaf, planes, k, far)
     within = OUTSIDE
     if is_solid(A):
         within = parts_within(A, B, shift, size, memory)
@@ -516,25 +516,29 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
 
 
 @inline
-def _keep_plane(B, shift, R, n, far, size, planes, k):
-    """Keep as plane k, in the axes of a surface's frame, that all of B lies farther along n than it says by `far`."""
+def keep_plane(B, shift, R, n, size, planes, k):
+    """Keep as plane k, in the axes of a surface's frame, that all of B lies no nearer along n than it says."""
     length = np.sqrt(dot(n, n))
+    if not 0.0 < length < np.inf:  # a plane that nothing lies beyond
+        planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = 0.0, 0.0, 0.0
+        planes[PLANE * k + 3] = -np.inf
+        return
     n = n[0] / length, n[1] / length, n[2] / length
     m = apply_transposed(R, n)
     low = dot(n, plus(placed_support(B, negated(n)), shift))
     planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = m
-    planes[PLANE * k + 3] = low - far - ROUNDINGS * size
+    planes[PLANE * k + 3] = low - ROUNDINGS * size
 
 
 @inline
-def _not_beyond(blocks, leaf, planes, k):
-    """Bits of the triangles of a leaf that do not lie wholly beyond plane k; of what is not a number as well."""
+def not_beyond(blocks, leaf, planes, k, reach):
+    """Bits of the triangles of a leaf that come within `reach` of plane k from below; of what is no number as well."""
     m = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
     at = leaf * BLOCK
     p = load(blocks, at) * m[0] + load(blocks, at + LEAF) * m[1] + load(blocks, at + 2 * LEAF) * m[2]
     q = load(blocks, at + 3 * LEAF) * m[0] + load(blocks, at + 4 * LEAF) * m[1] + load(blocks, at + 5 * LEAF) * m[2]
     r = load(blocks, at + 6 * LEAF) * m[0] + load(blocks, at + 7 * LEAF) * m[1] + load(blocks, at + 8 * LEAF) * m[2]
-    limit = planes[PLANE * k + 3]
+    limit = planes[PLANE * k + 3] - reach
     return ~movemask((p <= limit) & (q <= limit) & (r <= limit))
 
 
