@@ -95,7 +95,8 @@ def largest_inside(
     """
     n = A.shape[1]
     distinct, lam = _distinct(A, b), np.zeros(len(A))
-    A, b = A[distinct], b[distinct]
+    if len(distinct) < len(A):
+        A, b = A[distinct], b[distinct]
     slack = b - A @ center
     R = (A @ frame) / slack[:, None]
     active = _first(R)
