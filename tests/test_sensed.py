@@ -365,3 +365,39 @@ def test_scene_files_know_sensor_data(rng: np.random.Generator, tmp_path: Path) 
     (tmp_path / "bad.yaml").write_text("bodies: {x: {cloud: {file: pickled.npy, radius: 1}}}")
     with pytest.raises(FileError, match="array of numbers"):
         loewner.load_scene(tmp_path / "bad.yaml")
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "cone", "capsule", "ellipsoid", "box"])
+def test_depth_is_that_of_the_deepest_point(shape: str, rng: np.random.Generator) -> None:
+    """Of a cloud in a piece of any kind, as of the same balls one by one; of triangles without area likewise."""
+    body = {
+        "cylinder": Body.cylinder(0.1, 0.2),
+        "cone": Body.cone(0.1, 0.2),
+        "capsule": Body.capsule(0.05, 0.2),
+        "ellipsoid": Body.ellipsoid([0.1, 0.15, 0.2]),
+        "box": Body.box([0.2, 0.3, 0.4]),
+    }[shape]
+    points = rng.uniform(-0.1, 0.1, size=(100, 3))
+    T = places(rng, 1, -0.02, 0.02)[0]
+    found = loewner.distance(Body.from_cloud(points, radius=1e-3), None, body, T, exact=True).distance
+    at = np.tile(np.eye(4), (len(points), 1, 1))
+    at[:, :3, 3] = points
+    deepest = loewner.distance(Body.sphere(1e-3), at, body, T, exact=True).distance.min()
+    assert deepest < -0.01
+    np.testing.assert_allclose(found, deepest, rtol=1e-4)
+    if shape == "cylinder":  # a rod without thickness along its axis
+        line = Body.from_surface((np.array([[0, 0, -1.0], [0, 0, 0.5], [0, 0, 1]]), np.array([[0, 1, 2]])))
+        np.testing.assert_allclose(loewner.distance(line, None, body, None, exact=True).distance, -0.1, rtol=1e-4)
+
+
+@pytest.mark.parametrize("off", [3e-8, 3e-7])
+def test_distances_at_poses_in_single_precision(off: float, rng: np.random.Generator) -> None:
+    """Poses that are rigid to single precision only stretch ellipsoids and no radii: that is no reason to give up."""
+    cloud, ball = Body.from_cloud(rng.uniform(size=(9, 3)), radius=0.01), Body.sphere(0.5)
+    A, B = places(rng, 200, -3, 3), places(rng, 200, -3, 3)
+    for T in (A, B):
+        T[:, :3, :3] += off * rng.uniform(-1, 1, size=(200, 3, 3))
+    placed = np.einsum("tij,nj->tni", A[:, :3, :3], cloud.pieces[0].vertices) + A[:, None, :3, 3]
+    expected = np.linalg.norm(placed - B[:, None, :3, 3], axis=2).min(axis=1) - 0.51
+    found = loewner.distance(cloud, A, ball, B, exact=True).distance
+    np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from loewner import _validate
-from loewner._kernels import codes
 from loewner._large_fits.dense import (
     CENTRING_FLOOR,
     LARGEST_SYSTEM,
@@ -105,10 +104,11 @@ def largest_inside(
     for turn in range(MAX_ROUNDS):
         found = _solve(R[active.index], x, active, target, reporter)
         steps += found.steps
-        if not found.gap < np.inf:  # the rest did not hold an ellipsoid, or hardly
-            if not active.bold:
+        if not found.gap < np.inf:  # the set has no bounds, or hardly
+            if len(active.index) == len(R):
                 break
-            active.bold = False
+            active = _WorkingSet(np.arange(len(R)), np.ones(len(R)), bold=False)
+            x = np.zeros(n)
             continue
         ratio = _ratios(R, found)
         shrink = float(ratio.min())
@@ -172,7 +172,7 @@ def _way_out(R: Floats) -> Floats | None:
     """A direction in which {x : R x <= 1} goes on for ever, or None."""
     n = R.shape[1]
     x, frame, direction = np.zeros(n), np.empty((n, n)), np.empty(n)
-    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) != codes.UNBOUNDED:
+    if entries.center_in(R, np.ones(len(R)), x, frame, direction, FLATNESS) == 0:  # proven; else there may be one
         return None
     return direction if direction.any() else np.asarray(np.linalg.svd(R)[2][-1])
 

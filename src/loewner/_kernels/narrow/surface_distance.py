@@ -12,15 +12,19 @@ from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import COLLIDING, FREE
 from loewner._kernels.columns import (
     COLUMNS,
+    FRAME_CENTER,
+    FRAME_FACTOR,
     INNER_CENTER,
     INNER_SIGMA,
     KIND,
     LAYOUT,
     OUTER_CENTER,
+    POINT,
     POINTS_TO,
     POLYTOPE,
     REACH,
     ROUNDING,
+    SEGMENT,
 )
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
@@ -637,6 +641,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 if status != DEPTH_SETTLED:
                     continue
             else:
+                _narrow(S)
                 status, _, above, k = run(S, B, shift, (0.0, 0.0, 1.0), 0.0, False, G, weights, v, d)
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
@@ -648,6 +653,23 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 found = deep
                 _write_turned(own, shift, sign, result)
     return found
+
+
+@njit()
+def _narrow(S):
+    """Make a triangle without area, as a piece of its own, the segment or point that it is: EPA knows these cores."""
+    p, table = S.points, S.table
+    a, b, c = (p[0], p[8], p[16]), (p[1], p[9], p[17]), (p[2], p[10], p[18])
+    n = cross(minus(b, a), minus(c, a))
+    if dot(n, n) > 0.0:
+        return
+    ab, bc, ca = minus(b, a), minus(c, b), minus(a, c)
+    longest = max(dot(ab, ab), max(dot(bc, bc), dot(ca, ca)))
+    start, way = (a, ab) if dot(ab, ab) == longest else ((b, bc) if dot(bc, bc) == longest else (c, ca))
+    S.layout[0, KIND], S.layout[0, POINTS_TO] = SEGMENT if longest > 0.0 else POINT, 0
+    for k in range(3):
+        table[0, FRAME_CENTER + k] = start[k] + 0.5 * way[k]
+        table[0, FRAME_FACTOR + 3 * k + 2] = 0.5 * way[k]
 
 
 @njit()

@@ -21,7 +21,7 @@ from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES, NEAREST, begin, measure
 from loewner._kernels.narrow.gjk_fast import INSIDE as CORES_OVERLAP
-from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run, write_simplex
+from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run, swollen_radii, write_simplex
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surface_distance import surface_distance
@@ -299,8 +299,9 @@ def measure_near(count, queue, operands, S, searches, exact):
             ra, rb = radius(A), radius(B)
             k, above = queue[PAIR, lane], S[ABOVE * LANES + lane]
             limit = above if above < distance[k] else distance[k]
-            # A little more than the ellipsoids promise, for what their bounds round.
-            limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + ra + rb
+            # A little more than the ellipsoids promise, for what their bounds round; they stretch with poses, and radii
+            # do not.
+            limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
             value, gap = surface_distance(A, B, n, limit, faces, edges, searches.surfaces, result)
             if value == np.inf and not distance[k] <= above:
                 exact.status[k] = NOT_SETTLED  # the ellipsoids said that something is nearer
