@@ -29,7 +29,7 @@ _ICOSAHEDRON = np.vstack([_CORNERS, np.roll(_CORNERS, 1, axis=1), np.roll(_CORNE
 
 def of_pieces(packed: Packed) -> list[Mesh]:
     """Surface triangles of each piece; the corners of curved ones lie on the surface."""
-    return [_piece(packed, number) for number in range(len(packed.layout))]
+    return [of_piece(packed, number) for number in range(len(packed.layout))]
 
 
 def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
@@ -85,7 +85,8 @@ def _faces(corners: Floats) -> Ints:
     return np.array(threes, dtype=np.int64)
 
 
-def _piece(packed: Packed, number: int) -> Mesh:
+def of_piece(packed: Packed, number: int) -> Mesh:
+    """Surface triangles of one piece."""
     row, frame = packed.layout[number], packed.frames[number]
     if row[columns.KIND] <= columns.POLYTOPE:
         triangles = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]

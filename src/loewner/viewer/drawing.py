@@ -1,16 +1,33 @@
-"""Bodies as triangles: original mesh, pieces and ellipsoids, each sent to the page once, when it is first shown."""
+"""Bodies as the page draws them: original mesh, pieces and ellipsoids, each sent once, when it is first shown.
+
+Most pieces are triangles, all of a body in one node. Those of point clouds are points, and many balls or ellipsoids
+are copies of one ball: as triangles, ten thousand of them would be millions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from loewner._kernels import columns
 from loewner._validate import Floats
 from loewner.bodies import Body
-from loewner.bodies.triangulated import Mesh, joined, of_ellipsoids, of_pieces
+from loewner.bodies.pack import Packed
+from loewner.bodies.triangulated import (
+    MANY_PIECES,
+    Mesh,
+    ball,
+    ellipsoids_of,
+    joined,
+    of_ellipsoids,
+    of_piece,
+    of_pieces,
+)
 from loewner.queries import Verdict
 
 Rgb = tuple[int, int, int]
@@ -28,6 +45,12 @@ LABELS = {"meshes": "meshes", "pieces": "pieces", "inner": "inner ellipsoids", "
 # How much hides what is behind: a piece with something inside it on, and an outer ellipsoid.
 PIECE_OPACITY, OUTER_OPACITY = 0.45, 0.22
 
+# Copies of a ball have 320 triangles each, and 80 where there are more of them than this.
+MANY_COPIES = 2000
+
+# Of points and lines that show where two bodies are nearest.
+INK = (17, 17, 17)
+
 # Layers in the colour that tells what touches, and how each layer is drawn. Where triangles face outward only those
 # that face the camera are drawn: half as many. Of an outer ellipsoid it is those that do not, for the near side would
 # hide what is drawn after it, though it can be seen through. The triangles of a file face anywhere, and so do those of
@@ -42,6 +65,75 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 # Light from everywhere, so that faces turned away from the lamps are not black.
 AMBIENT = 1.2
+
+
+def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
+    """Add triangles to the page's scene, with no shadows: they would cost a second drawing of everything."""
+    vertices, triangles = mesh
+    return scene.add_mesh_simple(
+        name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
+    )
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """Triangles: vertices (v, 3) [m] and their numbers (t, 3)."""
+
+    vertices: Floats
+    triangles: Any
+
+    def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
+        """Add them to the page's scene."""
+        return add_mesh(scene, name, (self.vertices, self.triangles), **look)
+
+    def box(self, T: Floats) -> Floats:
+        """Lowest and highest corner at a pose, shape (2, 3)."""
+        return _box(self.vertices @ T[:3, :3].T + T[:3, 3], 0.0)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Balls of one radius around points, shape (n, 3) [m]."""
+
+    points: Floats
+    radius: float
+
+    def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
+        """Add them to the page's scene; a point of a given size has it as its radius there."""
+        return scene.add_point_cloud(
+            name, self.points.astype(np.float32), look["color"], point_size=self.radius, point_shape="circle",
+            precision="float32",
+        )  # fmt: skip
+
+    def box(self, T: Floats) -> Floats:
+        """Lowest and highest corner at a pose, shape (2, 3)."""
+        return _box(self.points @ T[:3, :3].T + T[:3, 3], self.radius)
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Images c + F ball of the unit ball: centers (n, 3) and factors (n, 3, 3) [m]."""
+
+    centers: Floats
+    factors: Floats
+
+    def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
+        """Add them to the page's scene."""
+        turns, lengths, _ = np.linalg.svd(self.factors)
+        turns[..., 0] *= np.sign(np.linalg.det(turns))[:, None]
+        vertices, triangles = ball(1 if len(self.centers) > MANY_COPIES else 2)
+        return scene.add_batched_meshes_simple(
+            name, vertices.astype(np.float32), triangles.astype(np.uint32), quaternions(turns).astype(np.float32),
+            self.centers.astype(np.float32), batched_scales=lengths.astype(np.float32), batched_colors=look["color"],
+            opacity=look.get("opacity"), side=look["side"], lod="off", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def box(self, T: Floats) -> Floats:
+        """Lowest and highest corner at a pose, shape (2, 3)."""
+        return _box(self.centers @ T[:3, :3].T + T[:3, 3], np.linalg.norm(T[:3, :3] @ self.factors, axis=-1))
+
+
+Part = Triangles | Points | Copies
 
 
 class Drawing:
@@ -72,16 +164,11 @@ class Drawing:
         shown: dict[str, bool],
         mesh: Callable[[], Mesh | None] = lambda: None,
     ) -> None:
-        self._scene, self._parent = scene, parent
+        self._scene, self._parent, self._body = scene, parent, body
         self._colour = colour
-        self._any_surface = any(piece.kind in ("surface", "solid") for piece in body.pieces)
-        self._makers: dict[str, Callable[[], Mesh | None]] = {
-            "meshes": mesh,
-            "pieces": lambda: pieces(body),
-            "inner": lambda: ellipsoids(body, "inner"),
-            "outer": lambda: ellipsoids(body, "outer"),
-        }
+        self._mesh = mesh
         self._nodes: dict[str, Any] = {}
+        self._layers: dict[str, list[str]] = {}
         self._callback: Any = None
         self.show(shown)
 
@@ -95,49 +182,139 @@ class Drawing:
         if colour != self._colour:
             self._colour = colour
             for layer in COLOURED:
-                if self._nodes.get(layer) is not None:
-                    self._nodes[layer].color = colour
+                for name in self._layers.get(layer, ()):
+                    _paint(self._nodes[name], colour)
+
+    def box(self, T: Floats) -> Floats:
+        """Lowest and highest corner of the pieces at a pose, shape (2, 3), in metres."""
+        return spanned(part.box(T) for part in self._pieces)
 
     def show(self, shown: dict[str, bool]) -> None:
         """Switch layers on and off; pieces let what is inside them shine through."""
         wanted = {layer for layer in LABELS if shown.get(layer, False)}
-        if "meshes" in wanted and self._node("meshes") is None:
+        if "meshes" in wanted and not self._made("meshes"):
             wanted = wanted - {"meshes"} | {"pieces"}
         for layer in LABELS:
-            node = self._node(layer) if layer in wanted else self._nodes.get(layer)
-            if node is not None:
-                node.visible = layer in wanted
-        if self._nodes.get("pieces") is not None:
-            self._nodes["pieces"].opacity = PIECE_OPACITY if wanted & {"meshes", "inner"} else None
+            for name in self._made(layer) if layer in wanted else self._layers.get(layer, ()):
+                self._nodes[name].visible = layer in wanted
+        for name in self._layers.get("pieces", ()):
+            if hasattr(self._nodes[name], "opacity"):  # points have none
+                self._nodes[name].opacity = PIECE_OPACITY if wanted & {"meshes", "inner"} else None
 
     def on_click(self, callback: Any) -> None:
         """Call back when the body is clicked."""
         self._callback = callback
         for node in self._nodes.values():
-            if node is not None:
-                node.on_click(callback)
+            self._listen(node)
 
-    def _node(self, layer: str) -> Any:
-        """Node of a layer, made when it is first asked for; None if there is nothing to draw."""
-        if layer not in self._nodes:
-            made = self._makers[layer]()
-            self._nodes[layer] = None
-            if made is not None and len(made[1]):
-                look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
-                if layer == "pieces" and self._any_surface:
-                    look = {**look, "side": "double"}
-                self._nodes[layer] = add_mesh(self._scene, f"{self._parent}/{layer}", made, **look)
-                if self._callback is not None:
-                    self._nodes[layer].on_click(self._callback)
-        return self._nodes[layer]
+    @cached_property
+    def _pieces(self) -> list[Part]:
+        return parts(self._body)
+
+    def _parts(self, layer: str) -> list[Part]:
+        if layer == "pieces":
+            return self._pieces
+        if layer != "meshes":
+            return outlines(self._body, layer)
+        mesh = self._mesh()
+        return [] if mesh is None or not len(mesh[1]) else [Triangles(*mesh)]
+
+    def _made(self, layer: str) -> list[str]:
+        """Names of the nodes of a layer, made when they are first asked for; none if there is nothing to draw."""
+        if layer not in self._layers:
+            look = {**LOOKS[layer], "color": self._colour} if layer in COLOURED else LOOKS[layer]
+            if layer == "pieces" and any(piece.kind in ("surface", "solid") for piece in self._body.pieces):
+                look = {**look, "side": "double"}
+            made = self._parts(layer)
+            if not made:
+                self._nodes[layer] = None
+            self._layers[layer] = [layer, *(f"{layer} {k}" for k in range(1, len(made)))][: len(made)]
+            for name, part in zip(self._layers[layer], made, strict=True):
+                self._nodes[name] = part.add(self._scene, f"{self._parent}/{name}", look)
+                self._listen(self._nodes[name])
+        return self._layers[layer]
+
+    def _listen(self, node: Any) -> None:
+        if self._callback is not None and hasattr(node, "on_click"):  # points cannot be clicked
+            node.on_click(self._callback)
 
 
-def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, with no shadows: they would cost a second drawing of everything."""
-    vertices, triangles = mesh
-    return scene.add_mesh_simple(
-        name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
-    )
+class NearPoints:
+    """Two points, and the line between them: where two bodies are nearest, or deepest in each other."""
+
+    def __init__(self, scene: Any, size: float) -> None:
+        dot = size / 120
+        self._dots = [scene.add_icosphere(f"/near/{k}", dot, INK, subdivisions=2, visible=False) for k in "ab"]
+        ends = np.zeros((1, 2, 3), dtype=np.float32)
+        self._line = scene.add_line_segments("/near/line", ends, INK, thickness=dot / 2, visible=False)
+
+    def show(self, a: Floats, b: Floats) -> None:
+        """Show them at two points of the world."""
+        for dot, at in zip(self._dots, (a, b), strict=True):
+            dot.position, dot.visible = at, True
+        self._line.points, self._line.visible = np.array([[a, b]], dtype=np.float32), True
+
+    def hide(self) -> None:
+        """Show none."""
+        for node in (*self._dots, self._line):
+            node.visible = False
+
+
+def _paint(node: Any, colour: Rgb) -> None:
+    """Give a node its colour: triangles have one, points and copies one for all."""
+    for name in ("color", "colors", "batched_colors"):
+        if hasattr(node, name):
+            setattr(node, name, colour if name == "color" else np.array(colour, dtype=np.uint8))
+            return
+
+
+def spanned(boxes: Iterable[Floats]) -> Floats:
+    """Lowest and highest corner of some boxes, shape (2, 3)."""
+    corners = np.array(list(boxes))
+    return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+
+def _box(points: Floats, around: Floats | float) -> Floats:
+    return np.array([(points - around).min(axis=0), (points + around).max(axis=0)])
+
+
+def parts(body: Body) -> list[Part]:
+    """What draws the pieces of a body: triangles in one, the points of each cloud, and balls that are many."""
+    packed = body._packed
+    kinds = packed.layout[:, columns.KIND]
+    clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
+    round_ones = np.isin(kinds, (columns.POINT, columns.ELLIPSOID))
+    copied = np.flatnonzero(round_ones) if round_ones.sum() > MANY_PIECES else np.array([], dtype=np.int64)
+    others = np.setdiff1d(np.arange(len(kinds)), [*clouds, *copied])
+    made: list[Part] = []
+    if len(others):
+        made.append(Triangles(*joined(of_piece(packed, number) for number in others.tolist())))
+    if len(copied):
+        frames = packed.frames[copied]
+        # A sphere is a point with a ball around it.
+        balls = np.where(kinds[copied] == columns.POINT, frames[:, 0], 0.0)[:, None, None] * np.eye(3)
+        factors = np.where(balls.any(axis=(1, 2))[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
+        made.append(Copies(frames[:, 1:4], factors))
+    for number in clouds:
+        row, radius = packed.layout[number], float(packed.frames[number, 0])
+        made.append(Points(packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], radius))
+    return made
+
+
+def _is_cloud(packed: Packed, number: int) -> bool:
+    """Whether all triangles of a surface are single points, with balls around them."""
+    corners = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
+    return bool(packed.frames[number, 0] > 0 and (corners == corners[:, :1]).all())
+
+
+def outlines(body: Body, which: str) -> list[Part]:
+    """What draws all inner, or all outer, ellipsoids of a body; none of inner ones that are points."""
+    centers, factors = ellipsoids_of(body._packed, which)
+    if len(centers) > MANY_PIECES:
+        drawn = factors.any(axis=(1, 2))
+        return [Copies(centers[drawn], factors[drawn])] if drawn.any() else []
+    mesh = ellipsoids(body, which)
+    return [Triangles(*mesh)] if len(mesh[1]) else []
 
 
 def pieces(body: Body) -> Mesh:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import dataclasses
+import gzip
 import hmac
 import http.client
 import ipaddress
@@ -17,6 +18,7 @@ import os
 import re
 import secrets
 import socket
+from html import escape
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -30,6 +32,9 @@ FORBIDDEN = 403
 # A Host header: a name or an address, IPv6 in brackets, and a port unless it is HTTP's own.
 HOST = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[^\s:/@\[\]]+)(?::(?P<port>[0-9]{1,5}))?")
 HTTP_PORT = "80"
+
+# In the page that viser serves.
+VISERS_TITLE = b"<title>Viser</title>"
 
 # No host has this name (RFC 2606): it stands for all foreign ones when the guard is tried.
 FOREIGN = "loewner.invalid"
@@ -105,10 +110,12 @@ class Guard:
     port : int
     token : str or None
         What whoever opens the page must know; None asks for none.
+    title : str
+        What the browser's tab says.
     """
 
-    def __init__(self, where: Listening, port: int, token: str | None) -> None:
-        self.where, self.port, self.token = where, port, token
+    def __init__(self, where: Listening, port: int, token: str | None, title: str) -> None:
+        self.where, self.port, self.token, self.title = where, port, token, title
         # Cookies are shared by all ports of a host: two pages must not overwrite each other's.
         self.cookie = f"loewner-token-{port}"
         self._names = {"localhost", where.host.lower(), where.address}
@@ -136,12 +143,13 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add to a page that is sent: the token for its websocket, and what it may connect to.
+        """Add to a page that is sent: its title, the token for its websocket, and what it may connect to.
 
         viser's page follows `?websocket=ws://...` and `?playbackPath=...` wherever they lead, and shows what comes from
         there as its own: a link to us with such an end would be a way in. The policy lets it reach this server alone.
         A page of another machine may not frame it either, to have it clicked unseen.
         """
+        self._entitle(response)
         response.headers["Content-Security-Policy"] = (
             "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
             f"connect-src 'self' ws://{host} data: blob:; "
@@ -150,6 +158,16 @@ class Guard:
         response.headers["Referrer-Policy"] = "no-referrer"
         if self.token is not None and any(map(self._is_token, _queried(path))):
             response.headers["Set-Cookie"] = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _entitle(self, response: Any) -> None:
+        """Write the title into the page, where viser has its own name; another viser's page stays as it is."""
+        packed = response.headers.get("Content-Encoding") == "gzip"
+        content = gzip.decompress(response.body) if packed else response.body
+        if VISERS_TITLE in content:
+            named = content.replace(VISERS_TITLE, f"<title>{escape(self.title)}</title>".encode(), 1)
+            response.body = gzip.compress(named, compresslevel=1) if packed else named
+            del response.headers["Content-Length"]
+            response.headers["Content-Length"] = str(len(response.body))
 
     def _knows(self, host: str) -> bool:
         read = HOST.fullmatch(host)

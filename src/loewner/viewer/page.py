@@ -30,6 +30,9 @@ LOOK_EVERY = 0.1
 # Port numbers are below this.
 PORTS = 65536
 
+# Length of a gizmo's arrows in units of the longest side of its body.
+GIZMO = 0.7
+
 TEXT = "padding:0.4em 0.8em;font-size:0.85em;line-height:1.5"
 
 BAD: Rgb = (119, 119, 119)
@@ -217,13 +220,17 @@ class Mover:
     The gizmo's node carries the body's pose, so that the body follows the mouse at the pace of the browser.
     """
 
-    def __init__(self, page: Viewer, node: str, name: str, T: Floats, size: float) -> None:
+    def __init__(self, page: Viewer, node: str, name: str, T: Floats) -> None:
         self.T = T
         self.node = node
         self._name = name
-        self.gizmo = page.server.scene.add_transform_controls(node, scale=size, depth_test=False, line_width=3.0)
+        self.gizmo = page.server.scene.add_transform_controls(node, depth_test=False, line_width=3.0)
         place(self.gizmo, T)
         page._watch(self.gizmo, f"drag {name}")
+
+    def fit(self, box: Floats, most: float) -> None:
+        """Make the gizmo as large as fits a body of this box, and no larger than `most` [m]."""
+        self.gizmo.scale = min(GIZMO * float(np.ptp(box, axis=0).max()), most)
 
     def show(self, on: bool) -> None:
         """Show the handles of the gizmo, or the body alone."""
@@ -266,15 +273,6 @@ class PoseInputs:
             turn = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
         self.position.value = tuple(np.round(T[:3, 3], 5).tolist())
         self.turn.value = tuple(np.round(turn, 3).tolist())
-
-
-def aim(server: Any, low: Floats, high: Floats) -> None:
-    """Let the camera start where it sees a box, from the front, the right and above, left of the panel."""
-    size = float(np.linalg.norm(high - low))
-    middle = (low + high) / 2 + 0.12 * size * np.array([0.84, 0.54, 0.0])
-    server.initial_camera.look_at = middle
-    server.initial_camera.position = middle + size * np.array([0.43, -0.66, 0.35])
-    server.initial_camera.near, server.initial_camera.far = size * 1e-3, size * 1e3
 
 
 def _block(name: str, colour: Rgb, rows: list[tuple[str, str]], notes: list[str]) -> str:
@@ -325,7 +323,8 @@ def _serve(title: str, where: guard.Listening, port: int) -> tuple[Any, guard.Gu
             raise InputError(
                 f"port: expected a free port at {where.host}, found {port} in use; choose another, or 0 for any"
             )
-        guarding = guard.Guard(where, server.get_port(), None if where.loopback else guard.new_token())
+        token = None if where.loopback else guard.new_token()
+        guarding = guard.Guard(where, server.get_port(), token, title)
         guard.install(server, guarding)
     except BaseException:
         server.stop()

@@ -13,8 +13,12 @@ from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.errors import InputError
 from loewner.queries import Distance, Verdict, classify, collide, distance
-from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing
-from loewner.viewer.page import Mover, PoseInputs, Viewer, aim
+from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, NearPoints
+from loewner.viewer.framing import add_ground, aim, diagonal, framed
+from loewner.viewer.page import Mover, PoseInputs, Viewer
+
+# The larger body is left out of the first picture, which shows the smaller one, if that would be so many times as wide.
+WIDEST = 12.0
 
 
 def show_pair(
@@ -159,30 +163,32 @@ class PairViewer(Viewer):
 
     def _build(self) -> None:
         gui, scene, poses = self.server.gui, self.server.scene, self._first
-        boxes = [
-            body.outer.transformed(T).bounding_box() for body, T in zip((self.a, self.b), poses.values(), strict=True)
-        ]
-        low, high = np.concatenate([b[0] for b in boxes]).min(axis=0), np.concatenate([b[1] for b in boxes]).max(axis=0)
-        self._size = float(np.linalg.norm(high - low))
-        aim(self.server, low, high)
         with gui.add_folder("Show"):
             offered = [k for k in LABELS if k != "meshes" or any(mesh is not None for mesh in self._meshes.values())]
             self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k != "meshes"), "layers") for k in offered}
             self._layers["near"] = self._watch(gui.add_checkbox("near points and normal", True), "layers")
+            self._layers["ground"] = self._watch(gui.add_checkbox("grid", True), "layers")
         self._movers, self._inputs, self._drawings = {}, {}, {}
         for (name, T), body in zip(poses.items(), (self.a, self.b), strict=True):
-            reach = float(np.ptp(np.concatenate(body.outer.bounding_box()), axis=0).max())
-            self._movers[name] = Mover(self, f"/{name}", name, T, 0.6 * reach)
+            self._movers[name] = Mover(self, f"/{name}", name, T)
             self._drawings[name] = Drawing(
                 scene, f"/{name}", body, VERDICT_COLOURS[Verdict.FREE], self._shown(), partial(self._meshes.get, name)
             )
+        boxes = {name: self._drawings[name].box(T) for name, T in poses.items()}
+        small, large = sorted(boxes.values(), key=diagonal)
+        box = framed(small, [large], WIDEST)
+        self._size = diagonal(box)
+        aim(self.server, box)
+        self._ground, cell = add_ground(scene, box)
+        self._layers["ground"].label = f"grid, {cell:g} m"
+        for name, mover in self._movers.items():
+            mover.fit(boxes[name], self._size)
             with gui.add_folder(f"Body {name}"):
                 self._inputs[name] = PoseInputs(self, name, step=round(self._size / 1000, 4) or 1e-4)
-                self._inputs[name].show(T)
+                self._inputs[name].show(mover.T)
         dot = self._size / 120
-        self._points = [scene.add_icosphere(f"/near/{k}", dot, (17, 17, 17), subdivisions=2) for k in "ab"]
+        self._near = NearPoints(scene, self._size)
         ends = np.zeros((1, 2, 3), dtype=np.float32)
-        self._between = scene.add_line_segments("/near/line", ends, (17, 17, 17), thickness=dot / 2)
         self._normal = scene.add_arrows(
             "/near/normal", ends, (170, 51, 119), shaft_radius=dot / 2, head_radius=1.5 * dot, head_length=3 * dot
         )
@@ -199,6 +205,7 @@ class PairViewer(Viewer):
         if "layers" in done:
             for drawing in self._drawings.values():
                 drawing.show(self._shown())
+            self._ground.visible = self._layers["ground"].value
 
     def _answer(self) -> None:
         asked: tuple[Any, ...] = self.a, self._movers["A"].T, self.b, self._movers["B"].T
@@ -213,8 +220,8 @@ class PairViewer(Viewer):
 
     def _show_failure(self, error: Exception) -> None:
         super()._show_failure(error)
-        for node in (*self._points, self._between, self._normal):
-            node.visible = False
+        self._near.hide()
+        self._normal.visible = False
 
     def _rows(self) -> list[tuple[str, str]]:
         found = self.found
@@ -231,13 +238,15 @@ class PairViewer(Viewer):
         return rows + ([("margin", f"{self._margin:g} m")] if self._margin else [])
 
     def _show_near(self) -> None:
-        found, shown = self.found, self._layers["near"].value
-        for node, at in zip(self._points, (found.witness_a, found.witness_b), strict=True):
-            node.position, node.visible = at, shown
-        self._between.points = np.array([[found.witness_a, found.witness_b]], dtype=np.float32)
+        if not self._layers["near"].value:
+            self._near.hide()
+            self._normal.visible = False
+            return
+        found = self.found
+        self._near.show(found.witness_a, found.witness_b)
         tip = found.witness_b + self._size / 12 * found.normal
         self._normal.points = np.array([[found.witness_b, tip]], dtype=np.float32)
-        self._between.visible = self._normal.visible = shown
+        self._normal.visible = True
 
 
 def _numbers(vector: Floats) -> str:

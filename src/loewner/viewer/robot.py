@@ -16,19 +16,32 @@ from loewner import _validate
 from loewner._validate import Floats
 from loewner.bodies import Body
 from loewner.bodies.triangulated import Mesh
-from loewner.errors import InputError
+from loewner.errors import ConvergenceError, InputError
 from loewner.planners import Trajectory
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, StateDistance
 from loewner.scenes import Contact
-from loewner.viewer.drawing import LABELS, VERDICT_COLOURS, Drawing, Rgb, add_mesh, place, quaternions
-from loewner.viewer.page import Mover, PoseInputs, Viewer, aim, note_lines
+from loewner.viewer.drawing import (
+    LABELS,
+    VERDICT_COLOURS,
+    Drawing,
+    NearPoints,
+    Rgb,
+    add_mesh,
+    place,
+    quaternions,
+    spanned,
+)
+from loewner.viewer.framing import add_ground, aim, diagonal, framed
+from loewner.viewer.page import Mover, PoseInputs, Viewer, note_lines
+from loewner.viewer.playing import Path, checked_way, found_along, strip
 from loewner.viewer.visuals import visual_meshes
 
 LINK, OBSTACLE, HELD = (187, 187, 187), (102, 153, 204), (170, 136, 187)
 
-# What is larger [m] is ground, and not what the camera starts with.
-WORLD = 500.0
+# Links that are larger [m] are ground, and not what the camera starts with. Of the scene it shows what is near the
+# robot: what would make the picture at most so many times as wide.
+WORLD, WIDEST = 500.0, 4.0
 
 # Sliders of values without limits: joints that turn for ever, and positions of bases, in metres.
 TURN, TRAVEL = math.pi, 2.0
@@ -51,6 +64,7 @@ def show_robot(
     checker: CollisionChecker,
     q: ArrayLike | None = None,
     *,
+    path: ArrayLike | Trajectory | None = None,
     trajectory: Trajectory | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -63,9 +77,13 @@ def show_robot(
     checker : CollisionChecker
         Of the robot and the scene to show. Bodies moved on the page are moved in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration; default: all joints at 0, or where the trajectory starts.
+        The first configuration; default: all joints at 0, or where the path starts.
+    path : array_like, shape (n, dof), or planners.Trajectory, optional
+        Configurations of this robot, n >= 2. The page gets a slider for the time, a button to play the path, and a bar
+        that shows where along it the robot collides. A path without times is played at 1 rad or m a second, measured by
+        `Robot.distances`.
     trajectory : planners.Trajectory, optional
-        Of this robot. The page gets a slider for the time and a button to play it.
+        The same for a trajectory alone; give either this or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -78,7 +96,7 @@ def show_robot(
     MissingExtraError
         If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If the configuration or the trajectory does not fit, there is nothing to check, the host is none of this
+        If the configuration or the path does not fit, both `path` and `trajectory` are given, there is nothing to check, the host is none of this
         machine's, or the port is taken.
 
     Examples
@@ -90,7 +108,7 @@ def show_robot(
     >>> page.close()
     """
     waits = _validate.flag(block, "block")
-    viewer = RobotViewer(checker, q, trajectory, host=host, port=port)
+    viewer = RobotViewer(checker, q, path, trajectory, host=host, port=port)
     if waits:
         viewer.wait()
     return viewer
@@ -118,7 +136,7 @@ class RobotViewer(Viewer):
     ----------
     checker : CollisionChecker
     trajectory : planners.Trajectory or None
-        What can be played.
+        What can be played, if it has times of its own.
     verdict : Verdict
         The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
     colliding : bool
@@ -126,7 +144,8 @@ class RobotViewer(Viewer):
     contacts : tuple of Contact
         Pairs that touch, or come within their margin.
     bounds : StateDistance
-        Certified bounds on the distance of the nearest pair.
+        Certified bounds on the distance of the nearest pair, the exact distance, and where it is nearest; bounds alone
+        if the exact search cannot settle it.
 
     Examples
     --------
@@ -146,18 +165,26 @@ class RobotViewer(Viewer):
     bounds: StateDistance
 
     def __init__(
-        self, checker: CollisionChecker, q: ArrayLike | None, trajectory: Trajectory | None, *, host: str, port: int
+        self,
+        checker: CollisionChecker,
+        q: ArrayLike | None,
+        path: ArrayLike | Trajectory | None,
+        trajectory: Trajectory | None,
+        *,
+        host: str,
+        port: int,
     ) -> None:
         if not isinstance(checker, CollisionChecker):
             raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
         robot = checker.robot
         self.checker = checker
-        self.trajectory = _checked(robot, trajectory)
+        self._way = checked_way(robot, path, trajectory)
+        self.trajectory = self._way if isinstance(self._way, Trajectory) else None
         self._time = 0.0
-        # What `monotonic` said at the time 0 of the trajectory that is being played.
+        # What `monotonic` said at the time 0 of the path that is being played.
         self._began: float | None = None
-        if q is None and trajectory is not None:
-            q = trajectory.positions(0.0)
+        if q is None and self._way is not None:
+            q = self._way.positions(0.0)
         # Not every robot can stand at zero.
         start = np.clip(robot.configuration(), robot.lower, robot.upper) if q is None else q
         self._q = np.array(robot.checked_one(start))
@@ -166,7 +193,8 @@ class RobotViewer(Viewer):
                 "checker: expected pairs to check, found none; the robot has "
                 f"{len(robot.bodies)} links with bodies and the scene {len(checker.scene)} bodies"
             )
-        self._seen = self._seen_structure = -1
+        self._seen = self._seen_structure = self._seen_along = -1
+        self._size = math.inf
         self._shown: dict[str, _Shown] = {}
         self._unchecked: dict[str, Any] = {}
         self._numbers = 0
@@ -190,13 +218,13 @@ class RobotViewer(Viewer):
 
     @property
     def time(self) -> float:
-        """Where the page is on its trajectory, in seconds; set it to move the robot there."""
+        """Where the page is on its path, in seconds; set it to move the robot there."""
         return self._time
 
     @time.setter
     def time(self, t: float) -> None:
         self._check_open()
-        self._the_trajectory().positions(_validate.real(t, "time"))
+        self._the_way().positions(_validate.real(t, "time"))
         with self.lock:
             self._stop()
             self._go_to(float(t))
@@ -204,11 +232,16 @@ class RobotViewer(Viewer):
 
     @property
     def playing(self) -> bool:
-        """Whether the trajectory runs."""
+        """Whether the path is being played."""
         return self._began is not None
 
     def play(self) -> None:
-        """Let the trajectory run from where it is, or from its start if it is at its end; InputError if there is none.
+        """Let the robot follow its path from where it is, or from the start if it is at the end.
+
+        Raises
+        ------
+        InputError
+            If there is no path.
 
         Examples
         --------
@@ -225,13 +258,13 @@ class RobotViewer(Viewer):
         """
         self._check_open()
         with self.lock:
-            self._start(self._the_trajectory())
+            self._start(self._the_way())
             self.refresh()
 
     def pause(self) -> None:
-        """Stop it where it is; InputError if there is no trajectory."""
+        """Stop it where it is; InputError if there is no path."""
         self._check_open()
-        self._the_trajectory()
+        self._the_way()
         with self.lock:
             self._stop()
             self.refresh()
@@ -264,6 +297,10 @@ class RobotViewer(Viewer):
         gui, robot = self.server.gui, self.checker.robot
         with gui.add_folder("Show"):
             self._layers = {k: self._watch(gui.add_checkbox(LABELS[k], k == "pieces"), "layers") for k in LABELS}
+            self._marks = {
+                "near": self._watch(gui.add_checkbox("near points", True), "marks"),
+                "ground": self._watch(gui.add_checkbox("grid", True), "marks"),
+            }
             self._notes = gui.add_html("", visible=False)
         with gui.add_folder("Robot"):
             states = gui.add_dropdown("state", (OTHER, NEUTRAL, *robot.states), initial_value=OTHER)
@@ -276,12 +313,13 @@ class RobotViewer(Viewer):
                 low, high = min(low, value), max(high, value)
                 slider = gui.add_slider(name, low, high, max((high - low) / 1000, 1e-6), value)
                 self._sliders.append(self._watch(slider, "joints"))
-        if self.trajectory is not None:
-            with gui.add_folder("Trajectory"):
-                end = max(self.trajectory.duration, 1e-6)
+        if self._way is not None:
+            with gui.add_folder("Path"):
+                end = max(self._way.duration, 1e-6)
                 self._clock = self._watch(gui.add_slider("time, s", 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
                 self._button = gui.add_button(PLAY)
                 self._button.on_click(lambda _: self._tell("play"))
+                self._strip = gui.add_html("")
         with gui.add_folder("Scene"):
             self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
             self._inputs = PoseInputs(self, "body", step=0.005)
@@ -293,24 +331,32 @@ class RobotViewer(Viewer):
         for name, body in robot.bodies.items():
             self._add(name, body, LINK, robot.link_names.index(name), None)
         self._match_scene()
-        self._aim(links)
+        self._frame(links)
 
-    def _aim(self, links: Floats) -> None:
-        boxes = []
+    def _frame(self, links: Floats) -> None:
+        """Start the camera at the robot and what is near it, with a grid below and gizmos to its measure."""
+        boxes: dict[bool, list[Floats]] = {True: [], False: []}
         for shown in self._shown.values():
             T = shown.mover.T if shown.mover is not None else links[shown.link] @ _identity_or(shown.T_link_body)
-            boxes.append(np.concatenate(shown.body.outer.transformed(T).bounding_box()))
-        near = [box for box in boxes if np.ptp(box, axis=0).max() < WORLD]
-        corners = np.concatenate(near or boxes)
-        aim(self.server, corners.min(axis=0), corners.max(axis=0))
+            box = shown.drawing.box(T)
+            # Planes of MJCF are links of the robot.
+            boxes[shown.mover is None and np.ptp(box, axis=0).max() < WORLD].append(box)
+        box = framed(spanned(boxes[True]), boxes[False], WIDEST) if boxes[True] else spanned(boxes[False])
+        self._size = diagonal(box)
+        aim(self.server, box)
+        self._ground, cell = add_ground(self.server.scene, box)
+        self._marks["ground"].label = f"grid, {cell:g} m"
+        self._near = NearPoints(self.server.scene, self._size)
+        for shown in self._shown.values():
+            if shown.mover is not None:
+                shown.mover.fit(shown.drawing.box(np.eye(4)), self._size)
 
     def _add(self, name: str, body: Body, colour: Rgb, link: int | None, T_link_body: Floats | None) -> None:
         # Numbers for nodes: a name may hold the slash that parts viser's nodes, and come back after it was removed.
         node, self._numbers = f"/body/{self._numbers}", self._numbers + 1
         mover, handle = None, None
         if link is None:
-            size = float(np.ptp(np.concatenate(body.outer.bounding_box()), axis=0).max())
-            mover = Mover(self, node, name, self.checker.scene.pose(name), 0.7 * size)
+            mover = Mover(self, node, name, self.checker.scene.pose(name))
             mover.show(False)
             handle = mover.gizmo
         else:
@@ -320,6 +366,7 @@ class RobotViewer(Viewer):
         look = None if link is None or T_link_body is not None else partial(self._look, name)
         drawing = Drawing(self.server.scene, node, body, colour, self._which(), look or (lambda: None))
         if mover is not None:
+            mover.fit(drawing.box(np.eye(4)), self._size)
             drawing.on_click(lambda _: self._tell("clicked", name))
         self._shown[name] = _Shown(body, drawing, colour, handle, link, T_link_body, mover)
 
@@ -425,8 +472,8 @@ class RobotViewer(Viewer):
         elif "joints" in done:
             self._state.value = OTHER
             self._q = _with_unit_quaternions(robot, np.array([slider.value for slider in self._sliders]))
-        if self.trajectory is not None:
-            self._follow(self.trajectory, done)
+        if self._way is not None:
+            self._follow(self._way, done)
         if "clicked" in done and done["clicked"] in scene.static_names:
             self._chosen.value = done["clicked"]
         dragged = [name for name in scene.static_names if f"drag {name}" in done and name in self._shown]
@@ -436,6 +483,8 @@ class RobotViewer(Viewer):
             scene.move(self._chosen.value, self._inputs.take())
         if "layers" in done:
             self._show_layers()
+        if "marks" in done:
+            self._ground.visible = self._marks["ground"].value
         if "chosen" in done or "clicked" in done:
             self._show_chosen()
 
@@ -445,69 +494,97 @@ class RobotViewer(Viewer):
             slider.min, slider.max = min(slider.min, value), max(slider.max, value)
             slider.value = value
 
-    # -- the trajectory ---------------------------------------------------------------------------
+    # -- the path ---------------------------------------------------------------------------------
 
-    def _the_trajectory(self) -> Trajectory:
-        if self.trajectory is None:
-            raise InputError("page: expected one with a trajectory, found none; show_robot(trajectory=...) takes it")
-        return self.trajectory
+    def _the_way(self) -> Trajectory | Path:
+        if self._way is None:
+            raise InputError("page: expected one with a path or trajectory, found none; show_robot(path=...) takes it")
+        return self._way
 
-    def _follow(self, trajectory: Trajectory, done: dict[str, Any]) -> None:
+    def _follow(self, way: Trajectory | Path, done: dict[str, Any]) -> None:
         """Go on while it is played; what is done to the joints by hand ends that."""
         if {"state", "random", "joints"} & done.keys():
             self._stop()
         elif "time" in done:
             self._stop()
-            self._go_to(min(max(float(self._clock.value), 0.0), trajectory.duration))
+            self._go_to(min(max(float(self._clock.value), 0.0), way.duration))
         elif "play" in done:
             if self.playing:
                 self._stop()
             else:
-                self._start(trajectory)
+                self._start(way)
         if self._began is not None:
-            self._go_to(min(monotonic() - self._began, trajectory.duration))
-            if self._time == trajectory.duration:
+            self._go_to(min(monotonic() - self._began, way.duration))
+            if self._time == way.duration:
                 self._stop()
 
-    def _start(self, trajectory: Trajectory) -> None:
-        begin = 0.0 if self._time >= trajectory.duration else self._time
+    def _start(self, way: Trajectory | Path) -> None:
+        begin = 0.0 if self._time >= way.duration else self._time
         self._began = monotonic() - begin
         self._button.label = PAUSE
 
     def _stop(self) -> None:
         self._began = None
-        if self.trajectory is not None:
+        if self._way is not None:
             self._button.label = PLAY
 
     def _go_to(self, t: float) -> None:
         self._time = t
         self._clock.value = t
         self._state.value = OTHER
-        self._set_configuration(self._the_trajectory().positions(t))
+        self._set_configuration(self._the_way().positions(t))
 
     def _answer(self) -> None:
         links = self.checker.robot.forward_kinematics(self._q)
         for node, wxyz, T in zip(self._links, quaternions(links[:, :3, :3]), links, strict=True):
             node.wxyz, node.position = wxyz, T[:3, 3]
         self._match_scene()
+        self._look_along()
         self.verdict = self.checker.classify(self._q)
         self.colliding = self.checker.collide(self._q)
         self.contacts = self.checker.pairs(self._q) if self.colliding else ()
-        self.bounds = self.checker.distance(self._q)
+        self.bounds = self._distance()
         self._paint({name for contact in self.contacts for name in (contact.name_a, contact.name_b)})
-        self._show_verdict(self.verdict.name, VERDICT_COLOURS[self.verdict], list(self._rows()), self._contact_lines())
+        exactly = Verdict.COLLIDING if self.colliding else Verdict.FREE
+        self._show_verdict(exactly.name, VERDICT_COLOURS[exactly], list(self._rows()), self._contact_lines())
+        self._show_near()
+
+    def _distance(self) -> StateDistance:
+        try:
+            return self.checker.distance(self._q, exact=True)
+        except ConvergenceError:  # whether the robot collides is known all the same
+            return self.checker.distance(self._q)
+
+    def _look_along(self) -> None:
+        """Colour the path anew if the scene has changed since."""
+        if self._way is not None and self._seen_along != self._seen:
+            self._strip.content = strip(found_along(self.checker, self._way), self._way.duration)
+            self._seen_along = self._seen
+
+    def _show_near(self) -> None:
+        a, b = self.bounds.witness_a, self.bounds.witness_b
+        if a is None or b is None or not self._marks["near"].value:
+            self._near.hide()
+        else:
+            self._near.show(a, b)
 
     def _show_failure(self, error: Exception) -> None:
         super()._show_failure(error)
         self._paint(set())
+        self._near.hide()
 
     def _paint(self, touching: set[str]) -> None:
         for name, shown in self._shown.items():
             shown.drawing.colour = VERDICT_COLOURS[Verdict.COLLIDING] if name in touching else shown.colour
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        yield "exact", "COLLIDING" if self.colliding else "FREE"
-        yield "bounds", f"{self.bounds.lower:.4g} .. {self.bounds.upper:.4g} m"
+        found = self.bounds
+        if found.distance is None or found.names is None:
+            yield "clearance", f"not settled: {found.lower:.4g} .. {found.upper:.4g} m"
+        else:
+            yield "depth" if found.distance < 0 else "clearance", f"{abs(found.distance):.6g} m"
+            yield "nearest", " – ".join(found.names)
+        yield "ellipsoids", self.verdict.name
         yield "pairs", f"{len(self.contacts)} touch of {len(self.checker.checked_pairs)} checked"
 
     def _contact_lines(self) -> list[str]:
@@ -518,23 +595,6 @@ class RobotViewer(Viewer):
             for c in deepest
         ]  # fmt: skip
         return cut_short(lines)
-
-
-def _checked(robot: Robot, trajectory: Any) -> Trajectory | None:
-    """The trajectory, if it is one of this robot."""
-    if trajectory is None:
-        return None
-    if not isinstance(trajectory, Trajectory):
-        raise InputError(
-            f"trajectory: expected loewner.planners.Trajectory, found {type(trajectory).__name__}; "
-            "planners.trajectory makes one of a path"
-        )
-    if trajectory.names != robot.configuration_names:
-        raise InputError(
-            f"trajectory: expected one of {robot.name!r}, for {', '.join(robot.configuration_names)}; found one for "
-            f"{', '.join(trajectory.names)}"
-        )
-    return trajectory
 
 
 def cut_short(lines: list[str]) -> list[str]:

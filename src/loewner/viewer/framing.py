@@ -1,0 +1,76 @@
+"""Where the camera starts, and the grid on the ground: both follow the size of what is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from loewner._validate import Floats
+from loewner.viewer.drawing import spanned
+
+# The side of the grid in units of the diagonal of what is shown, its least number of cells, and cells in a section.
+GRID_SIDE, LEAST_CELLS, SECTION = 2.5, 20, 5
+
+# What stands higher above z = 0 than this share of the diagonal does not stand on it.
+ON_GROUND = 0.1
+
+
+def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
+    """Box of what the camera has to see: the main thing, and what is near it and not much larger.
+
+    Parameters
+    ----------
+    main : ndarray, shape (2, 3)
+        Lowest and highest corner.
+    others : iterable of ndarray, shape (2, 3)
+    most : float
+        A box is left out, such as that of a floor, if it makes the diagonal more than so many times as long.
+
+    Returns
+    -------
+    ndarray, shape (2, 3)
+    """
+    longest = most * diagonal(main)
+    return spanned([main, *(box for box in others if diagonal(spanned([main, box])) <= longest)])
+
+
+def diagonal(box: Floats) -> float:
+    """Length of the diagonal of a box, in metres."""
+    return float(np.linalg.norm(box[1] - box[0]))
+
+
+def aim(server: Any, box: Floats) -> None:
+    """Let the camera start where it sees a box, from the front, the right and above, left of the panel."""
+    size = diagonal(box)
+    middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
+    server.initial_camera.look_at = middle
+    server.initial_camera.position = middle + size * np.array([0.43, -0.66, 0.35])
+    server.initial_camera.near, server.initial_camera.far = size * 1e-3, size * 1e3
+
+
+def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
+    """Add a grid below what is shown, and give the edge of its cells [m].
+
+    It is at z = 0 if what is shown stands there, and else at its lowest point.
+    """
+    size = diagonal(box)
+    cell = round_length(GRID_SIDE * size / LEAST_CELLS)
+    section = SECTION * cell
+    side = section * math.ceil(GRID_SIDE * size / section)
+    lowest = float(box[0, 2])
+    at = 0.0 if 0.0 <= lowest <= ON_GROUND * size else lowest
+    # Its lines are at round coordinates.
+    x, y = section * np.round(box.mean(axis=0)[:2] / section)
+    grid = scene.add_grid(
+        "/ground", side, side, position=(x, y, at), cell_size=cell, section_size=section, fade_distance=20 * size
+    )
+    return grid, cell
+
+
+def round_length(most: float) -> float:
+    """Longest length of 1, 2 or 5 times a power of ten that is not above this one."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max((step * power for step in (1, 2, 5) if step * power <= most), default=power)

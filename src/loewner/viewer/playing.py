@@ -1,0 +1,134 @@
+"""Paths that a page plays: where the robot is at each time, and where along the way it collides."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from loewner._validate import Floats, Ints
+from loewner.errors import ConvergenceError, InputError
+from loewner.planners import Trajectory
+from loewner.planners.judge import checked_path
+from loewner.queries import Verdict
+from loewner.robots import CollisionChecker, Robot
+from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
+from loewner.viewer.page import TEXT
+
+# A path says nothing about time: it is played at so much of `Robot.distances` a second [rad or m].
+PACE = 1.0
+
+# At so many times, evenly spread, the page asks whether the robot collides there.
+LOOKS = 201
+
+# What is found there; what could not be settled counts as colliding everywhere else, and has a colour of its own.
+FREE, COLLIDING, UNSETTLED = 0, 1, 2
+COLOURS: dict[int, Rgb] = {
+    FREE: VERDICT_COLOURS[Verdict.FREE],
+    COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
+    UNSETTLED: (119, 119, 119),
+}
+NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
+
+# So many stretches that are not free are written out.
+MOST_STRETCHES = 4
+
+
+class Path:
+    """A path of configurations, with times: the same pace from one to the next.
+
+    Parameters
+    ----------
+    robot : Robot
+    rows : ndarray, shape (n, dof)
+        At least two.
+
+    Attributes
+    ----------
+    duration : float
+        Seconds from the first to the last; 0 if they are all the same.
+    """
+
+    def __init__(self, robot: Robot, rows: Floats) -> None:
+        self._robot, self._rows = robot, rows
+        lengths = np.asarray(robot.distances(rows[:-1], rows[1:]))
+        self._times = np.concatenate([[0.0], np.cumsum(lengths / PACE)])
+        self.duration = float(self._times[-1])
+
+    def positions(self, t: Any) -> Floats:
+        """Configurations at times from 0 to `duration`, shape (..., dof)."""
+        at = np.asarray(t, dtype=float)
+        if not ((at >= 0.0) & (at <= self.duration)).all():
+            raise InputError(f"t: expected seconds from 0 to {self.duration:g}, found {at.tolist()}")
+        k = np.clip(np.searchsorted(self._times, at, side="right") - 1, 0, len(self._rows) - 2)
+        length = self._times[k + 1] - self._times[k]
+        share = np.divide(at - self._times[k], length, out=np.ones_like(at), where=length > 0)
+        return self._robot.between(self._rows[k], self._rows[k + 1], share)
+
+
+def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | None:
+    """What is to be played, of the two parameters; InputError if both are given, or it is not of this robot."""
+    if path is not None and trajectory is not None:
+        raise InputError("path, trajectory: expected one of the two, found both")
+    if isinstance(path, Trajectory):
+        return _checked(robot, path, "path")
+    if path is not None:
+        return Path(robot, checked_path(robot, path))
+    return None if trajectory is None else _checked(robot, trajectory, "trajectory")
+
+
+def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(
+            f"{name}: expected loewner.planners.Trajectory, found {type(trajectory).__name__}; "
+            "planners.trajectory makes one of a path, and path= plays configurations"
+        )
+    if trajectory.names != robot.configuration_names:
+        raise InputError(
+            f"{name}: expected one of {robot.name!r}, for {', '.join(robot.configuration_names)}; found one for "
+            f"{', '.join(trajectory.names)}"
+        )
+    return trajectory
+
+
+def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
+    """FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spread from start to end."""
+    Q = way.positions(np.linspace(0.0, way.duration, LOOKS))
+    try:
+        return np.where(checker.collide(Q), COLLIDING, FREE)
+    except ConvergenceError:
+        return np.array([_found(checker, q) for q in Q])
+
+
+def _found(checker: CollisionChecker, q: Floats) -> int:
+    try:
+        return COLLIDING if checker.collide(q) else FREE
+    except ConvergenceError:
+        return UNSETTLED
+
+
+def strip(found: Ints, duration: float) -> str:
+    """A bar in the colours of what was found along the way, as HTML, and the stretches that are not free in words."""
+    bars = "".join(
+        f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
+        for kind, start, end in _stretches(found)
+    )
+    step = duration / (len(found) - 1)
+    bad = [
+        f"{NAMES[kind].lower()} {start * step:.3g} .. {(end - 1) * step:.3g} s"
+        for kind, start, end in _stretches(found) if kind != FREE
+    ]  # fmt: skip
+    if len(bad) > MOST_STRETCHES:
+        bad = [*bad[:MOST_STRETCHES], f"and {len(bad) - MOST_STRETCHES} more"]
+    words = "; ".join(bad) or "free"
+    return (
+        f'<div style="{TEXT}"><div style="display:flex;height:0.7em;border-radius:3px;overflow:hidden">{bars}</div>'
+        f'<div data-loewner="along">{escape(words)}: looked at {len(found)} times, not between them</div></div>'
+    )
+
+
+def _stretches(found: Ints) -> list[tuple[int, int, int]]:
+    """Runs of the same: what, first, and one behind the last."""
+    cuts = [0, *(np.flatnonzero(np.diff(found)) + 1).tolist(), len(found)]
+    return [(int(found[start]), start, end) for start, end in zip(cuts[:-1], cuts[1:], strict=True)]
