@@ -18,8 +18,8 @@ import pytest
 
 import loewner
 from families import translation
-from loewner import Body, CollisionChecker, Robot, Scene, Verdict, cli, planners, viewer
-from loewner.viewer import drawing, guard
+from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict, cli, planners, viewer
+from loewner.viewer import drawing, framing, guard, playing
 from loewner.viewer.visuals import visual_meshes
 
 REQUIRED = os.environ.get("LOEWNER_BROWSER") == "required"
@@ -852,7 +852,7 @@ def test_host_of_another_machine():
 @pytest.fixture
 def tab(browser):
     """An empty page of the browser that notes where it asks for anything."""
-    tab = browser.new_page(viewport={"width": 1000, "height": 600})
+    tab = browser.new_page(viewport={"width": 1200, "height": 700})
     tab.set_default_timeout(PATIENCE)
     tab.asked = []
     tab.on("request", lambda request: tab.asked.append(request.url))
@@ -1105,3 +1105,75 @@ def test_page_with_token_in_the_browser(browser, host):
     finally:
         context.close()
         stranger.close()
+
+
+# -- what the page starts with ------------------------------------------------------------------------
+
+
+def test_the_camera_starts_with_what_is_shown() -> None:
+    """At a distance in proportion to the bodies, and on a grid whose cells are round numbers."""
+    for size in (0.01, 1.0, 30.0):
+        T = translation(2.2 * size, 0.6 * size)
+        with viewer.show_pair(Body.box([size] * 3), None, Body.box([size] * 3), T) as page:
+            camera = page.server.initial_camera
+            away = np.linalg.norm(np.subtract(camera.position, camera.look_at))
+            assert 1.5 * size < away < 10 * size
+            assert page._movers["B"].gizmo.scale == pytest.approx(0.7 * size, rel=0.5)
+    assert [framing.round_length(x) for x in (0.9, 1.0, 4.9, 60.0, 0.0021)] == pytest.approx([0.5, 1, 2, 50, 0.002])
+
+
+def test_clouds_are_drawn_as_points(rng) -> None:
+    """Not as triangles that have no area; unions of many balls as copies of one."""
+    points = rng.uniform(size=(1000, 3))
+    (cloud,) = drawing.parts(Body.from_cloud(points, radius=0.02))
+    assert isinstance(cloud, drawing.Points)
+    assert (len(cloud.points), cloud.radius) == (1000, 0.02)
+    np.testing.assert_allclose(cloud.box(np.eye(4)), [points.min(axis=0) - 0.02, points.max(axis=0) + 0.02])
+    balls = drawing.parts(Body.union([Body.spheres(points, 0.01), Body.box([1, 1, 1])]))
+    assert sorted(type(part).__name__ for part in balls) == ["Copies", "Triangles"]
+
+
+def test_a_path_is_played_at_an_even_pace(arm) -> None:
+    """From its first row to its last; with a bar that says where it collides, looked at many times."""
+    robot = arm.robot
+    rows = robot.random_configurations(4, 0)
+    way = playing.Path(robot, rows)
+    np.testing.assert_allclose(way.positions(0.0), rows[0])
+    np.testing.assert_allclose(way.positions(way.duration), rows[-1])
+    times = np.linspace(0.0, way.duration, 50)
+    steps = robot.distances(way.positions(times[:-1]), way.positions(times[1:]))
+    assert (steps <= way.duration / 49 * (1 + 1e-9)).all()
+    with pytest.raises(InputError, match="expected seconds"):
+        way.positions(-1.0)
+    checker = CollisionChecker(robot, Scene())
+    found = playing.found_along(checker, way)
+    looked = checker.collide(way.positions(np.linspace(0.0, way.duration, len(found))))
+    assert (found == np.where(looked, playing.COLLIDING, playing.FREE)).all()
+    assert "looked at 201 times" in playing.strip(found, way.duration)
+    with viewer.show_robot(checker, path=rows) as page:
+        page.time = way.duration / 2
+        np.testing.assert_allclose(page.q, way.positions(way.duration / 2), atol=1e-9)
+    with pytest.raises(InputError, match="found both"):
+        viewer.show_robot(checker, path=rows, trajectory=rows)
+
+
+def test_a_screenshot_without_a_window(browser, tmp_path, capsys) -> None:
+    """Of the command line, with a cloud in the picture; and names that are none."""
+    rng = np.random.default_rng(0)
+    Body.from_cloud(rng.uniform(size=(2000, 3)), radius=0.01).save(tmp_path / "cloud.npz")
+    Body.box([0.2, 0.2, 0.2]).save(tmp_path / "box.npz")
+    names = [str(tmp_path / name) for name in ("cloud.npz", "box.npz", "out.png")]
+    done = subprocess.run(
+        [sys.executable, "-m", "loewner", "view", *names[:2], "--screenshot", names[2]],
+        capture_output=True, text=True, timeout=180,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    picture = (tmp_path / "out.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > 20_000
+    with viewer.show_pair(Body.sphere(1.0), None, Body.sphere(1.0), translation(3.0, 0.0)) as page:
+        for bad in ({"path": "out.jpg"}, {"path": tmp_path / "a.png", "width": 10}):
+            with pytest.raises(InputError, match="path|width"):
+                viewer.save_screenshot(page, **bad)
+    with pytest.raises(InputError, match="expected an open page"):
+        viewer.save_screenshot("page", tmp_path / "a.png")

@@ -1324,7 +1324,7 @@ RECORDS = {
 # Likewise, but no record: it is made by its class methods.
 MADE = {"Body", "planners.Roadmap"}
 # Not called: pages are opened by the functions that show them; what acts on an open page has tests of its own.
-PAGES = {"viewer.PairViewer", "viewer.RobotViewer"}
+PAGES = {"viewer.PairViewer", "viewer.RobotViewer", "viewer.save_screenshot"}
 # Text in, text out; given an experiment, as the report is.
 TABLES = "paper.tables"
 

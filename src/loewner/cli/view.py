@@ -45,6 +45,7 @@ def add(commands: Any) -> None:
     view.add_argument("--decompose", action="store_true", help="of the robot: the same as --model pieces")
     view.add_argument("--port", type=int, default=0, help="default: any that is free")
     view.add_argument("--no-browser", action="store_true", help="only print the address")
+    view.add_argument("--screenshot", metavar="PNG", type=Path, help="write a picture of the page and end; no window")
     inputs.add_mesh_options(view, "pieces")
     view.set_defaults(run=_run, default=view.get_default)
 
@@ -55,6 +56,15 @@ def _run(options: argparse.Namespace) -> int:
     answer = sys.stdout
     with redirect_stdout(sys.stderr):  # where viser's greetings belong
         page = _view_robot(options) if options.urdf is not None else _view_pair(options)
+        if options.screenshot is not None:
+            from loewner import viewer
+
+            try:
+                viewer.save_screenshot(page, options.screenshot)
+            finally:
+                page.close()
+            print(options.screenshot, file=answer)
+            return 0
         print(f"{page.url}  (Ctrl+C closes it)", file=answer, flush=True)
         if not options.no_browser:
             webbrowser.open(page.url)

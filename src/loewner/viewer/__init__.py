@@ -5,5 +5,6 @@ The page is served to this machine alone, unless `host` says otherwise, and need
 
 from loewner.viewer.pair import PairViewer, show_pair
 from loewner.viewer.robot import RobotViewer, show_robot
+from loewner.viewer.screenshots import save_screenshot
 
-__all__ = ["PairViewer", "RobotViewer", "show_pair", "show_robot"]
+__all__ = ["PairViewer", "RobotViewer", "save_screenshot", "show_pair", "show_robot"]

@@ -292,8 +292,9 @@ def parts(body: Body) -> list[Part]:
     if len(copied):
         frames = packed.frames[copied]
         # A sphere is a point with a ball around it.
-        balls = np.where(kinds[copied] == columns.POINT, frames[:, 0], 0.0)[:, None, None] * np.eye(3)
-        factors = np.where(balls.any(axis=(1, 2))[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
+        radii = np.asarray(np.where(kinds[copied] == columns.POINT, frames[:, 0], 0.0))
+        balls = radii[:, None, None] * np.eye(3)
+        factors = np.where((radii > 0)[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
         made.append(Copies(frames[:, 1:4], factors))
     for number in clouds:
         row, radius = packed.layout[number], float(packed.frames[number, 0])

@@ -96,8 +96,8 @@ def show_robot(
     MissingExtraError
         If viser is not installed, or is a version that cannot be kept from serving foreign requests.
     InputError
-        If the configuration or the path does not fit, both `path` and `trajectory` are given, there is nothing to check, the host is none of this
-        machine's, or the port is taken.
+        If the configuration or the path does not fit, both `path` and `trajectory` are given, there is nothing to
+        check, the host is none of this machine's, or the port is taken.
 
     Examples
     --------

@@ -1,0 +1,89 @@
+"""Pictures of a page, by a browser without a window."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from loewner import _validate
+from loewner._files import replacing
+from loewner.errors import FileError, InputError, MissingExtraError, installing
+from loewner.viewer.page import Viewer
+
+# Browsers of the system that are taken before Playwright's own; and so that they draw without a graphics card.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+# Until the page has drawn what it was sent [ms]: at most, and after the last that it heard.
+PATIENCE, SETTLED = 60_000, 3_000
+
+
+def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 1280, height: int = 720) -> None:
+    """Write a picture of an open page, as a browser shows it.
+
+    Parameters
+    ----------
+    page : PairViewer or RobotViewer
+        Open.
+    path : path
+        Ends in ``.png``; a file of that name is replaced.
+    width, height : int
+        Of the browser's window, in pixels.
+
+    Raises
+    ------
+    InputError
+        If the name ends otherwise, or a size is out of 200 to 4,000.
+    MissingExtraError
+        If Playwright or a browser for it is not installed.
+    FileError
+        If the page was not drawn within a minute, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from loewner import Body, viewer
+    >>> page = viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), block=False)
+    >>> page.close()
+    >>> viewer.save_screenshot(page, "picture.jpg")
+    Traceback (most recent call last):
+        ...
+    loewner.errors.InputError: path: expected a name that ends in .png, found picture.jpg
+    """
+    if not isinstance(page, Viewer):
+        raise InputError(f"page: expected an open page of loewner.viewer, found {_validate.short(page)}")
+    file = _validate.path(path, "path")
+    if file.suffix.lower() != ".png":
+        raise InputError(f"path: expected a name that ends in .png, found {file}")
+    sizes = {"width": width, "height": height}
+    for name, size in sizes.items():
+        if isinstance(size, bool) or not isinstance(size, int) or not 200 <= size <= 4000:
+            raise InputError(f"{name}: expected pixels from 200 to 4000, found {_validate.short(size)}")
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError:
+        raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
+    with sync_playwright() as driver:
+        browser = _browser(driver, Error)
+        try:
+            tab = browser.new_page(viewport=sizes)
+            tab.goto(page.url, timeout=PATIENCE)
+            tab.locator('[data-loewner="verdict"]').wait_for(timeout=PATIENCE)
+            tab.wait_for_timeout(SETTLED)
+            picture = tab.screenshot(timeout=PATIENCE)
+        except Error as error:
+            raise FileError(f"{file}: expected a page that is drawn, found {str(error).splitlines()[0]}") from None
+        finally:
+            browser.close()
+    with replacing(file) as temporary:
+        Path(temporary).write_bytes(picture)
+
+
+def _browser(driver: Any, error: type[Exception]) -> Any:
+    """A browser of the system, or Playwright's own."""
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    try:
+        return driver.chromium.launch(executable_path=path, args=list(FLAGS))
+    except error:
+        raise MissingExtraError("screenshots need a browser: playwright install chromium") from None
