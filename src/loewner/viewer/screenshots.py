@@ -70,6 +70,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
             tab = browser.new_page(viewport=sizes)
             tab.goto(page.url, timeout=PATIENCE)
             tab.locator('[data-loewner="verdict"]').wait_for(timeout=PATIENCE)
+            tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # of how slowly it draws
             tab.wait_for_timeout(SETTLED)
             picture = tab.screenshot(timeout=PATIENCE)
         except Error as error:
