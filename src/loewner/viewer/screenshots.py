@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from loewner.viewer.page import Viewer
 
 # Browsers of the system that are taken before Playwright's own; and so that they draw without a graphics card.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 # Until the page has drawn what it was sent [ms]: at most, and after the last that it heard.
 PATIENCE, SETTLED = 60_000, 3_000
@@ -64,27 +65,37 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
         from playwright.sync_api import Error, sync_playwright
     except ImportError:
         raise MissingExtraError(f"screenshots need Playwright: {installing('screenshots')}") from None
-    with sync_playwright() as driver:
-        browser = _browser(driver, Error)
+    # In a thread of its own: the caller's may run an event loop, as in a notebook, which Playwright refuses.
+    with ThreadPoolExecutor(1) as thread:
+        picture = thread.submit(_picture, page.url, sizes, sync_playwright, Error).result()
+    with replacing(file) as temporary:
+        Path(temporary).write_bytes(picture)
+
+
+def _picture(url: str, sizes: dict[str, int], start: Any, error: type[Exception]) -> bytes:
+    with start() as driver:
+        browser = _browser(driver, error)
         try:
             tab = browser.new_page(viewport=sizes)
-            tab.goto(page.url, timeout=PATIENCE)
+            tab.goto(url, timeout=PATIENCE)
             tab.locator('[data-loewner="verdict"]').wait_for(timeout=PATIENCE)
             tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # of how slowly it draws
             tab.wait_for_timeout(SETTLED)
-            picture = tab.screenshot(timeout=PATIENCE)
-        except Error as error:
-            raise FileError(f"{file}: expected a page that is drawn, found {str(error).splitlines()[0]}") from None
+            return bytes(tab.screenshot(timeout=PATIENCE))
+        except error as found:
+            raise FileError(f"{url}: expected a page that is drawn, found {str(found).splitlines()[0]}") from None
         finally:
             browser.close()
-    with replacing(file) as temporary:
-        Path(temporary).write_bytes(picture)
 
 
 def _browser(driver: Any, error: type[Exception]) -> Any:
     """A browser of the system, or Playwright's own."""
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    flags = list(FLAGS)
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        flags.append("--no-sandbox")  # Chromium does not start for root with one
     try:
-        return driver.chromium.launch(executable_path=path, args=list(FLAGS))
-    except error:
-        raise MissingExtraError("screenshots need a browser: playwright install chromium") from None
+        return driver.chromium.launch(executable_path=path, args=flags)
+    except error as found:
+        why = str(found).splitlines()[0]
+        raise MissingExtraError(f"screenshots need a browser: playwright install chromium ({why})") from None
