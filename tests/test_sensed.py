@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import loewner
 from exact import halfspaces_crossed, points_outside
 from gantry import gantry
-from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, Robot, Scene
+from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, PlanningError, Robot, Scene, planners
 from loewner.bodies import sensed
 
 SHAPES = {
@@ -253,6 +253,22 @@ def test_robots_among_sensor_data(kind: str, rng: np.random.Generator, tmp_path:
         assert loop.valid_edges(free[:-1], free[1:], 0.005)[found.verdict == loewner.Verdict.FREE].all()
         for k in np.flatnonzero(found.verdict == loewner.Verdict.COLLIDING):
             assert loop.collide(robot.between(free[k], free[k + 1], found.fraction[k]))
+
+
+def test_a_plan_that_proofs_cannot_make_says_why(tmp_path: Path) -> None:
+    """Within the box around a cloud nothing is proven: the error names the cloud, and voxels are the way."""
+    robot = Robot.from_urdf(gantry(tmp_path)[0])
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform([-2, -2, -0.5], [2, 2, -0.4], size=(500, 3)), [[0.0, 0, 3]]])
+    start, goal = [-0.5, -0.5, 0.0], [0.5, 0.5, 0.0]
+    checker = CollisionChecker(robot, scene := Scene())
+    scene.add("seen", Body.from_cloud(points, radius=0.02))
+    with pytest.raises(PlanningError, match="'seen' as its bounding box"):
+        planners.plan(checker, start, goal, max_iterations=50)
+    assert len(planners.plan(checker, start, goal, certified=False)) >= 2
+    scene.remove("seen")
+    scene.add("seen", Body.from_cloud(points, voxel=0.05))
+    assert len(planners.plan(checker, start, goal)) >= 2
 
 
 # -- bad input --------------------------------------------------------------------------------------

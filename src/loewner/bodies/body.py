@@ -501,7 +501,7 @@ class Body(_Bodies):
         points : array_like, shape (n, 3)
             In metres.
         radius : float, optional
-            Of the ball around each point, in metres. Building the body of 50,000 points takes some 60 ms.
+            Of the ball around each point, in metres. Building the body of 50,000 points takes some 40 ms.
         voxel : float, optional
             Edge of the cubes of a grid through the origin, in metres; those with a point in them are the body, as in
             `from_voxels`. Give either this or the radius.
@@ -510,7 +510,7 @@ class Body(_Bodies):
         -------
         Body
             Of one piece with a tree over the points; with voxels, of boxes, as `from_voxels`. FREE is proven for the
-            union as it is.
+            union as it is. Proofs of motions see one piece as its bounding box: take voxels for these.
 
         Raises
         ------

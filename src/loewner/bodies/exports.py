@@ -159,7 +159,7 @@ def _shapes(packed: Packed, which: str | None) -> Iterator[Shape]:
     if surface.any():
         raise InputError(
             f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, whose convex hull these "
-            "formats collide; take ellipsoids='outer', or make the body by Body.from_mesh"
+            "formats collide; take ellipsoids='outer', or make the body by Body.from_mesh, a cloud of voxels"
         )
     return (_piece(packed, number, mesh) for number, mesh in enumerate(of_pieces(packed)))
 

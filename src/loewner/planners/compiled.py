@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner._kernels import codes
+from loewner._kernels import codes, columns
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
@@ -114,9 +114,9 @@ def connect(
     while outcome != codes.MET:
         done = int(state[ITERATION])
         if done == max_iterations:
-            raise PlanningError(_how_far(state, gap, f"within {max_iterations} iterations", "max_iterations"))
+            raise PlanningError(_how_far(judge, state, gap, f"within {max_iterations} iterations", "max_iterations"))
         if began is not None and time.monotonic() - began > timeout:
-            raise PlanningError(_how_far(state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
+            raise PlanningError(_how_far(judge, state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
         asked = time.monotonic()
@@ -167,8 +167,18 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
     return path
 
 
-def _how_far(state: Ints, gap: Floats, spent: str, option: str) -> str:
+def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
     """What is said of a search that found nothing."""
+    packed = judge.ready.bodies._packed
+    boxed = np.flatnonzero(
+        np.minimum.reduceat(packed.layout[:, columns.KIND], packed.piece_start[:-1]) <= columns.SURFACE
+    )
+    seen = ""
+    if len(boxed) and not judge.resolution:
+        seen = (
+            f". Proofs see {judge.ready.names[boxed[0]]!r} as its bounding box, since it is a surface, a cloud or a "
+            "height field: take pieces or voxels, or certified=False"
+        )
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
         f"the two came within {gap[0]:.3g} (in the units of the joints) of each other"
@@ -177,7 +187,7 @@ def _how_far(state: Ints, gap: Floats, spent: str, option: str) -> str:
     return (
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
         f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "
-        f"There may be no path; a larger {option}, or another seed, may help"
+        f"There may be no path; a larger {option}, or another seed, may help{seen}"
     )
 
 

@@ -45,7 +45,7 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     Examples
     --------
     >>> from loewner import Body, viewer
-    >>> page = viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), block=False)
+    >>> page = viewer.show_pair(Body.box([1, 1, 1]), None, Body.sphere(0.5), None, block=False)
     >>> page.close()
     >>> viewer.save_screenshot(page, "picture.jpg")
     Traceback (most recent call last):
