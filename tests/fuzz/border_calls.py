@@ -1167,7 +1167,8 @@ CALLS: dict[str, Call] = {
         {
             "checker": arg(checker),
             "q": array(Q[0], FINITE, NONE),
-            "trajectory": arg(moved, NONE),
+            "path": arg(moved, NONE),
+            "trajectory": arg(None, NONE),
             "host": arg("127.0.0.1"),
             "port": arg(0, "0"),
             "block": flag(False),
@@ -1349,7 +1350,8 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
             if inspect.ismodule(member):
                 assert place + name == TABLES
             elif not inspect.isclass(member):
-                yield place + name, _parameters(member)
+                if place + name not in PAGES:
+                    yield place + name, _parameters(member)
             elif not issubclass(member, (LoewnerError, enum.Enum)) and place + name not in PAGES:
                 yield from _of_class(place + name, member)
 
