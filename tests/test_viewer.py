@@ -2,6 +2,8 @@
 
 import dataclasses
 import http.server
+import io
+import itertools
 import os
 import re
 import shutil
@@ -15,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import loewner
 from families import translation
@@ -985,6 +988,110 @@ def test_trajectory_in_the_browser(tab, arm, moved):
         eventually(lambda: page.time == moved.duration, PATIENCE / 1000)
         tab.locator('[data-loewner="note"]', has_text="wall/left").first.wait_for()
         assert page.q.tolist() == [1.5, 0.0]
+
+
+def drawn(tab):
+    """What the window shows once it has drawn all that it was sent, shape (height, width, 3)."""
+    before = None
+    for _ in range(20):
+        tab.wait_for_timeout(500)
+        now = tab.screenshot(timeout=PATIENCE)
+        if now == before:
+            break
+        before = now
+    return np.asarray(Image.open(io.BytesIO(now)).convert("RGB")).astype(int)
+
+
+def where_pieces_are(tab, page):
+    """Lowest and highest column and row of the pixels that change when the page's pieces are hidden.
+
+    The grid stays as it is; so does the panel, but for the tick of the check box.
+    """
+    before = drawn(tab)
+    tab.get_by_label(drawing.LABELS["pieces"], exact=True).uncheck()
+    eventually(lambda: not page._layers["pieces"].value, PATIENCE / 1000)
+    changed = np.abs(before - drawn(tab)).max(axis=2) > 24
+    changed[:, panel_left(tab) :] = False
+    rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+    return columns[0], columns[-1], rows[0], rows[-1]
+
+
+def panel_left(tab):
+    """Where the page's panel begins, in pixels."""
+    box = tab.locator('[data-loewner="verdict"]').bounding_box()
+    return int(box["x"]) - 20
+
+
+def fills_the_window(tab, page):
+    """Whether nothing is cut off or behind the panel, and what is shown is not lost in the window either."""
+    left, right, top, bottom = where_pieces_are(tab, page)
+    height = tab.viewport_size["height"]
+    assert 0 < left < right < panel_left(tab) - 1, (left, right, panel_left(tab))
+    assert 0 < top < bottom < height - 1, (top, bottom, height)
+    assert max(bottom - top, right - left) > 0.3 * height, (left, right, top, bottom)
+
+
+@pytest.mark.parametrize("size", [0.01, 30.0])
+def test_the_browser_opens_with_two_bodies_in_the_frame(tab, size):
+    """Whatever their size: all their pixels are in the window, left of the panel."""
+    with viewer.show_pair(
+        Body.box([size] * 3), None, Body.box([size] * 3), translation(2.2 * size, 0.6 * size)
+    ) as page:
+        tab.goto(page.url)
+        shown(tab, "FREE")
+        fills_the_window(tab, page)
+
+
+def test_the_browser_opens_with_the_robot_in_the_frame(tab, arm):
+    """And with what stands near it; a floor of a hundred metres is left out."""
+    arm.scene.add("floor", Body.box([100.0, 100.0, 0.1]), translation(0.0, 0.0, -0.2))
+    with viewer.show_robot(arm) as page:
+        arm.scene.remove("floor")
+        page.refresh()
+        tab.goto(page.url)
+        shown(tab, "FREE")
+        fills_the_window(tab, page)
+
+
+def test_the_slider_of_a_path_in_the_browser(tab, arm):
+    """With each press of a key the robot is farther along, and the page says what the library does for it there."""
+    rows = [[0.0, 0.0], [1.5, 0.0]]
+    with viewer.show_robot(arm, path=rows) as page:
+        tab.goto(page.url)
+        assert shown(tab, "FREE") == "FREE"
+        assert "colliding" in panel(tab)["along"]
+        thumb = tab.get_by_role("slider").last
+        thumb.focus()
+        for key, low in (("ArrowRight", 0.0), ("End", 1.5)):
+            thumb.press(key)
+            eventually(lambda low=low: page.time > 0 and page.q[0] >= low, PATIENCE / 1000)
+            np.testing.assert_allclose(page.q, page._way.positions(page.time))
+            expected = arm.robot.forward_kinematics(page.q)[arm.robot.link_names.index("fore"), :3, 3]
+            node = f"/robot/{arm.robot.link_names.index('fore')}"
+            eventually(lambda node=node, at=expected: np.allclose(position(tab, node), at), PATIENCE / 1000)
+            value = arm.distance(page.q, exact=True).distance
+            word = "depth" if value < 0 else "clearance"
+            tab.locator(f'[data-loewner="{word}"]', has_text=f"{abs(value):.6g} m").wait_for()
+        assert shown(tab, "COLLIDING") == "COLLIDING"
+        assert page.time == page._way.duration
+
+
+def test_a_cloud_in_the_browser(tab, rng):
+    """Its points are drawn where they are, in the colour of the verdict, and a ball in the middle of them is found."""
+    points = rng.uniform(-0.5, 0.5, size=(3000, 3))
+    points = points[np.abs(points).max(axis=1) > 0.4]  # the faces of a cube
+    cloud = Body.from_cloud(points, radius=0.02)
+    with viewer.show_pair(cloud, None, Body.sphere(0.2), None) as page:
+        tab.goto(page.url)
+        exact = tab.locator('[data-loewner="exact"]', has_text="FREE")
+        exact.wait_for()
+        left, right, top, bottom = where_pieces_are(tab, page)
+        for corner in np.array(list(itertools.product((-0.4, 0.4), repeat=3))):
+            x, y = pixel(tab, page, corner)
+            assert left < x < right, (corner, x, left, right)
+            assert top < y < bottom, (corner, y, top, bottom)
+        page.T_world_b = translation(0.45, 0.0)
+        tab.locator('[data-loewner="exact"]', has_text="COLLIDING").wait_for()
 
 
 def test_command_line_serves_a_page(tab, tmp_path):

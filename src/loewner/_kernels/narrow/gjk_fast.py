@@ -428,7 +428,7 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
     lower, upper : float
         Bounds on the distance of the cores.
     """
-    status, lower, length, _ = _measure(A, B, shift, W, ends, n, error, reach, far, result)
+    status, lower, length, _ = measure_along(A, B, shift, W, ends, n, error, reach, far, result)
     return status, lower, length
 
 

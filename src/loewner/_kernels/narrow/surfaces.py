@@ -16,7 +16,7 @@ from loewner._kernels.columns import OUTER_CENTER, OUTER_SHAPE
 from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure, measure_along, place_piece
+from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure_along, place_piece
 from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, off_orthonormal, rounding_error
 from loewner._kernels.narrow.surface_boxes import (
     ROUNDINGS,
@@ -97,15 +97,16 @@ def decided(A, B, shift, W, ends, n, error):
 
 
 @apart
-def measured(A, B, shift, W, ends, n, error, near, far, result):
-    """`gjk_fast.measure`."""
-    return measure(A, B, shift, W, ends, n, error, near, far, result)
-
-
-@apart
 def measured_along(A, B, shift, W, ends, n, error, near, far, result):
     """`gjk_fast.measure_along`."""
     return measure_along(A, B, shift, W, ends, n, error, near, far, result)
+
+
+@inline
+def measured(A, B, shift, W, ends, n, error, near, far, result):
+    """The same without the last direction."""
+    status, lower, upper, _ = measured_along(A, B, shift, W, ends, n, error, near, far, result)
+    return status, lower, upper
 
 
 @njit()
