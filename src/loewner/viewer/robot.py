@@ -302,6 +302,13 @@ class RobotViewer(Viewer):
                 "ground": self._watch(gui.add_checkbox("grid", True), "marks"),
             }
             self._notes = gui.add_html("", visible=False)
+        if self._way is not None:
+            with gui.add_folder("Path"):
+                end = max(self._way.duration, 1e-6)
+                self._clock = self._watch(gui.add_slider("time, s", 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
+                self._button = gui.add_button(PLAY)
+                self._button.on_click(lambda _: self._tell("play"))
+                self._strip = gui.add_html("")
         with gui.add_folder("Robot"):
             states = gui.add_dropdown("state", (OTHER, NEUTRAL, *robot.states), initial_value=OTHER)
             self._state = self._watch(states, "state")
@@ -313,13 +320,6 @@ class RobotViewer(Viewer):
                 low, high = min(low, value), max(high, value)
                 slider = gui.add_slider(name, low, high, max((high - low) / 1000, 1e-6), value)
                 self._sliders.append(self._watch(slider, "joints"))
-        if self._way is not None:
-            with gui.add_folder("Path"):
-                end = max(self._way.duration, 1e-6)
-                self._clock = self._watch(gui.add_slider("time, s", 0.0, end, max(end / 1000, 1e-6), 0.0), "time")
-                self._button = gui.add_button(PLAY)
-                self._button.on_click(lambda _: self._tell("play"))
-                self._strip = gui.add_html("")
         with gui.add_folder("Scene"):
             self._chosen = self._watch(gui.add_dropdown("move", (NOTHING,), initial_value=NOTHING), "chosen")
             self._inputs = PoseInputs(self, "body", step=0.005)
