@@ -510,7 +510,7 @@ class Body(_Bodies):
         -------
         Body
             Of one piece with a tree over the points; with voxels, of boxes, as `from_voxels`. FREE is proven for the
-            union as it is. Proofs of motions see one piece as its bounding box: take voxels for these.
+            union as it is. Proofs of motions see the points as boxes around up to 128 parts of them.
 
         Raises
         ------

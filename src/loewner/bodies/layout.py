@@ -29,6 +29,12 @@ UP = 1 + 2.0**-22  # derived 1, certified.md B23
 # What singular values may be off by, relative to the largest. LAPACK promises a few roundings and no number.
 SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
+# A product with a matrix that is orthonormal but for rounding, and the one back: 3 entries each, and LAPACK's own.
+TURN_ROUNDINGS = 128 * 2.0**-53
+
+# Of the corners of a box, which end each has along the axes.
+_CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
+
 # Sizes at which the certificate may work in single precision first (docs/certified.md).
 SINGLE_SIZES = 1e-3, 1e3
 
@@ -176,7 +182,8 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
 def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
     """Rows of the ellipsoids of parts of surfaces, and which belong to each piece; nothing if there is no surface."""
     start = np.zeros((len(p.layout) if trees else 0, columns.PARTS), dtype=np.int64)
-    rows = [np.zeros((0, columns.HOT))]
+    none = np.zeros((0, 3)), np.zeros((0, 3, 3))
+    ellipsoids = [(*none, *none)]
     total = 0
     for i, tree in trees.items():
         center, factor = tree.outer_ellipsoids(p.frames[i, 0])
@@ -186,16 +193,30 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
         inner_factor[outer:] = tree.inner_factor
         center = np.concatenate([center, np.repeat(p.outer_center[i : i + 1], inner, axis=0)])
         factor = np.concatenate([factor, np.repeat(p.outer_factor[i : i + 1], inner, axis=0)])
-        rows.append(_ellipsoid_columns(center, factor, inner_center, inner_factor)[:, : columns.HOT])
+        ellipsoids.append((center, factor, inner_center, inner_factor))
         start[i] = total, total + outer, total + outer + inner
         total += outer + inner
-    return np.ascontiguousarray(np.concatenate(rows)), start.ravel()
+    rows = _ellipsoid_columns(*(np.concatenate(column) for column in zip(*ellipsoids, strict=True)))
+    return np.ascontiguousarray(rows[:, : columns.HOT]), start.ravel()
 
 
 def _box_corners(points: Floats) -> Floats:
-    """Corners of the box around points."""
-    ends = np.stack([points.min(axis=0), points.max(axis=0)])
-    return ends[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]
+    """Corners of a box around points: along the axes, or along their principal ones if it has less surface so."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    off = points - lower
+    _, turn = np.linalg.eigh(off.T @ off - len(off) * np.outer(off.mean(axis=0), off.mean(axis=0)))
+    turned = points @ turn
+    # What rounding takes of a turn there and back, far from orthonormal by some roundings itself.
+    slack = TURN_ROUNDINGS * np.abs(points).max()
+    least, most = turned.min(axis=0) - slack, turned.max(axis=0) + slack
+    if _surface(most - least) < _surface(upper - lower):
+        return np.asarray(np.stack([least, most])[_CORNERS, np.arange(3)] @ turn.T)
+    return np.stack([lower, upper])[_CORNERS, np.arange(3)]
+
+
+def _surface(sides: Floats) -> float:
+    """Half the surface of a box."""
+    return float(sides @ np.roll(sides, 1))
 
 
 def _table(p: PieceArrays) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +32,8 @@ AT_ONCE = 2**24
 
 
 @dataclass(frozen=True, eq=False)
-class Packed(PieceArrays):
-    """Pieces of n bodies, and what kernels see of them; made by `of`.
+class Prepared(PieceArrays):
+    """Pieces of n bodies, and what takes long to make of them.
 
     Attributes
     ----------
@@ -40,6 +41,28 @@ class Packed(PieceArrays):
         What `loewner._kernels.pieces.directions.direction_map` makes of the large polytopes, by number of the piece.
     trees : dict
         The trees of the surfaces, likewise.
+    """
+
+    maps: Maps
+    trees: Trees
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        arrays = (*arrays_of(self).values(), *(array for made in self.maps.values() for array in made))
+        return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
+
+    def packed(self) -> Packed:
+        """The same with what kernels see of it."""
+        return Packed.of(PieceArrays(**arrays_of(self)), self.maps, self.trees)
+
+
+@dataclass(frozen=True, eq=False)
+class Packed(Prepared):
+    """Pieces of n bodies, and what kernels see of them; made by `of`.
+
+    Attributes
+    ----------
     kernel_arrays : KernelArrays
         It lives as long as `handle` is used.
     kernel : Pieces
@@ -48,8 +71,6 @@ class Packed(PieceArrays):
         Its handle, likewise.
     """
 
-    maps: Maps
-    trees: Trees
     kernel_arrays: KernelArrays
     kernel: Any
     handle: int
@@ -81,9 +102,7 @@ class Packed(PieceArrays):
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays, with those that are made for the kernels."""
-        maps = [array for made in self.maps.values() for array in made]
-        arrays = (*arrays_of(self).values(), *maps, *self.kernel)
-        return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
+        return super().nbytes + sum(int(array.nbytes) for array in self.kernel)
 
 
 def _with_inner_of_solids(pieces: PieceArrays, trees: Trees) -> PieceArrays:
@@ -130,20 +149,25 @@ def empty() -> Packed:
 
 def join(parts: list[Packed]) -> Packed:
     """All bodies of several packs, in order."""
+    return joined(parts).packed()
+
+
+def joined(parts: Sequence[Prepared]) -> Prepared:
+    """`join`, without what kernels see."""
     _validate.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
-    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
+    arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
     shift = np.concatenate([np.zeros((1, 4), dtype=np.int64), np.cumsum(sizes, axis=0)[:-1]])
     layouts = []
     for part, (points, planes, _, _) in zip(parts, shift, strict=True):
         layouts.append(part.layout + np.array([0, points, points, planes, planes]))
-    joined["layout"] = np.concatenate(layouts)
+    arrays["layout"] = np.concatenate(layouts)
     for name, column in (("piece_start", 2), ("triangle_start", 3)):
         tails = [getattr(p, name)[1:] + s[column] for p, s in zip(parts, shift, strict=True)]
-        joined[name] = np.concatenate([[0], *tails]).astype(np.int64)
+        arrays[name] = np.concatenate([[0], *tails]).astype(np.int64)
     maps = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.maps.items()}
     trees = {int(i + s[2]): made for p, s in zip(parts, shift, strict=True) for i, made in p.trees.items()}
-    return Packed.of(PieceArrays(**joined), maps, trees)
+    return Prepared(**arrays, maps=maps, trees=trees)
 
 
 def ranges(starts: Ints, stops: Ints) -> Ints:
@@ -159,7 +183,11 @@ def take(p: Packed, bodies: Ints) -> Packed:
     """Pack of some of the bodies, repeats allowed."""
     _validate.fits_memory(len(bodies) * p.nbytes // max(1, len(p.piece_start) - 1), f"{len(bodies)} bodies")
     first, last = p.piece_start[bodies], p.piece_start[bodies + 1]
-    pieces = ranges(first, last)
+    return some(p, ranges(first, last), starts(last - first)).packed()
+
+
+def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
+    """Some of the pieces, repeats allowed, as bodies that begin where `piece_start` says."""
     layout = p.layout[pieces]
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
@@ -169,11 +197,13 @@ def take(p: Packed, bodies: Ints) -> Packed:
     moved = np.column_stack(
         [layout[:, columns.KIND], point_start[:-1], point_start[1:], plane_start[:-1], plane_start[1:]]
     ).astype(np.int64)
-    taken = PieceArrays(
+    maps = {new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {}
+    trees = {new: p.trees[old] for new, old in enumerate(pieces.tolist()) if old in p.trees} if p.trees else {}
+    return Prepared(
         layout=np.ascontiguousarray(moved),
         points=p.points[points],
         planes=p.planes[planes],
-        piece_start=starts(last - first),
+        piece_start=piece_start,
         frames=p.frames[pieces],
         triangles=p.triangles[triangles],
         triangle_start=starts(p.triangle_start[pieces + 1] - p.triangle_start[pieces]),
@@ -182,10 +212,9 @@ def take(p: Packed, bodies: Ints) -> Packed:
         outer_center=p.outer_center[pieces],
         outer_factor=p.outer_factor[pieces],
         gaps=p.gaps[pieces],
+        maps=maps,
+        trees=trees,
     )
-    maps = {new: p.maps[old] for new, old in enumerate(pieces.tolist()) if old in p.maps} if p.maps else {}
-    trees = {new: p.trees[old] for new, old in enumerate(pieces.tolist()) if old in p.trees} if p.trees else {}
-    return Packed.of(taken, maps, trees)
 
 
 def moved(p: Packed, T: Floats) -> Packed:

@@ -158,8 +158,9 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
         turned = bool(turns.any())
         rest = np.where(turns == 0, rest, rest - 2 * np.pi * turns)
     path = space.configurations(np.concatenate([first, rest]))
-    # Whole turns are rounded, and steps are laid from the start: what was judged was not quite this.
-    if (turned or judge.resolution) and not judge.free(path[:-1], path[1:]).all():
+    # Whole turns are rounded, and steps are laid from the start: what was judged was not quite this. And where starts
+    # matter, they were those of a scene that may have changed.
+    if (turned or judge.resolution or judge.ready.starts_matter) and not judge.free(path[:-1], path[1:]).all():
         raise PlanningError(
             "expected a path that is free when it is checked as a whole, found one that is not; "
             "another seed, or a finer resolution, may help"
@@ -169,15 +170,16 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
 
 def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
     """What is said of a search that found nothing."""
-    packed = judge.ready.bodies._packed
-    boxed = np.flatnonzero(
-        np.minimum.reduceat(packed.layout[:, columns.KIND], packed.piece_start[:-1]) <= columns.SURFACE
-    )
+    packed, in_parts = judge.ready.bodies._packed, judge.ready.in_parts.bodies._packed
+    surfaces = np.minimum.reduceat(packed.layout[:, columns.KIND], packed.piece_start[:-1]) <= columns.SURFACE
     seen = ""
-    if len(boxed) and not judge.resolution:
+    if surfaces.any() and not judge.resolution:
+        k = int(surfaces.argmax())
+        count = in_parts.piece_start[k + 1] - in_parts.piece_start[k]
+        how = "the box around it" if count == 1 else f"the boxes around {count} parts of it"
         seen = (
-            f". Proofs see {judge.ready.names[boxed[0]]!r} as its bounding box, since it is a surface, a cloud or a "
-            "height field: take pieces or voxels, or certified=False"
+            f". Proofs see {judge.ready.names[k]!r} as {how}, since it is a surface, a cloud or a height field: "
+            "take pieces or voxels, or certified=False"
         )
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (

@@ -71,7 +71,8 @@ class Judge:
 
     def asked(self) -> tuple[float, float, int, int, int, int]:
         """Tolerance, resolution and addresses, as kernels take them."""
-        ready, prepared = self.ready, self.ready.motions
+        ready = self.ready if self.resolution else self.ready.in_parts
+        prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
         return TOLERANCE, self.resolution, ready.bodies._packed.handle, ready.handle, prepared.handle, memory
 
@@ -96,7 +97,9 @@ class Judge:
             np.array(Q0, order="C"),
             self.checker.robot._on_the_way(Q0, Q1).copy(order="C"),
         )  # kernels take no views
-        return np.asarray(motions.settle(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
+        free = motions.settle(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE
+        free[free] = self.checker._starts_free(self.ready, Q0[free])
+        return np.asarray(free)
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:

@@ -22,6 +22,7 @@ from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Bodies, Packed
 from loewner.bodies.layout import arrays_of, starts
 from loewner.bodies.pack import ranges
+from loewner.bodies.parts import in_parts
 from loewner.errors import InputError, UnknownNameError
 from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot
@@ -123,8 +124,9 @@ class CheckedPairs:
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""
         ordered = replace(self, order=np.argsort(-self.hits, kind="stable"))
-        if "motions" in vars(self):  # which has an order of its own
-            vars(ordered)["motions"] = self.motions
+        for name in ("motions", "in_parts"):  # which have an order of their own
+            if name in vars(self) and vars(self)[name] is not self:
+                vars(ordered)[name] = vars(self)[name]
         return ordered
 
     def placed(self, scene: Scene, version: int) -> CheckedPairs:
@@ -137,7 +139,13 @@ class CheckedPairs:
         version : int
             The scene's, read before anything else of it was.
         """
-        packed, poses = self.bodies._packed, scene.static_poses
+        placed = self._placed(scene.static_poses, version)
+        if "in_parts" in vars(self) and self.in_parts is not self:
+            vars(placed)["in_parts"] = self.in_parts._placed(scene.static_poses, version)
+        return placed
+
+    def _placed(self, poses: Floats, version: int) -> CheckedPairs:
+        packed = self.bodies._packed
         start = packed.piece_start[len(self.link) :]
         flat = np.ascontiguousarray(poses.reshape(-1, 16))
         # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
@@ -157,6 +165,33 @@ class CheckedPairs:
     def memory_of_clearances(self) -> int:
         """Bytes that smooth clearances write to."""
         return int(entries.memory_of_clearances(self.bodies._packed.handle, self.handle, self.robot.dof))
+
+    @cached_property
+    def in_parts(self) -> CheckedPairs:
+        """The same for proofs of motions, with surfaces that stand in parts; made when it is first needed.
+
+        Parts of a solid are of its surface: a motion that is free of them is free if it is free at its start, for what
+        begins outside gets inside only through the surface. `starts_matter` says whether there is any.
+        """
+        packed = in_parts(self.bodies._packed, len(self.link))
+        if packed is self.bodies._packed:
+            return self
+        first = packed.piece_start[len(self.link)]
+        unplaced = replace(
+            self,
+            bodies=Bodies._wrap(packed),
+            standing=np.zeros_like(self.standing),
+            standing_rows=np.zeros((packed.piece_start[-1] - first, columns.HOT), dtype=np.float32),
+            standing_poses=np.full_like(self.standing_poses, np.nan),
+        )
+        return unplaced._placed(self.standing_poses.reshape(-1, 4, 4), self.version)
+
+    @cached_property
+    def starts_matter(self) -> bool:
+        """Whether motions that are free of all parts have to be free at their starts as well."""
+        packed = self.bodies._packed
+        solid = packed.layout[packed.piece_start[len(self.link)] :, columns.KIND] == columns.SOLID
+        return self.in_parts is not self and bool(solid.any())
 
     @cached_property
     def motions(self) -> PreparedMotions:

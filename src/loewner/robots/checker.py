@@ -456,7 +456,9 @@ class CollisionChecker:
         -----
         Joint values run straight, orientations turn at a constant rate along the shorter arc, as in `Robot.between`.
         Nothing is sampled: a plane is found between two bodies that proves a whole interval of the motion, and where
-        there is none the interval is halved. docs/certified.md derives it.
+        there is none the interval is halved. docs/certified.md derives it. Surfaces and clouds that stand are seen as
+        boxes around up to 128 parts of them: what comes nearer than these boxes allow is AMBIGUOUS. The first call with
+        a new surface takes longer, since the parts are made then.
 
         Examples
         --------
@@ -645,8 +647,10 @@ class CollisionChecker:
         Two ellipsoids have a gap between the planes that support them across their contact normal, n·r (1 - 1/√F) / ‖n‖
         with the contact function F of Perram and Wertheim. It is no more than their signed distance, and analytic
         except where centers coincide. Of the gaps g of all pairs of pieces, whose outer ellipsoids these are,
-        -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Where centers of two
-        ellipsoids coincide the pair adds nothing to the gradient. The derivative by a quaternion is as in `distance`.
+        -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Surfaces and clouds that
+        stand enter with up to 128 ellipsoids each, around parts of them, unless one of them is a solid. Where centers
+        of two ellipsoids coincide the pair adds nothing to the gradient. The derivative by a quaternion is as in
+        `distance`.
 
         Examples
         --------
@@ -661,6 +665,8 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         softness, gradient = _validate.positive_scalar(softness, "softness"), _validate.flag(gradient, "gradient")
         ready, flat = self._ready(), _flat(checked)
+        if not ready.starts_matter:  # of a solid all is wanted, not its surface
+            ready = ready.in_parts
         if len(ready.pairs) == 0:
             raise InputError("clearance: expected a robot and a scene with pairs to check, found none")
         n, dof = flat.shape
@@ -803,7 +809,24 @@ class CollisionChecker:
         """`certify_edges` for motions of shape (N, dof), in the scene as it was at one moment."""
         found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
         self._confirm(ready, a, b, found.verdicts, found.fractions)
+        free = np.flatnonzero(found.verdicts == Verdict.FREE)
+        for k in free[~self._starts_free(ready, a[free])]:
+            verdicts = _pair_verdicts(ready, _listed(ready), ready.poses(a[k : k + 1])[0])
+            verdict = Verdict.COLLIDING if (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
+            found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, 0.0, (verdicts == verdict).argmax()
         return found
+
+    def _starts_free(self, ready: CheckedPairs, a: Floats) -> Bools:
+        """Which motions begin free, where `motions.settle` supposes it; what cannot be settled does not."""
+        if not ready.starts_matter or len(a) == 0:
+            return np.ones(len(a), dtype=bool)
+        try:
+            out, _ = self._settle(codes.EXACT, a, ready)
+            return np.asarray(out == Verdict.FREE)
+        except ConvergenceError:
+            if len(a) == 1:
+                return np.array([False])
+            return np.concatenate([self._starts_free(ready, q[None]) for q in a])
 
     def _confirm(
         self, ready: CheckedPairs, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats

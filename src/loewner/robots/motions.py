@@ -100,7 +100,7 @@ class Found(NamedTuple):
 
 
 def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
-    """Settle the motions between configurations a and b, shape (N, dof) each.
+    """Settle the motions between configurations a and b, shape (N, dof) each, with the supposition of `settle`.
 
     Raises
     ------
@@ -125,7 +125,12 @@ def settle(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Flo
     ----------
     off : ndarray, shape (N, dof), optional
         How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
+
+    Notes
+    -----
+    Where `ready.starts_matter`, FREE supposes that the motion is free at its start.
     """
+    ready = ready.in_parts
     total = len(a)
     found = Found(
         np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),

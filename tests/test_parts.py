@@ -1,0 +1,220 @@
+"""Surfaces in parts: proofs of motions among clouds, surfaces and solids, and what stays inside a solid all the way."""
+
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from families import translation
+from gantry import RADIUS, gantry
+from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
+from loewner.bodies import layout, parts
+from loewner.planners.judge import Judge
+from motion_oracle import assert_true, steps
+
+FREE, COLLIDING = Verdict.FREE, Verdict.COLLIDING
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """A ball that slides along x and y, and a rod that turns beside it."""
+    urdf, srdf = gantry(tmp_path)
+    return Robot.from_urdf(urdf, srdf=srdf)
+
+
+def bumpy(rng, size=1.0):
+    """A closed mesh that is not convex: a ball with dents, 1,280 triangles."""
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=size)
+    mesh.vertices *= 1 + 0.25 * np.sin(5 * mesh.vertices @ rng.normal(size=3) / size)[:, None]
+    return mesh.vertices, mesh.faces
+
+
+def shelf():
+    """A cupboard without a front, as one surface: five walls of 2 x 2 x 0.6 m, of two triangles each."""
+    box = trimesh.creation.box((2.0, 2.0, 0.6))
+    middles = box.triangles_center
+    return box.vertices, box.faces[middles[:, 1] > -0.9]
+
+
+def kinds(rng):
+    """Bodies about the origin, within which or in whose box the gantry fits."""
+    return {
+        "cloud": Body.from_cloud(np.array(shelf_points(rng)), radius=0.03),
+        "open": Body.from_surface(shelf(), solid=False),
+        "thick": Body.from_surface(shelf(), radius=0.02, solid=False),
+        "solid": Body.from_surface(bumpy(rng, 0.4)),
+        "terrain": Body.height_field(hills(), 0.1).transformed(translation(-1.15, -1.15, -0.25)),
+    }
+
+
+def hills():
+    """Heights of 24 by 24 points, from -0.5 to 0.5."""
+    x = np.linspace(0, 2.3, 24)
+    return 0.5 * np.sin(4 * x)[:, None] * np.cos(3 * x)
+
+
+def shelf_points(rng):
+    vertices, faces = shelf()
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    u, v = np.sort(rng.uniform(size=(2, 300, len(faces), 1)), axis=0)
+    return (a * u + b * (v - u) + c * (1 - v)).reshape(-1, 3)
+
+
+# -- proofs ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["cloud", "open", "thick", "solid", "terrain"])
+def test_motions_within_the_box_of_a_surface(machine, kind, rng):
+    """None that is proven is refuted by 2,000 samples; each that collides does; and most are decided."""
+    scene = Scene()
+    scene.add("body", kinds(rng)[kind], translation(0.05, 0.02, 0.0))
+    checker = CollisionChecker(machine, scene)
+    Q = machine.random_configurations(300, 1)
+    Q[:, :2] = rng.uniform(-0.95, 0.95, (300, 2))
+    Q = Q[~checker.collide(Q)][:60]
+    assert len(Q) >= 20
+    verdicts = assert_true(checker, Q, steps(machine, rng, Q, 0.2))
+    assert (verdicts == FREE).mean() > 0.2
+    assert (verdicts == COLLIDING).any()
+
+
+def test_what_begins_inside_a_solid_is_not_free(machine, rng):
+    """Though it never meets the surface: the motion collides at its start, and the pair is named."""
+    vertices, faces = bumpy(rng, 3.0)
+    scene = Scene()
+    scene.add("asteroid", Body.from_surface((vertices, faces)))
+    checker = CollisionChecker(machine, scene)
+    a, b = np.array([[-0.2, 0.1, 0.0]] * 3), np.array([[0.2, 0.1, 0.3]] * 3)
+    found = checker.certify_edges(a, b)
+    assert (found.verdict == COLLIDING).all()
+    assert (found.fraction == 0.0).all()
+    assert set(found.names[:, 1]) == {"asteroid"}
+    assert checker.certify_edges(a[0], b[0]).names[1] == "asteroid"
+    # The surface alone is empty: there the same motion is free.
+    scene.remove("asteroid")
+    scene.add("bubble", Body.from_surface((vertices, faces), solid=False))
+    assert (checker.certify_edges(a, b).verdict == FREE).all()
+
+
+@pytest.mark.parametrize("solid", [True, False])
+def test_planners_inside_a_closed_surface(machine, rng, solid):
+    """In a solid nothing is planned, shortened or blended; in the same surface without inside all of it is."""
+    scene = Scene()
+    scene.add("body", Body.from_surface(bumpy(rng, 3.0), solid=solid))
+    checker = CollisionChecker(machine, scene)
+    path = [[-0.2, -0.1, 0.0], [0.2, -0.1, 0.0], [0.2, 0.2, 0.3]]
+    for call in (
+        lambda: planners.plan(checker, path[0], path[2]),
+        lambda: planners.shorten(checker, path),
+        lambda: planners.trajectory(machine, path, velocity=1.0, acceleration=1.0, checker=checker),
+    ):
+        if solid:
+            with pytest.raises((InputError, PlanningError), match="and body"):
+                call()
+        else:
+            call()
+    free = Judge.of(checker, 0.0).proven(np.array(path[:-1]), np.array(path[1:]), np.full((2, 3), 1e-3))
+    assert free.tolist() == [not solid] * 2
+
+
+def test_a_plan_in_a_cupboard_of_one_mesh(machine):
+    """From one corner to another, around a wall in the middle: proven, within the box of the surface."""
+    vertices, faces = shelf()
+    wall = trimesh.creation.box((0.05, 1.2, 0.6))
+    wall.apply_translation([0.0, 0.4, 0.0])
+    both = np.concatenate([vertices, wall.vertices]), np.concatenate([faces, wall.faces + len(vertices)])
+    scene = Scene()
+    scene.add("cupboard", Body.from_surface(both, solid=False))
+    checker = CollisionChecker(machine, scene)
+    path = planners.plan(checker, [-0.5, 0.5, np.pi], [0.5, 0.5, 0.0])
+    assert (checker.certify_edges(path[:-1], path[1:]).verdict == FREE).all()
+    assert path[:, 1].min() < -0.2 + RADIUS
+
+
+def test_parts_follow_a_body_that_moves(machine, rng):
+    """What was prepared is moved along; a body that is replaced is cut anew; links that hold one see it as it is."""
+    scene = Scene()
+    scene.add("body", Body.from_surface(bumpy(rng, 0.4)))
+    checker = CollisionChecker(machine, scene)
+    a = machine.random_configurations(100, 2)
+    b = steps(machine, rng, a, 0.3)
+    for at in (translation(0.0, 0.0), translation(0.6, 0.2), translation(-0.5, 0.1, 0.1)):
+        scene.move("body", at)
+        fresh = CollisionChecker(machine, scene)
+        np.testing.assert_array_equal(checker.certify_edges(a, b).verdict, fresh.certify_edges(a, b).verdict)
+    scene.remove("body")
+    scene.add("body", Body.from_surface(bumpy(rng, 0.2)))
+    fresh = CollisionChecker(machine, scene)
+    np.testing.assert_array_equal(checker.certify_edges(a, b).verdict, fresh.certify_edges(a, b).verdict)
+
+
+# -- the parts --------------------------------------------------------------------------------------
+
+
+def test_parts_hold_each_triangle_once(rng):
+    """Of all surfaces of the bodies that stand, whatever is between them; others stay as they are."""
+    vertices, faces = bumpy(rng)
+    mixed = Body.union([Body.box([1, 1, 1]), Body.from_surface((vertices, faces)), Body.sphere(1.0)])
+    packed = CollisionChecker(_lone(), _scene(mixed=mixed, cloud=Body.from_cloud(vertices, radius=0.1)))._ready()
+    whole, cut = packed.bodies._packed, packed.in_parts.bodies._packed
+    assert cut.piece_start.tolist() == [0, 1, 1 + 2 + parts.MOST_PARTS, 1 + 2 + 2 * parts.MOST_PARTS]
+    assert sorted(_corners(whole).tolist()) == sorted(_corners(cut).tolist())
+    assert np.unique(cut.frames[:, 0]).tolist() == [0.0, 0.1, 1.0]
+    assert parts.in_parts(whole, 3) is whole
+
+
+def _lone():
+    robot = """<robot name="lone"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
+    </geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    return Robot.from_urdf(text=robot)
+
+
+def _scene(**bodies):
+    scene = Scene()
+    for name, body in bodies.items():
+        scene.add(name, body)
+    return scene
+
+
+def _corners(packed):
+    rows = packed.layout[:, 1]
+    lengths = np.diff(packed.triangle_start)
+    return packed.points[packed.triangles + np.repeat(rows, lengths)[:, None]].reshape(-1, 9)
+
+
+def test_slivers_of_rounding_stay_whole():
+    """A large surface with triangles too small for a piece of their own is not cut, and works all the same."""
+    vertices, faces = trimesh.creation.box((1, 1, 1)).vertices, trimesh.creation.box((1, 1, 1)).faces
+    tiny = np.array([[0, 0, 0], [1e-14, 0, 0], [0, 1e-14, 0]])
+    speck = np.concatenate([vertices, *([tiny] * 4)])
+    body = Body.from_surface((speck, np.concatenate([faces, 8 + np.arange(12).reshape(4, 3)])), solid=False)
+    checker = CollisionChecker(_lone(), _scene(box=body))
+    assert checker.certify_edges([-0.2], [0.0]).verdict != FREE
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_boxes_around_surfaces_hold_their_points_exactly(seed):
+    """However they are turned, stretched, and far from the origin; in exact arithmetic."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(20, 3)) * 10.0 ** rng.uniform(-9, 3, 3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    points = points @ turn.T + rng.normal(size=3) * 10.0 ** rng.uniform(-3, 4)
+    corners = [[Fraction(x) for x in row] for row in layout._box_corners(points)]
+    edges = [[corners[k][j] - corners[0][j] for j in range(3)] for k in (4, 2, 1)]
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        n = [edges[a][i] * edges[b][j] - edges[a][j] * edges[b][i] for i, j in ((1, 2), (2, 0), (0, 1))]
+        along = [sum(x * y for x, y in zip(n, c, strict=True)) for c in corners]
+        assert all(min(along) <= sum(x * Fraction(y) for x, y in zip(n, p, strict=True)) <= max(along) for p in points)
+
+
+def test_boxes_around_tilted_walls_are_thin():
+    """A wall that stands across the axes has a box as thin as it is."""
+    grid = np.array(list(product(np.linspace(0, 1, 5), np.linspace(0, 1, 5), [0.0])))
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    corners = layout._box_corners(grid @ turn.T)
+    assert np.ptp(corners @ turn, axis=0)[2] < 1e-12
