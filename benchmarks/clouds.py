@@ -4,7 +4,7 @@
 
 The points are on the faces of ten obstacles around the arm. The rival gets an octree of the cells that they are in, of
 the same edge as our voxels, so that both answer the same question; building it is timed as well. Disagreements are
-counted there, and of the balls with a loop over all points, body by body.
+counted there, and of the balls with a loop over all points, body by body. Last, how many short motions are proven.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ import numpy as np
 import pinocchio as pin
 
 import loewner
-from loewner import Body, CollisionChecker, Robot, Scene
+from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 from robot_rivals import Pinocchio
 from robot_samples import obstacles, panda
 from samples import Array
 
 RADIUS, VOXEL = 0.01, 0.02  # metres
 MANY, RIVALS, LOOPED = 100_000, 2_000, 60  # configurations
+SHORT, MOTIONS = 0.1, 1000  # length in rad, and how many
 ROUNDS = 3
 
 
@@ -58,6 +59,25 @@ def best(run, rounds: int = ROUNDS) -> float:
     return min(times)
 
 
+def once(run: Callable[[], object]) -> float:
+    """Processor seconds, once."""
+    start = time.process_time()
+    run()
+    return time.process_time() - start
+
+
+def short_motions(robot: Robot, cloud: Body, Q: Array) -> tuple[Array, Array]:
+    """Motions from some configurations to others near them, all free of a cloud."""
+    scene = Scene()
+    scene.add("seen", cloud)
+    step = np.random.default_rng(2).normal(size=Q.shape)
+    near = Q + SHORT * step / np.linalg.norm(step, axis=1, keepdims=True)
+    near = np.clip(near, robot.lower, robot.upper)
+    checker = CollisionChecker(robot, scene)
+    free = np.flatnonzero(~(checker.collide(Q) | checker.collide(near)))[:MOTIONS]
+    return Q[free], near[free]
+
+
 def by_loop(robot: Robot, q: Array, points: Array) -> bool:
     """Whether a ball around any point meets any piece, one after another, without trees."""
     T = np.tile(np.eye(4), (len(points), 1, 1))
@@ -84,6 +104,7 @@ def main() -> None:
     robot = arm.robot
     Q = robot.random_configurations(MANY, 1)
     balls = np.nan
+    ends = short_motions(robot, Body.from_cloud(points, radius=RADIUS), Q)
     print(f"Panda among {count} points on ten obstacles, one thread, processor seconds, best of {ROUNDS}")
     for name, make in (
         (f"balls of {RADIUS} m", lambda: Body.from_cloud(points, radius=RADIUS)),
@@ -102,8 +123,19 @@ def main() -> None:
         each = best(lambda checker=checker: checker.collide(Q)) / MANY
         hits = checker.collide(Q)
         print(f"{name}: {body}")
+        first = once(lambda checker=checker: checker.certify_edges(ends[0][0], ends[1][0]))
+        found = checker.certify_edges(*ends)
+        proving = best(lambda checker=checker: checker.certify_edges(*ends)) / MOTIONS
+        lower, exact = checker.clearance(ends[0]), checker.distance(ends[0], exact=True).distance
         print(f"  built {best(make) * 1e3:.1f} ms, replaced {best(replace) * 1e3:.1f} ms, {body.nbytes / 1e6:.1f} MB")
         print(f"  {each * 1e6:.2f} us a configuration, {1 / each:.0f} a second, {hits.mean():.1%} collide", flush=True)
+        print(
+            f"  of {MOTIONS} motions of {SHORT} rad between configurations free of the balls, "
+            f"{(found.verdict == Verdict.FREE).mean():.1%} proven free, "
+            f"{(found.verdict == Verdict.COLLIDING).mean():.1%} collide; {proving * 1e6:.0f} us each, the first call "
+            f"{first * 1e3:.0f} ms; clearance {np.median(lower):.3f} m, exactly {np.median(exact):.3f} (medians)",
+            flush=True,
+        )
         if body.pieces[0].kind == "surface":
             balls = each
             differ = sum(by_loop(robot, q, points) != checker_hit for q, checker_hit in cloud_only(robot, body, Q))

@@ -29,6 +29,14 @@ def test_import_is_light():
     assert modules_after("import loewner").isdisjoint(OPTIONAL)
 
 
+@pytest.mark.parametrize("name", loewner._AT_FIRST_USE)
+def test_modules_are_there_at_first_use(name):
+    """After a plain `import loewner`, which does not load them; and what is misspelt is an AttributeError as ever."""
+    code = f"import sys, loewner; assert 'loewner.{name}' not in sys.modules; loewner.{name}; loewner.{name}s"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert f"module 'loewner' has no attribute '{name}s'" in done.stderr
+
+
 def test_import_needs_no_yaml():
     """`import loewner` works without PyYAML. (Numba imports it by itself where it is there.)"""
     assert "loewner" in modules_after("import sys; sys.modules['yaml'] = None; import loewner; del sys.modules['yaml']")

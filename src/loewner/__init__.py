@@ -1,5 +1,8 @@
 """Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from loewner._threads import get_num_threads, set_num_threads
 from loewner.bodies import Bodies, Body, Piece
 from loewner.coverage import Covering
@@ -35,6 +38,9 @@ from loewner.scene_files import Problem, load_scene, read_motion_bench_maker, sa
 from loewner.scenes import Attachment, Contact, Scene
 
 __version__ = "0.1.0"
+
+# Modules that take longer to import than all the rest, or need an extra: at their first use.
+_AT_FIRST_USE = ("cluster", "jax", "paper", "planners", "plots", "torch", "viewer")
 
 __all__ = [
     "Attachment",
@@ -85,3 +91,11 @@ __all__ = [
     "save_scene",
     "set_num_threads",
 ]
+
+
+if not TYPE_CHECKING:  # for type checkers it would stand for any name at all
+
+    def __getattr__(name: str) -> Any:
+        if name in _AT_FIRST_USE:
+            return import_module(f"loewner.{name}")
+        raise AttributeError(f"module 'loewner' has no attribute {name!r}")
