@@ -167,6 +167,23 @@ def test_parts_hold_each_triangle_once(rng):
     assert parts.in_parts(whole, 3) is whole
 
 
+def test_many_surfaces_have_few_parts_each(monkeypatch):
+    """All together no more than so many, and one more among many leaves the parts of the others as they are."""
+    monkeypatch.setattr(parts, "ALL_PARTS", 40)
+    mesh = bumpy(np.random.default_rng(0))
+    scene = _scene(**{f"b{k}": Body.from_surface(mesh, solid=False) for k in range(3)})
+    checker = CollisionChecker(_lone(), scene)
+    assert np.diff(checker._ready().in_parts.bodies._packed.piece_start)[1:].tolist() == [8] * 3
+    before = [parts._known[tree][1] for tree in checker._ready().bodies._packed.trees.values()]
+    scene.add("one more", Body.from_surface(mesh, solid=False))
+    ready = checker._ready()
+    assert np.diff(ready.in_parts.bodies._packed.piece_start)[1:].tolist() == [8] * 4
+    assert [parts._known[tree][1] for tree in list(ready.bodies._packed.trees.values())[:3]] == before
+    monkeypatch.setattr(parts, "ALL_PARTS", 7)
+    ready = CollisionChecker(_lone(), scene)._ready()
+    assert ready.in_parts is ready
+
+
 def _lone():
     robot = """<robot name="lone"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
     </geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>

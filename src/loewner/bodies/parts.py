@@ -17,14 +17,14 @@ from loewner.bodies.surface_trees import SurfaceTree, surface_trees
 from loewner.bodies.surfaces import surface_pieces
 from loewner.errors import GeometryError
 
-# Parts of a surface.
-MOST_PARTS = 128
+# Parts of a surface, and of all surfaces of a pack together: each takes a millisecond to make.
+MOST_PARTS, ALL_PARTS = 128, 1024
 
 # Certified log-volume gap of the ellipsoids around parts: a box is what counts.
 TOLERANCE = 1e-2
 
-# Of surfaces, by their trees; None of one that cannot be cut.
-_known: WeakKeyDictionary[SurfaceTree, Prepared | None] = WeakKeyDictionary()
+# Of surfaces, by their trees: so many parts at most, or None of one that cannot be cut.
+_known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDictionary()
 
 
 def in_parts(packed: Packed, first: int) -> Packed:
@@ -38,7 +38,12 @@ def in_parts(packed: Packed, first: int) -> Packed:
     first : int
         Number of the first body whose surfaces are cut.
     """
-    cut = {i: _parts_of(packed, i) for i in packed.trees if i >= packed.piece_start[first]}
+    standing = [i for i in packed.trees if i >= packed.piece_start[first]]
+    # A power of two, lest each surface that is added has all others cut anew.
+    most = MOST_PARTS
+    while most * len(standing) > ALL_PARTS:
+        most //= 2
+    cut = {i: _parts_of(packed, i, most) for i in standing}
     rows: list[Prepared] = []
     counts, done = np.ones(len(packed.layout), dtype=np.int64), 0
     for i, parts in cut.items():
@@ -55,34 +60,36 @@ def _as_they_are(packed: Packed, first: int, last: int) -> Prepared:
     return some(packed, np.arange(first, last), np.array([0, last - first]))
 
 
-def _parts_of(packed: Packed, i: int) -> Prepared | None:
-    """Parts of a surface, made once; None of a single triangle, or if a part is too small for kernels."""
+def _parts_of(packed: Packed, i: int, most: int) -> Prepared | None:
+    """Parts of a surface, made once; None if they would be one, or if one of them is too small for kernels."""
     tree = packed.trees[i]
-    if tree not in _known:
+    known = _known.get(tree)
+    if known is None or known[0] != most:
         try:
-            _known[tree] = _cut(packed, i)
+            known = most, _cut(packed, i, most)
         except GeometryError:
-            _known[tree] = None
-    return _known[tree]
+            known = most, None
+        _known[tree] = known
+    return known[1]
 
 
-def _cut(packed: Packed, i: int) -> Prepared | None:
+def _cut(packed: Packed, i: int, most: int) -> Prepared | None:
     row, radius = packed.layout[i], float(packed.frames[i, 0])
     vertices = packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
     triangles = packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
-    if len(triangles) == 1:
+    if min(len(triangles), most) < 2:
         return None
     # The triangles of a cloud are points.
     corners = triangles[:, :1] if (triangles == triangles[:, :1]).all() else triangles
     made = []
-    for part in _halved(vertices[corners], radius):
+    for part in _halved(vertices[corners], radius, most):
         pieces = surface_pieces("part", vertices, triangles[part], radius, False, TOLERANCE)
         trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
         made.append(Prepared(**vars(pieces), maps={}, trees=trees))
     return joined(made)
 
 
-def _halved(triangles: Floats, radius: float) -> list[Ints]:
+def _halved(triangles: Floats, radius: float, most: int) -> list[Ints]:
     """Numbers of the triangles of each part: the one with the largest box is halved, across one of its axes.
 
     Parameters
@@ -90,6 +97,8 @@ def _halved(triangles: Floats, radius: float) -> list[Ints]:
     triangles : ndarray, shape (n, corners, 3)
     radius : float
         Around them, in metres.
+    most : int
+        Parts.
     """
     numbers = count()  # of parts with equal boxes the older one comes first
 
@@ -101,7 +110,7 @@ def _halved(triangles: Floats, radius: float) -> list[Ints]:
         return -volume, next(numbers), part, turned
 
     parts = [entry(np.arange(len(triangles)))]
-    while len(parts) < MOST_PARTS and parts[0][0] < 0:
+    while len(parts) < most and parts[0][0] < 0:
         _, _, part, turned = heapq.heappop(parts)
         for half in _halves(turned, radius):
             heapq.heappush(parts, entry(part[half]))
