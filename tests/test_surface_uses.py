@@ -407,19 +407,24 @@ def test_motions_of_panda_with_surfaces(panda):
     assert (verdicts == FREE).sum() > 10
 
 
-def test_what_planes_cannot_prove_is_ambiguous(tmp_path):
-    """In a cavity everything is free, and no plane says so: the verdict is AMBIGUOUS, soon, and names the pair."""
+def test_motions_in_a_cavity(tmp_path):
+    """Of a body that stands they are proven; of a link no plane proves them: AMBIGUOUS, soon, and the pair is named."""
     slide = '<axis xyz="1 0 0"/><limit lower="-3" upper="3"/>'
-    robot = robot_of(tmp_path, [("prismatic", 0, slide)], {"l1": Body.from_surface(trimesh.creation.box((0.2,) * 3))})
-    scene = Scene()
-    scene.add("shell", Body.from_surface(hollow()))
-    checker = CollisionChecker(robot, scene)
-    started = time.perf_counter()
-    for tolerance in (1e-3, 1e-6):
-        found = checker.certify_edges([[-0.5], [0.0], [2.0], [1.5]], [[0.5], [1.2], [2.5], [0.0]], tolerance=tolerance)
-        assert found.verdict.tolist() == [AMBIGUOUS, COLLIDING, FREE, COLLIDING]
-        assert set(found.names[0]) == {"l1", "shell"}
-    assert time.perf_counter() - started < 10
+    box, shell = Body.from_surface(trimesh.creation.box((0.2,) * 3)), Body.from_surface(hollow())
+    for link, standing, within in ((box, shell, FREE), (shell, box, AMBIGUOUS)):
+        robot = robot_of(tmp_path, [("prismatic", 0, slide)], {"l1": link})
+        scene = Scene()
+        scene.add("body", standing)
+        checker = CollisionChecker(robot, scene)
+        started = time.process_time()
+        for tolerance in (1e-3, 1e-6):
+            found = checker.certify_edges(
+                [[-0.5], [0.0], [2.0], [1.5]], [[0.5], [1.2], [2.5], [0.0]], tolerance=tolerance
+            )
+            assert found.verdict.tolist() == [within, COLLIDING, FREE, COLLIDING]
+            assert set(found.names[1]) == {"l1", "body"}
+            assert set(found.names[0]) == ({""} if within == FREE else {"l1", "body"})
+        assert time.process_time() - started < 10
 
 
 def test_plans_around_a_cup(tmp_path):
