@@ -19,7 +19,7 @@ from elftools.elf.elffile import ELFFile
 
 LARGEST = 3_000_000  # bytes
 ALLOWED = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0"}
-HOME = "loewner/_native/"
+HOME, PTX = "loewner/_native/", "threads.ptx"
 
 
 def faults(path: Path) -> list[str]:
@@ -32,10 +32,14 @@ def faults(path: Path) -> list[str]:
     if not any(name.endswith("/licenses/LICENSE") for name in names):
         found.append("expected a LICENSE, found none")
     wanted = {f"kernels-{level}.so" for level in LEVELS[architecture()]} | {f"_call{EXTENSION_SUFFIXES[0]}"}
+    if HOME + PTX not in names:
+        return [*found, f"expected the kernels of GPUs, found no {PTX}"]
     libraries = {name.removeprefix(HOME) for name in names if name.endswith(".so")}
     if libraries != wanted:
         found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
     listed = json.loads(wheel.read(f"{HOME}built.json"))["files"]
+    if sha256(wheel.read(HOME + PTX)).hexdigest() != listed.get(PTX):
+        found.append(f"{PTX} is not as it was built")
     for name in sorted(libraries):
         content = wheel.read(HOME + name)
         if sha256(content).hexdigest() != listed.get(name):
@@ -53,7 +57,7 @@ def files(path: Path) -> set[str]:
 def _belongs(name: str) -> bool:
     """Tell whether a file may be in a wheel."""
     top, _, rest = name.partition("/")
-    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json")
+    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json", "threads.ptx")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from checker_oracle import robot_of, simple_bodies
-from families import pieces, random_poses
+from families import FAMILIES, pieces, random_poses
 from gpu_stand_in import StandIn
 from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
 from loewner._kernels import _jit, _sealed, columns
@@ -50,7 +50,7 @@ def told(a, Ta, b, Tb) -> tuple[np.ndarray, np.ndarray]:
 
 def test_pairs_are_told_as_on_the_cpu(rng):
     """Of 100,000 turned pairs no claim differs; few are left to the CPU, and with these all verdicts agree."""
-    n, kinds = 100_000, ("ball 8", "ball 20", "box", "prism", "sliver")
+    n, kinds = 100_000, tuple(FAMILIES)
     bodies = Bodies.from_points([V for kind in kinds for V in pieces(kind, 30)])
     chosen = rng.integers(0, len(bodies), size=(n, 2))
     a, b = bodies[chosen[:, 0]], bodies[chosen[:, 1]]
