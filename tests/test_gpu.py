@@ -280,7 +280,9 @@ def test_configurations_that_are_none(card, checker):
 
 def test_joints_that_the_gpu_does_not_know(tmp_path):
     """A robot with a joint that neither turns nor slides is refused when the checker is made."""
-    robot = robot_of(tmp_path, [("floating", 0, ""), ("revolute", 1, '<limit lower="-1" upper="1"/>')], {"l1": Body.sphere(0.1)})
+    robot = robot_of(
+        tmp_path, [("floating", 0, ""), ("revolute", 1, '<limit lower="-1" upper="1"/>')], {"l1": Body.sphere(0.1)}
+    )
     with pytest.raises(InputError, match="joints that turn or slide"):
         gpu.Checker(CollisionChecker(robot))
 

@@ -5,8 +5,9 @@ tell goes to the CPU, so that answers are the CPU's. The driver of the GPU is al
 function here is called, and not before.
 """
 
+from loewner.gpu.arrays import DeviceArray
 from loewner.gpu.configurations import Checker
 from loewner.gpu.pairs import classify
 from loewner.gpu.work import why_not
 
-__all__ = ["Checker", "classify", "why_not"]
+__all__ = ["Checker", "DeviceArray", "classify", "why_not"]

@@ -191,6 +191,13 @@ class DeviceArray:
     ----------
     shape : tuple of int
     dtype : numpy.dtype
+
+    Examples
+    --------
+    With PyTorch, and a GPU:
+
+    >>> torch.from_dlpack(loewner.gpu.classify(body, T, other, None))  # doctest: +SKIP
+    tensor([0, 1, 2], device='cuda:0', dtype=torch.int8)
     """
 
     def __init__(self, memory: Memory, shape: tuple[int, ...], dtype: Any) -> None:

@@ -17,7 +17,7 @@ from loewner.gpu import driver
 from loewner.gpu.arrays import DeviceArray, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
-from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, scattered
+from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.robots import CollisionChecker
 from loewner.robots.checked_pairs import CheckedPairs
 
@@ -94,7 +94,7 @@ class Checker:
     def __init__(self, checker: CollisionChecker, *, fallback: str = "error", device: int = 0) -> None:
         if not isinstance(checker, CollisionChecker):
             raise InputError(f"checker: expected a loewner.CollisionChecker, found {type(checker).__name__}")
-        self._number = _validate.whole_number(device, "device", 0)
+        self._number = number_of(device)
         self._instead = _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
         if not np.isin(checker.robot.tree.kind, KINDS).all():
             raise InputError("checker: expected joints that turn or slide, found planar, floating or ball joints")

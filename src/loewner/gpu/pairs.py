@@ -18,7 +18,7 @@ from loewner.errors import InputError, PoseError
 from loewner.gpu import driver
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
 from loewner.gpu.driver import Device, Memory
-from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, scattered
+from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.queries import Plan, Verdict
 
 # Of pairs that are settled one at a time, each listed by the rows of its bodies.
@@ -96,7 +96,7 @@ def classify(
     array([1, 1, 0], dtype=int8)
     """
     queries.expect_bodies(a, b)
-    number = _validate.whole_number(device, "device", 0)
+    number = number_of(device)
     refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
     there = [is_on_gpu(T) for T in (T_world_a, T_world_b)]
     here = [

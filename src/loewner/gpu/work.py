@@ -50,10 +50,15 @@ def why_not(device: int = 0) -> str:
     True
     """
     try:
-        driver.opened(_validate.whole_number(device, "device", 0))
+        driver.opened(number_of(device))
     except GpuError as error:
         return str(error)
     return ""
+
+
+def number_of(device: int) -> int:
+    """Check the number of a GPU."""
+    return _validate.whole_number(device, "device", 0, MOST)
 
 
 def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:

@@ -71,7 +71,7 @@ from loewner._kernels.simd.scalars import (
 from loewner._kernels.simd.trig import SINGLE_LARGEST, sine_cosine_single
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select, sqrt
 from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
-from loewner._kernels.tolerances import LEAST, OFF, POSITION_ERROR, SINGLE_ROUNDOFF, UP
+from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
 # Of a placed body, beside its bounds: metres that any of its points may be off by.
 ASTRAY = 7
@@ -398,8 +398,7 @@ def certify_survivor(
     if other < moving:
         b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
         astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
-    # As a length of which positions take that much for slack.
-    more = astray * (UP / (POSITION_ERROR * SINGLE_ROUNDOFF))
+    more = astray * (UP / OFF)  # a length of which positions take that much for slack
     i, last_a = _pieces_of(bodies, one)
     first_b, last_b = _pieces_of(bodies, other)
     found = np.int64(SO_FAR_FREE)
