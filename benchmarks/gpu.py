@@ -4,8 +4,8 @@
 
 Experimental, as `loewner.gpu` is: nobody has run it on hardware yet. Without a GPU it says so and ends.
 
-    pairs            turned hulls of twenty points, bodies and poses on the GPU already: the kernel alone, G pairs/s, the
-                     bytes that it reads and writes by the second and their share of what the GPU copies by the
+    pairs            turned hulls of twenty points, bodies and poses on the GPU already: the kernel alone, G pairs/s,
+                     the bytes that it reads and writes by the second and their share of what the GPU copies by the
                      second; then with the CPU's part; and whether all verdicts are `classify`'s
     configurations   Panda among ten obstacles, on the GPU already: the kernels alone, with the CPU's part, and whether
                      all answers are `CollisionChecker.collide`'s
@@ -116,9 +116,10 @@ def measure_pairs(device: Device, count: int) -> bool:
     whole = time.perf_counter() - start
     share = BYTES * count / seconds / copied(device)
     agree = bool((verdicts == classify(a, here[0], b, here[1])).all())
+    told = f"{'all' if agree else 'NOT ALL'} verdicts as on the CPU"
     print(
         f"pairs: {count / seconds / 1e9:.2f} G/s, {BYTES * count / seconds / 1e9:.0f} GB/s, {share:.0%} of what it "
-        f"copies; with the CPU's part {count / whole / 1e6:.0f} M/s; {'all' if agree else 'NOT ALL'} verdicts as on the CPU"
+        f"copies; with the CPU's part {count / whole / 1e6:.0f} M/s; {told}"
     )
     return agree
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from checker_oracle import robot_of, simple_bodies
+from checker_oracle import random_scene, robot_of, simple_bodies
 from families import FAMILIES, pieces, random_poses
 from gpu_stand_in import StandIn
 from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
@@ -201,9 +201,9 @@ def test_no_claim_about_a_configuration_is_wrong(device, rng):
     assert claims.mean() > 0.5
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(10))
 def test_any_robot_collides_as_on_the_cpu(seed, tmp_path):
-    """Robots of any joints that turn or slide, bodies of several pieces, margins, and scenes that change."""
+    """Robots of joints that turn or slide, bodies of several pieces, attachments, margins, scenes that change."""
     rng = np.random.default_rng(seed)
     bodies = simple_bodies(rng)
     joints = [
@@ -212,7 +212,7 @@ def test_any_robot_collides_as_on_the_cpu(seed, tmp_path):
     ]
     union = Body.union([bodies[0], bodies[1].transformed(random_poses(rng, 1, 0.5)[0])])
     robot = robot_of(tmp_path, joints, {f"l{k}": union if k == 3 else bodies[k % len(bodies)] for k in range(1, 7)})
-    scene = Scene(margin=0.05 if seed % 4 == 3 else 0.0)
+    scene = random_scene(rng, robot, int(rng.integers(0, 6)), [*bodies, union])
     scene.add("one", bodies[2], random_poses(rng, 1, 1.0)[0])
     checker = CollisionChecker(robot, scene)
     on_gpu = gpu.Checker(checker)
@@ -291,11 +291,21 @@ def test_ptx_is_kept_and_made_anew_when_damaged(monkeypatch, tmp_path):
     _ptx.text.cache_clear()
 
 
-def test_shipped_ptx_is_that_of_the_sources():
-    """What was built beside the library is what would be compiled now, but for the processor that Numba knows of."""
-    if library.shipped(_ptx.NAME) is None:
+def test_shipped_ptx_is_that_of_the_sources(monkeypatch, tmp_path):
+    """What was built beside the library is what is compiled now; a copy that is damaged is not used."""
+    shipped = library.shipped(_ptx.NAME)
+    if shipped is None:
         pytest.skip(f"no library was built: {library.why_not()}")
-    assert library.shipped(_ptx.NAME).startswith(b"//")
+    names = re.compile(rb"[$%][\w$]+")  # of registers and branches, which have numbers
+    assert names.sub(b"", shipped) == names.sub(b"", _ptx.compiled())
+    for name in (library.LIST, _ptx.NAME):
+        shutil.copy(library.HOME / name, tmp_path)
+    monkeypatch.setattr(library, "HOME", tmp_path)
+    assert library.shipped(_ptx.NAME) == shipped
+    (tmp_path / _ptx.NAME).write_bytes(shipped[:-1])
+    assert library.shipped(_ptx.NAME) is None
+    (tmp_path / _ptx.NAME).unlink()
+    assert library.shipped(_ptx.NAME) is None
 
 
 # Registers that a kernel may take, of 65,536 that its threads share.

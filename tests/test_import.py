@@ -78,6 +78,8 @@ LATE = (
     "viewer",
     "jax",
     "torch",
+    "gpu",
+    "_ptx",
     "_gradients",
     "bodies.files",
     "mesh_files.gltf",
