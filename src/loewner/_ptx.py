@@ -57,12 +57,21 @@ def text() -> bytes:
 
 
 def _kept() -> Path | None:
-    """Where it is kept; None if the sources cannot be told, so that nobody would know what it was made from."""
+    """Where it is kept; None if the sources cannot be told, so that nobody would know what it was made from.
+
+    The folder is named by the kernels' sources and by Numba, the file by what else it is made from.
+    """
+    import hashlib
+
     import llvmlite
 
     from loewner._kernels._jit import CACHE_FOLDER
 
-    return CACHE_FOLDER / f"threads-{llvmlite.__version__}.ptx" if source_hash() else None
+    try:
+        made_by = hashlib.sha256(Path(__file__).read_bytes() + llvmlite.__version__.encode()).hexdigest()[:16]
+    except OSError:
+        return None
+    return CACHE_FOLDER / f"threads-{made_by}.ptx" if source_hash() else None
 
 
 def _keep(path: Path, made: bytes) -> None:
