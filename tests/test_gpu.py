@@ -244,6 +244,39 @@ def test_results_are_lent_by_dlpack(card, rng):
     assert arrays._lent == {}
 
 
+class OfNumpy:
+    """An array of NumPy that says it is on a GPU."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __dlpack_device__(self):
+        return arrays.CUDA, 0
+
+    def __dlpack__(self, stream=None):
+        return self.array.__dlpack__()
+
+
+def test_capsules_are_those_of_other_libraries(card, monkeypatch):
+    """What NumPy lends is read as it is laid out, strides and all; what is lent to NumPy it reads as it is."""
+    device = driver.opened(0)
+    given = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    for array in (given, given[:, ::2], given.astype(np.int8)):
+        address, shape, kind, strides, _ = arrays._by_dlpack(OfNumpy(array), "given", device)
+        assert (address, shape, kind) == (array.ctypes.data, array.shape, array.dtype.str[1:])
+        assert strides is None or array.dtype != np.float32 or strides == array.strides
+    memory = device.upload(np.arange(6, dtype=np.int8))
+    monkeypatch.setattr(arrays, "CUDA", 1)  # the CPU's number, which NumPy takes
+    for dtype in (np.int8, np.bool_):
+        lent = arrays.DeviceArray(memory, (2, 3), dtype)
+        taken = np.from_dlpack(lent)
+        np.testing.assert_array_equal(taken.view(np.int8), [[0, 1, 2], [3, 4, 5]])
+        assert (taken.dtype, len(arrays._lent)) == (dtype, 1)
+        del taken, lent
+        gc.collect()
+        assert arrays._lent == {}
+
+
 # -- configurations --------------------------------------------------------------------------------
 
 
