@@ -5,6 +5,7 @@
 #   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
 #   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
+#   make test-gpu      what is tested of GPUs, with NVIDIA's assembler, 143 MB; on a GPU where there is one
 #   make test-models   robots of MuJoCo that packages ship, 80 MB, against MuJoCo
 #   make docs     the documentation, as pages in docs/_build/html
 #   make wheel    a wheel with the native library, in dist/        make sdist    the sources, in dist/
@@ -25,9 +26,9 @@ THREADS ?= 2
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-torch test-models verify fuzz bounds bench check docs wheel sdist test-wheel clean
+.PHONY: help demo test test-torch test-gpu test-models verify fuzz bounds bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 12
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 13
 
 # What compiling does not need is installed beside it.
 demo: $(VENV)/.compiler
@@ -45,6 +46,10 @@ test-torch: $(VENV)/.torch
 	$(BUILD)
 	$(PYTEST) tests/test_torch.py src/loewner/torch.py
 	$(PYTEST) -k "torch or frameworks" tests/test_docs.py tests/test_site.py
+
+test-gpu: $(VENV)/.gpu
+	$(BUILD)
+	$(PYTEST) -s tests/test_gpu.py tests/test_gpu_threads.py
 
 test-models: $(VENV)/.models
 	$(BUILD)
@@ -145,6 +150,10 @@ $(VENV)/.dev: requirements/dev.txt $(VENV)/.demo
 
 $(VENV)/.torch: requirements/torch.txt $(VENV)/.dev
 	$(PIP) -r requirements/torch.txt
+	@touch $@
+
+$(VENV)/.gpu: requirements/gpu.txt $(VENV)/.dev
+	$(PIP) --no-deps -r requirements/gpu.txt
 	@touch $@
 
 $(VENV)/.models: requirements/models.txt $(VENV)/.dev

@@ -1,4 +1,5 @@
-"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it.
+"""Build the native library: the kernels as machine code, for levels of processors, and the extension that calls it; and
+the threads' functions as PTX, for GPUs.
 
     python native/build.py                     for this machine's level, if it is not there already
     python native/build.py --levels all        for all levels of this architecture, as a wheel has them
@@ -26,6 +27,7 @@ HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
 sys.path.insert(0, str(SOURCES))
 
+from loewner import _ptx  # noqa: E402
 from loewner._kernels import codes  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
@@ -70,7 +72,8 @@ def recipe() -> str:
     digest = hashlib.sha256(source_hash().encode())
     digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
     written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
-    for path in sorted([*written, SOURCES / "loewner" / "_native" / "entries.py"]):
+    besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
+    for path in sorted([*written, *besides]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -79,7 +82,7 @@ def is_built(levels: list[str], home: Path = HOME) -> bool:
     """Tell whether the library is there for these levels and this interpreter, and whole."""
     try:
         built = json.loads((home / LIST).read_text(encoding="utf-8"))
-        wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}"]
+        wanted = [f"kernels-{level}.so" for level in levels] + [f"_call{EXTENSION_SUFFIXES[0]}", _ptx.NAME]
         return built["recipe"] == recipe() and all(built["files"][name] == _sum(home / name) for name in wanted)
     except (OSError, ValueError, KeyError):
         return False
@@ -126,9 +129,10 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         groups = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
         jobs = [(level, group) for level in levels for group in groups]
         emit_all([(level, groups[group], work / f"{level}-{group}.o") for level, group in jobs])
+        emit_ptx(work / _ptx.NAME)
         for level in levels:
             link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
-        made = sorted(work.glob("*.so"))
+        made = [*sorted(work.glob("*.so")), work / _ptx.NAME]
         files = {path.name: _sum(path) for path in made}
         listed = {
             "recipe": recipe(),
@@ -138,7 +142,7 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
             "files": files,
         }
         (work / LIST).write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")
-        for path in [home / LIST, *home.glob("*.so")]:
+        for path in [home / LIST, home / _ptx.NAME, *home.glob("*.so")]:
             path.unlink(missing_ok=True)
         for path in [*made, work / LIST]:
             os.replace(path, home / path.name)
@@ -174,6 +178,16 @@ def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
         for process, _ in running:
             process.kill()
             process.wait()
+
+
+def emit_ptx(to: Path) -> None:
+    """Write the threads' functions as PTX, which are the same for all processors."""
+    command = [sys.executable, "-m", "loewner._ptx", str(to)]
+    paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache", "LOEWNER_QUIET": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise BuildError(f"the kernels of GPUs could not be compiled:\n{done.stderr.strip()[-4000:]}")
 
 
 def compile_extension(to: Path) -> None:

@@ -19,7 +19,7 @@ from elftools.elf.elffile import ELFFile
 
 LARGEST = 3_000_000  # bytes
 ALLOWED = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0"}
-HOME = "loewner/_native/"
+HOME, PTX = "loewner/_native/", "threads.ptx"
 
 
 def faults(path: Path) -> list[str]:
@@ -36,6 +36,8 @@ def faults(path: Path) -> list[str]:
     if libraries != wanted:
         found.append(f"expected the libraries {', '.join(sorted(wanted))}, found {', '.join(sorted(libraries))}")
     listed = json.loads(wheel.read(f"{HOME}built.json"))["files"]
+    if HOME + PTX not in names or sha256(wheel.read(HOME + PTX)).hexdigest() != listed.get(PTX):
+        found.append(f"expected {PTX} as it was built, found none or another")
     for name in sorted(libraries):
         content = wheel.read(HOME + name)
         if sha256(content).hexdigest() != listed.get(name):
@@ -53,7 +55,7 @@ def files(path: Path) -> set[str]:
 def _belongs(name: str) -> bool:
     """Tell whether a file may be in a wheel."""
     top, _, rest = name.partition("/")
-    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json")
+    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json", "threads.ptx")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 
 

@@ -17,6 +17,7 @@ import clearance
 import clock
 import crowd
 import frameworks
+import gpu
 import growth
 import loewner
 import memory
@@ -34,7 +35,9 @@ import surface_samples
 import surfaces
 import threads
 import trajectories
+from gpu_stand_in import StandIn
 from loewner import paper
+from loewner.gpu import driver
 
 
 @pytest.fixture(autouse=True)
@@ -46,6 +49,22 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module in (pairs, growth, crowd):
         monkeypatch.setattr(module, "build_loop", missing)
+
+
+def test_a_gpu_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a GPU the benchmark says so; with one, here a stand-in, it counts, and compares all answers."""
+    few = ["--pairs", "500", "--configurations", "300"]
+    monkeypatch.setattr(driver, "_opened", {})
+    monkeypatch.setattr(driver, "LIBRARY", "none.so")
+    assert gpu.main(few) == 0
+    assert "no GPU to measure: expected NVIDIA's driver" in capsys.readouterr().out
+    made = StandIn()
+    monkeypatch.setattr(driver, "library", lambda: made)
+    monkeypatch.setattr(gpu, "copied", lambda device: 1e9)
+    assert gpu.main(few) == 0
+    said = capsys.readouterr().out
+    assert "all verdicts as on the CPU" in said
+    assert "all answers as on the CPU" in said
 
 
 @pytest.fixture(scope="module")

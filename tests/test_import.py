@@ -86,6 +86,8 @@ LATE = (
     "viewer",
     "jax",
     "torch",
+    "gpu",
+    "_ptx",
     "_gradients",
     "bodies.files",
     "mesh_files.gltf",

@@ -16,6 +16,7 @@ import trimesh
 import loewner
 import loewner.cli
 import loewner.cluster
+import loewner.gpu
 import loewner.jax
 import loewner.paper
 import loewner.planners
@@ -90,6 +91,7 @@ def test_reference_names_everything_public():
 MODULES = {
     "cli": ("main",),
     "cluster": tuple(loewner.cluster.__all__),
+    "gpu": tuple(loewner.gpu.__all__),
     "jax": tuple(loewner.jax.__all__),
     "meshes": ("load", "convex_pieces"),
     "paper": tuple(name for name in loewner.paper.__all__ if name != "tables"),

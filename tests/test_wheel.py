@@ -95,7 +95,7 @@ def test_the_sources_hold_what_a_build_needs(tmp_path):
     assert len(native) > 4
     assert names >= native | {"hatch_build.py", "pyproject.toml", "requirements/core.txt", "LICENSE", "README.md"}
     assert names >= {f"src/{name}" for name in packaged()}
-    assert not [name for name in names if name.endswith((".so", ".pyc", "built.json"))]
+    assert not [name for name in names if name.endswith((".so", ".pyc", "built.json", ".ptx"))]
 
 
 def test_a_wheel_is_checked(tmp_path):
@@ -112,3 +112,4 @@ def test_a_wheel_is_checked(tmp_path):
     assert "found loewner/_native/.build-x/first.o, tests/test_x.py" in done.stderr
     assert "expected a LICENSE" in done.stderr
     assert "expected the libraries" in done.stderr
+    assert "expected threads.ptx as it was built" in done.stderr

@@ -129,6 +129,33 @@ class PlanningError(LoewnerError, RuntimeError):
     """
 
 
+class GpuError(LoewnerError, RuntimeError):
+    """A GPU cannot do the work: there is none, its driver is too old, its memory too small, or its work was lost.
+
+    Attributes
+    ----------
+    code : int or None
+        The driver's number of the error, if it said one.
+
+    Examples
+    --------
+    Without an NVIDIA GPU:
+
+    >>> import loewner.gpu
+    >>> loewner.gpu.classify(body, T, other, None)  # doctest: +SKIP
+    Traceback (most recent call last):
+        ...
+    loewner.errors.GpuError: expected NVIDIA's driver, found no libcuda.so.1 to load (...)
+    """
+
+    def __init__(self, message: str, code: int | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+
+    def __reduce__(self) -> Any:
+        return type(self), (str(self), self.code)
+
+
 class FileError(LoewnerError, OSError):
     """A file is missing, empty, truncated, of the wrong kind, or could not be written.
 

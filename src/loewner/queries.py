@@ -180,21 +180,58 @@ def _prepare(
     `each` is how many bytes of results a pair takes: what does not fit into memory is refused. `chosen` are rows of
     pairs, instead of broadcasting.
     """
+    expect_bodies(a, b)
+    Ta = _validate.poses(T_world_a, "T_world_a", check=check)
+    Tb = _validate.poses(T_world_b, "T_world_b", check=check)
+    packs = a._packed, b._packed
+    if chosen is None and Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
+        return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
+    plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
+    return _Pairs(plan.shape, plan.total, plan.steps, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)), plan.rows)
+
+
+def expect_bodies(a: Any, b: Any) -> None:
+    """Refuse operands that are no bodies."""
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
     if not isinstance(b, (Body, Bodies)):
         raise InputError(f"b: expected loewner.Body or loewner.Bodies, found {type(b).__name__}{_of_mesh(b)}")
-    Ta = _validate.poses(T_world_a, "T_world_a", check=check)
-    Tb = _validate.poses(T_world_b, "T_world_b", check=check)
-    packs = a._packed, b._packed
-    if chosen is not None:
-        return _listed(chosen, a, Ta, b, Tb, each)
-    if Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
-        return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
 
+
+class Plan(NamedTuple):
+    """Which bodies at which poses make the pairs of a batch.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    total : int
+    steps : ndarray of int64, shape (5, d)
+        See `settle_range` of the kernels: a shape that is left of the batch's, and strides of a, Ta, b and Tb in rows.
+    rows : ndarray of int64, shape (2, total) or (2, 0)
+        Rows of pairs that are listed by number.
+    """
+
+    shape: tuple[int, ...]
+    total: int
+    steps: Ints
+    rows: Ints = NO_ROWS
+
+
+def plan_of(
+    a: Body | Bodies,
+    of_poses_a: tuple[int, ...],
+    b: Body | Bodies,
+    of_poses_b: tuple[int, ...],
+    *,
+    each: int = 1,
+    chosen: ArrayLike | None = None,
+) -> Plan:
+    """Work out how bodies and poses of these shapes broadcast, or what listed pairs are; see `_prepare`."""
+    if chosen is not None:
+        return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
     of_b = (len(b),) if isinstance(b, Bodies) else ()
-    parts = (of_a, Ta.shape[:-2], of_b, Tb.shape[:-2])
+    parts = (of_a, of_poses_a[:-2], of_b, of_poses_b[:-2])
     try:
         shape = np.broadcast_shapes(*parts)
     except ValueError:
@@ -204,12 +241,18 @@ def _prepare(
             f"a: {texts[0]}, T_world_a: {texts[1]}, b: {texts[2]}, T_world_b: {texts[3]}"
         ) from None
     _validate.fits_memory(each * math.prod(shape), f"{_validate.shape_text(shape)} pairs")
-    plan = _collapse(shape, [_row_strides(p, len(shape)) for p in parts])
-    return _Pairs(shape, math.prod(shape), plan, packs, (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4)))
+    return Plan(shape, math.prod(shape), _collapse(shape, [_row_strides(p, len(shape)) for p in parts]))
 
 
-def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, Tb: Floats, each: int) -> _Pairs:
-    """Operands whose pairs are given by row numbers."""
+def _listed(
+    chosen: ArrayLike,
+    a: Body | Bodies,
+    of_poses_a: tuple[int, ...],
+    b: Body | Bodies,
+    of_poses_b: tuple[int, ...],
+    each: int,
+) -> Plan:
+    """Pairs that are given by row numbers."""
     rows = _validate.integer_array(chosen, "pairs")
     if rows.ndim == 0 or rows.shape[-1] != 2:
         found = _validate.shape_text(rows.shape)
@@ -218,10 +261,10 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
     _validate.fits_memory(count * (LIST_BYTES + each), f"{count} pairs")
     flat = np.ascontiguousarray(rows.reshape(-1, 2).T)
     plan = [[flat.shape[1]]]
-    for side, (name, bodies, T) in enumerate((("a", a, Ta), ("b", b, Tb))):
-        if T.ndim > 3:
-            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) with pairs, found {T.shape}")
-        lengths = [len(bodies) if isinstance(bodies, Bodies) else 1, len(T) if T.ndim == 3 else 1]
+    for side, (name, bodies, of_T) in enumerate((("a", a, of_poses_a), ("b", b, of_poses_b))):
+        if len(of_T) > 3:
+            raise PoseError(f"T_world_{name}: expected shape (4, 4) or (n, 4, 4) with pairs, found {of_T}")
+        lengths = [len(bodies) if isinstance(bodies, Bodies) else 1, of_T[0] if len(of_T) == 3 else 1]
         n = max(lengths)
         if n != 1 and any(length not in (1, n) for length in lengths):
             raise PoseError(f"{name}: expected as many bodies as poses, or one, found {lengths[0]} and {lengths[1]}")
@@ -232,9 +275,7 @@ def _listed(chosen: ArrayLike, a: Body | Bodies, Ta: Floats, b: Body | Bodies, T
                 f"{int(np.flatnonzero(wrong)[0])}"
             )
         plan += [[int(length > 1)] for length in lengths]
-    shape = rows.shape[:-1]
-    packs, poses = (a._packed, b._packed), (Ta.reshape(-1, 4, 4), Tb.reshape(-1, 4, 4))
-    return _Pairs(shape, flat.shape[1], np.array(plan, dtype=np.int64), packs, poses, flat)
+    return Plan(rows.shape[:-1], flat.shape[1], np.array(plan, dtype=np.int64), flat)
 
 
 def _row_strides(part: tuple[int, ...], ndim: int) -> list[int]:

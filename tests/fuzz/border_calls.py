@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
@@ -34,6 +35,7 @@ from gantry import gantry
 from loewner import Bodies, Body, CollisionChecker, Ellipsoids, LoewnerError, Robot, Scene, cli, meshes, paper, planners
 from loewner import cluster as clustering
 from loewner import compilation as compiling
+from loewner import gpu as on_gpus
 from loewner import jax as for_jax
 from loewner import plots as drawing
 from loewner import torch as for_torch
@@ -479,6 +481,17 @@ def page(show: Callable[..., Any]) -> Callable[..., Any]:
         raise AssertionError("expected the page to be served at the end")
 
     return ask
+
+
+def quietly(ask: Callable[..., Any]) -> Callable[..., Any]:
+    """The same without warnings."""
+
+    def asked(**arguments: Any) -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return ask(**arguments)
+
+    return asked
 
 
 class Refused(LoewnerError):
@@ -1174,6 +1187,22 @@ CALLS: dict[str, Call] = {
             "block": flag(False),
         },
     ),
+    # -- on a GPU, which is not there: the CPU answers, and nobody needs to hear that
+    "gpu.why_not": Call(on_gpus.why_not, {"device": count(0, "0")}),
+    "gpu.classify": Call(
+        quietly(on_gpus.classify),
+        {
+            **OPERANDS,
+            "pairs": arg(None, ROWS.takes),
+            "refine": flag(),
+            "fallback": choice("cpu"),
+            "device": count(0, "0"),
+        },
+    ),
+    "gpu.Checker": Call(on_gpus.Checker, {"checker": arg(checker), "fallback": choice("cpu"), "device": count(0, "0")}),
+    "gpu.Checker.collide": Call(
+        quietly(lambda Q: on_gpus.Checker(checker(), fallback="cpu").collide(Q)), {"Q": CONFIGURATIONS}
+    ),
     # -- the command line
     "cli.main": Call(command, {"arguments": arg(lambda: ["check", "part.npz", "part.npz"], NONE)}),
 }
@@ -1323,7 +1352,7 @@ RECORDS = {
     "cluster.Fitted",
 }  # fmt: skip
 # Likewise, but no record: it is made by its class methods.
-MADE = {"Body", "planners.Roadmap"}
+MADE = {"Body", "gpu.DeviceArray", "planners.Roadmap"}
 # Not called: pages are opened by the functions that show them; what acts on an open page has tests of its own.
 PAGES = {"viewer.PairViewer", "viewer.RobotViewer", "viewer.save_screenshot"}
 # Text in, text out; given an experiment, as the report is.
@@ -1341,6 +1370,7 @@ def public_callables() -> Iterator[tuple[str, list[str]]]:
         if find_spec("distributed")
         else {},
         **{f"{name}.": _own(module) for name, module in FRAMEWORKS.items()},
+        "gpu.": {name: getattr(on_gpus, name) for name in on_gpus.__all__},
         "paper.": {name: getattr(paper, name) for name in paper.__all__},
         "cli.": {"main": cli.main},
         "": {name: getattr(loewner, name) for name in loewner.__all__} | {"compile_kernels": compiling.compile_kernels},

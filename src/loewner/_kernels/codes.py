@@ -2,6 +2,7 @@
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
 INEXACT = 3  # no verdict: what `fallback` says where whole numbers have to tell
+LEFT = 3  # no verdict: a thread of a GPU leaves a pair to the CPU. Above AMBIGUOUS, see `threads.pairs`
 CERTIFY, EXACT = 0, 1
 
 # Who settled a piece pair; BY_PLANE: the support planes of the pieces square to the contact normal of their ellipsoids.

@@ -46,6 +46,19 @@ ROTATION, TRANSLATION, SINE, COSINE, ACROSS, ALONG, CONSTANTS = 0, 9, 12, 21, 30
 
 BOUNDS = 8  # of a row of bounds
 
+# -- robots on a GPU, described in `threads.configurations` ----------------------------------------
+
+# Of a link's row of int32; where its row of float32 has more than CONSTANTS, and how many there are in all.
+PARENT_OF_LINK, KIND_OF_LINK, COLUMN_OF_LINK, LINK_INTEGERS = 0, 1, 2, 4
+MULTIPLIER, OFFSET, LINK_CONSTANTS = CONSTANTS, CONSTANTS + 1, 40
+
+# Of a body's row of int32; and of the ball about one that moves: center, radius, how far it goes from the origin.
+LINK_OF_BODY, FIRST_PIECE, LAST_PIECE, BODY_INTEGERS = 0, 1, 2, 4
+BALL_RADIUS, BALL_REACH, BALL_NUMBERS = 3, 4, 8
+
+# Numbers of a placed link: rotation by rows, translation, and what each of them may be off by, in roundings.
+LINK_AT, TURN_OFF, SHIFT_OFF, LINK_NUMBERS = 9, 12, 13, 14
+
 # -- planners: where the search for a path stands --------------------------------------------------
 
 ITERATION = 0

@@ -28,6 +28,7 @@ UP = 1.0 + 2.0**-22  # derived 3, certified.md B8
 
 # What centers may be off by after rounding to single precision, relative to the lengths that they are made of.
 OFF = POSITION_ERROR * SINGLE_ROUNDOFF  # derived 3, certified.md B7
+# derived 10, certified.md B48
 
 # Faces of hulls: a vertex may be this far inside the face it belongs to, relative to the width of the piece along the
 # normal, or within the rounding of the dot product itself, in units of its error bound.

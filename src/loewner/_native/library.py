@@ -66,6 +66,16 @@ def levels() -> tuple[str, ...]:
         return ()
 
 
+def shipped(name: str) -> bytes | None:
+    """Content of a file that was built with the library, whatever the processor; None if there is none to be used."""
+    if os.environ.get("LOEWNER_JIT") == "1":
+        return None
+    try:
+        return _checked(name, _listed()).read_bytes()
+    except (_Refused, OSError):
+        return None
+
+
 def built_with() -> str:
     """Version of Numba that the library was made with."""
     return str(_listed()["numba"])

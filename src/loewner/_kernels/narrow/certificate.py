@@ -31,6 +31,7 @@ from loewner._kernels.columns import HOT, INNER_CENTER, INNER_SHAPE, OUTER_CENTE
 from loewner._kernels.ellipsoids.contact import maximize, nearness, normal_at, position_error, separation
 from loewner._kernels.linalg3 import apply, apply_symmetric, dot, minus, plus, rotated_shape, selected, trace
 from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
+from loewner._kernels.simd.scalars import eight_at, holds
 from loewner._kernels.simd.vectors import (
     ALL,
     LANES,
@@ -455,6 +456,61 @@ single_spheres, single_certify = _stages(
     1e-30,
     SINGLE_SURE,
 )  # fmt: skip
+
+
+@inline
+def tier_of_one(a, row_a, b, row_b, more):
+    """Tier of one piece pair, margin 0, by the same formulas on one lane of single precision, as a thread of a GPU.
+
+    What the stages settle they settle here too; with branches, for no other pair waits for this one.
+
+    Parameters
+    ----------
+    a, b : Pose
+        Of rigid motions, or of affine maps that are `more` from them.
+    row_a, row_b : int
+        Addresses of the pieces' rows of float32.
+    more : scalar
+        Metres to be added to the lengths that positions are made of, for what else the poses are off by.
+
+    Returns
+    -------
+    int
+        BY_SPHERE, BY_OUTER, BY_INNER, OPEN or UNSURE.
+    """
+    unit, sure, tiny = SINGLE_ROUNDOFF, SINGLE_SURE, 1e-30
+    near_a, near_b = _bounds(eight_at(row_a, OUTER_CENTER)), _bounds(eight_at(row_b, OUTER_CENTER))
+    size = rounded_size(a, near_a.reach, b, near_b.reach) + more
+
+    r = _offset(a, True, near_a.outer_center, b, True, near_b.outer_center)
+    if holds(_clear(r, near_a.outer_radius + near_b.outer_radius, size, 0.0, unit)):
+        return BY_SPHERE
+
+    p = _shape(eight_at(row_a, OUTER_SHAPE), a.R, True)
+    q = _shape(eight_at(row_b, OUTER_SHAPE), b.R, True)
+    s = _guess(p.Q, q.Q, r, tiny)
+    _, n = normal_at(p.Q, q.Q, r, s)
+    separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
+    if not holds(separated | inseparable):
+        s = _guess(p.Q, q.Q, n, tiny)
+        _, n = normal_at(p.Q, q.Q, r, s)
+        separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
+    if holds(separated):
+        return BY_OUTER
+
+    p = _shape(eight_at(row_a, INNER_SHAPE), a.R, True)
+    q = _shape(eight_at(row_b, INNER_SHAPE), b.R, True)
+    r = _offset(a, True, near_a.inner_center, b, True, near_b.inner_center)
+    s = _guess(p.Q, q.Q, r, tiny)
+    _, n = normal_at(p.Q, q.Q, r, s)
+    overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
+    if not holds(overlap | distinct):
+        s = _guess(p.Q, q.Q, n, tiny)
+        _, n = normal_at(p.Q, q.Q, r, s)
+        overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
+    if holds(overlap):
+        return BY_INNER
+    return OPEN if holds(inseparable & distinct) else UNSURE
 
 
 @inline

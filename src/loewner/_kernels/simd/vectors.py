@@ -1,9 +1,12 @@
-"""Eight doubles or sixteen floats side by side: Numba types whose arithmetic is vector instructions by construction.
+"""Eight doubles, sixteen floats or one as one number: Numba types whose arithmetic is vector instructions.
 
 A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions
 below take floats and vectors alike, a float standing for as many copies as needed. LLVM maps ``<8 x double>`` and
 ``<16 x float>`` to one AVX-512 register, two of AVX2 or four of SSE2 and NEON; nothing hangs on whether it finds a loop
 worth vectorising. Comparisons give masks; there are no branches on vectors.
+
+One lane of single precision is the third such type, for a thread of a GPU: unlike with a float32 of Numba, a literal
+beside it is rounded to single precision, as beside vectors. `simd.scalars` has its memory.
 
 As everywhere in this package the only freedom given to the compiler is contraction.
 """
@@ -24,20 +27,23 @@ _CONTRACT = ("contract",)
 
 
 class _Lanes(types.Type):
-    """Numba type of several values in a register."""
+    """Numba type of several values in a register; a single one is no vector to LLVM."""
 
     def __init__(self, name, entry, count):
         super().__init__(name)
-        self.llvm = ir.VectorType(entry, count)
+        self.count = count
+        self.llvm = ir.VectorType(entry, count) if count > 1 else entry
 
 
 vector = _Lanes("Vector8", ir.DoubleType(), LANES)
 single = _Lanes("Single16", ir.FloatType(), SINGLE_LANES)
 mask = _Lanes("Mask8", ir.IntType(1), LANES)
 single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
+scalar = _Lanes("Single1", ir.FloatType(), 1)
+scalar_mask = _Lanes("Mask1", ir.IntType(1), 1)
 
-_VECTORS = (vector, single)
-_MASK_OF = {vector: mask, single: single_mask}
+_MASK_OF = {vector: mask, single: single_mask, scalar: scalar_mask}
+_VECTORS, _MASKS = tuple(_MASK_OF), tuple(_MASK_OF.values())
 
 
 @register_model(_Lanes)
@@ -61,9 +67,9 @@ def _spread(builder, value, kind, wanted):
     """A float as copies; a vector as it is."""
     if kind == wanted:
         return value
-    if wanted == single and value.type == ir.DoubleType():
+    if wanted in (single, scalar) and value.type == ir.DoubleType():
         value = builder.fptrunc(value, ir.FloatType())
-    return _repeat(builder, value, wanted.llvm.count)
+    return _repeat(builder, value, wanted.count) if wanted.count > 1 else value
 
 
 def _joint(args):
@@ -102,22 +108,22 @@ for _symbol, _text in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<
 @infer_global(operator.or_)
 class _MaskPair(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(args[0], *args) if tuple(args) in ((mask, mask), (single_mask, single_mask)) else None
+        return signature(args[0], *args) if len(set(args)) == 1 and args[0] in _MASKS else None
 
 
 @infer_global(operator.invert)
 class _MaskNot(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(args[0], *args) if tuple(args) in ((mask,), (single_mask,)) else None
+        return signature(args[0], *args) if args[0] in _MASKS else None
 
 
 @infer_global(operator.neg)
 class _Negated(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(args[0], *args) if tuple(args) in ((vector,), (single,)) else None
+        return signature(args[0], *args) if args[0] in _VECTORS else None
 
 
-for _kind in (mask, single_mask):
+for _kind in _MASKS:
     lower_builtin(operator.and_, _kind, _kind)(lambda context, builder, sig, args: builder.and_(*args))
     lower_builtin(operator.or_, _kind, _kind)(lambda context, builder, sig, args: builder.or_(*args))
     lower_builtin(operator.invert, _kind)(lambda context, builder, sig, args: builder.not_(args[0]))
@@ -304,7 +310,7 @@ def broadcast(typingctx, x):
 
 @intrinsic
 def share_of_roots(typingctx, x, y):
-    """√x / (√x + √y) of two vectors > 0, as 1 / (1 + √(y/x)): a guess, its root in single precision.
+    """√x / (√x + √y) of two numbers > 0, as 1 / (1 + √(y/x)): a guess, its root in single precision.
 
     Single precision has eight square roots in the time that double precision has two. Past its range the guess is 0 or
     1.
@@ -312,12 +318,12 @@ def share_of_roots(typingctx, x, y):
 
     def generate(context, builder, sig, args):
         ratio = builder.fdiv(args[1], args[0])
-        if x == single:
+        if x in (single, scalar):
             apart = _call(builder, "sqrt", ratio)
         else:
             small = builder.fptrunc(ratio, ir.VectorType(ir.FloatType(), x.llvm.count))
             apart = builder.fpext(_call(builder, "sqrt", small), x.llvm)
-        one = ir.Constant(x.llvm, [1.0] * x.llvm.count)
+        one = ir.Constant(x.llvm, _ones(x.llvm))
         return builder.fdiv(one, builder.fadd(one, apart))
 
     return signature(x, x, y), generate
@@ -328,7 +334,7 @@ def movemask(typingctx, m):
     """Lanes of a mask as the low bits of an integer."""
 
     def generate(context, builder, sig, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(m.llvm.count)), ir.IntType(64))
+        return builder.zext(builder.bitcast(args[0], ir.IntType(m.count)), ir.IntType(64))
 
     return signature(types.int64, m), generate
 

@@ -1,0 +1,428 @@
+"""Configurations of a robot, in tiles of some thousand: one thread a configuration, body, pair of bodies or survivor.
+
+The steps of a tile, each a kernel of its own, since a thread that did all of them would need more registers than there
+are:
+
+place_links
+    forward kinematics; with each link how far off its rotation and its translation may be.
+place_body
+    a ball and a box about each moving body.
+cull_pair
+    those pairs of bodies whose bounds are not apart go to a list.
+certify_survivor
+    the ellipsoids of the pieces of a listed pair.
+conclude
+    verdicts; what is left open goes to a list for the CPU.
+
+Numbers of a tile of S configurations, S a power of two, lie side by side: entry r of link l at configuration s is at
+``(l * LINK_NUMBERS + r) * S + s``, and entry r of body b at ``(b * BOUNDS + r) * S + s``.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import AMBIGUOUS, BY_INNER, BY_OUTER, BY_SPHERE, COLLIDING, FREE
+from loewner._kernels.columns import (
+    ACROSS,
+    BALL_NUMBERS,
+    BALL_RADIUS,
+    BALL_REACH,
+    BODY_INTEGERS,
+    BOUNDS,
+    COLUMN_OF_LINK,
+    COSINE,
+    FIRST_PIECE,
+    HOT,
+    KIND_OF_LINK,
+    LAST_PIECE,
+    LINK_AT,
+    LINK_CONSTANTS,
+    LINK_INTEGERS,
+    LINK_NUMBERS,
+    LINK_OF_BODY,
+    MULTIPLIER,
+    OFFSET,
+    OUTER_CENTER,
+    OUTER_SHAPE,
+    PARENT_OF_LINK,
+    PRISMATIC,
+    REVOLUTE,
+    ROTATION,
+    SHIFT_OFF,
+    SINE,
+    TRANSLATION,
+    TURN_OFF,
+)
+from loewner._kernels.linalg3 import along, apply, image, minus, plus, product, rotated_shape, trace
+from loewner._kernels.narrow.certificate import SHAPE_ERROR, Pose, tier_of_one
+from loewner._kernels.robots.placement import HALF_X, HALF_Y, HALF_Z, WIDE, Bounds, X, Y, Z, near
+from loewner._kernels.simd.scalars import (
+    add_to,
+    eight_at,
+    holds,
+    integer_at,
+    lane_of,
+    number_at,
+    put_byte,
+    put_integer,
+    put_number,
+    raise_to,
+)
+from loewner._kernels.simd.trig import SINGLE_LARGEST, sine_cosine_single
+from loewner._kernels.simd.vectors import absolute, maximum, minimum, select, sqrt
+from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
+from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
+
+# Of a placed body, beside its bounds: metres that any of its points may be off by.
+ASTRAY = 7
+
+# What a joint adds to how far a rotation is off (spectral norm), and what its value does, both in roundings; and what a
+# joint adds to how far a translation is off, times the lengths that it is made of.
+JOINT_TURN = 40.0  # derived 28, certified.md B45
+VALUE_TURN = 8.0  # derived 6, certified.md B46
+JOINT_SHIFT = 20.0  # derived 14, certified.md B47
+
+# What is known of a configuration: a number that only grows.
+SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
+
+
+@inline
+def _nine(constants, k):
+    return (
+        number_at(constants, k), number_at(constants, k + 1), number_at(constants, k + 2), number_at(constants, k + 3),
+        number_at(constants, k + 4), number_at(constants, k + 5), number_at(constants, k + 6),
+        number_at(constants, k + 7), number_at(constants, k + 8),
+    )  # fmt: skip
+
+
+@inline
+def _three(constants, k):
+    return number_at(constants, k), number_at(constants, k + 1), number_at(constants, k + 2)
+
+
+@inline
+def _turned(constants, rest, s, c):
+    """Rotation of a turning joint."""
+    with_sine, with_cosine = _nine(constants, SINE), _nine(constants, COSINE)
+    return (
+        rest[0] + s * with_sine[0] + c * with_cosine[0],
+        rest[1] + s * with_sine[1] + c * with_cosine[1],
+        rest[2] + s * with_sine[2] + c * with_cosine[2],
+        rest[3] + s * with_sine[3] + c * with_cosine[3],
+        rest[4] + s * with_sine[4] + c * with_cosine[4],
+        rest[5] + s * with_sine[5] + c * with_cosine[5],
+        rest[6] + s * with_sine[6] + c * with_cosine[6],
+        rest[7] + s * with_sine[7] + c * with_cosine[7],
+        rest[8] + s * with_sine[8] + c * with_cosine[8],
+    )
+
+
+@inline
+def _rotation_at(placed, row, S, s):
+    """Nine numbers of a tile, by rows."""
+    at = row * S + s
+    return (
+        number_at(placed, at), number_at(placed, at + S), number_at(placed, at + 2 * S), number_at(placed, at + 3 * S),
+        number_at(placed, at + 4 * S), number_at(placed, at + 5 * S), number_at(placed, at + 6 * S),
+        number_at(placed, at + 7 * S), number_at(placed, at + 8 * S),
+    )  # fmt: skip
+
+
+@inline
+def _vector_at(placed, row, S, s):
+    """Three numbers of a tile."""
+    at = row * S + s
+    return number_at(placed, at), number_at(placed, at + S), number_at(placed, at + 2 * S)
+
+
+@inline
+def _put_link(placed, link, S, s, R, t, turn_off, shift_off):
+    """Write a placed link."""
+    at = link * LINK_NUMBERS * S + s
+    put_number(placed, at, R[0])
+    put_number(placed, at + S, R[1])
+    put_number(placed, at + 2 * S, R[2])
+    put_number(placed, at + 3 * S, R[3])
+    put_number(placed, at + 4 * S, R[4])
+    put_number(placed, at + 5 * S, R[5])
+    put_number(placed, at + 6 * S, R[6])
+    put_number(placed, at + 7 * S, R[7])
+    put_number(placed, at + 8 * S, R[8])
+    put_number(placed, at + 9 * S, t[0])
+    put_number(placed, at + 10 * S, t[1])
+    put_number(placed, at + 11 * S, t[2])
+    put_number(placed, at + TURN_OFF * S, turn_off)
+    put_number(placed, at + SHIFT_OFF * S, shift_off)
+
+
+@inline
+def _one_norm(v):
+    return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
+
+
+@njit()
+def place_links(thread, S, Q, dof, links, joints, constants, placed):
+    """Place the links at one configuration, and bound what rounding does to that (docs/certified.md, B45 to B47).
+
+    Parameters
+    ----------
+    thread : int
+        The configuration, a row of Q.
+    S : int
+        Configurations a tile.
+    Q : float32, shape (n, dof)
+        The configurations, rounded to single precision if they came in double.
+    joints : int32, shape (links, LINK_INTEGERS)
+        Parent, kind and column of each link, see `robots.kinematics`. No kinds but FIXED, REVOLUTE and PRISMATIC.
+    constants : float32, shape (links, LINK_CONSTANTS)
+    placed : float32
+        Receives the links of the tile.
+    """
+    link = np.int64(0)
+    while link < links:
+        joint, c = joints + 4 * LINK_INTEGERS * link, constants + 4 * LINK_CONSTANTS * link
+        R, t = _nine(c, ROTATION), _three(c, TRANSLATION)
+        lengths = _one_norm(t)
+        turn_off, shift_off = lane_of(0.0), lane_of(0.0)
+        kind = integer_at(joint, KIND_OF_LINK)
+        if kind in (REVOLUTE, PRISMATIC):
+            moved = number_at(Q, thread * dof + integer_at(joint, COLUMN_OF_LINK)) * number_at(c, MULTIPLIER)
+            offset = number_at(c, OFFSET)
+            value, values = moved + offset, absolute(moved) + absolute(offset)
+            if kind == REVOLUTE:
+                sine, cosine = sine_cosine_single(value)
+                R = _turned(c, R, sine, cosine)
+                # Of an angle that is too large, or no number, nothing is known: infinitely far off.
+                turn_off = select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
+            else:
+                t = along(t, value, _three(c, ACROSS))
+                lengths = lengths + values
+        above = integer_at(joint, PARENT_OF_LINK)
+        if above >= 0:
+            A = _rotation_at(placed, above * LINK_NUMBERS, S, thread)
+            b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
+            off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
+            shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * lengths
+            lengths = lengths + _one_norm(b)
+            turn_off = turn_off + off
+            t = image(A, b, t)
+            R = product(A, R)
+        _put_link(placed, link, S, thread, R, t, turn_off + JOINT_TURN, shift_off + JOINT_SHIFT * lengths)
+        link += 1
+
+
+@inline
+def _placed_center(rows, piece, first, R, t):
+    """Where the center of an ellipsoid is, by its first column in the piece's row."""
+    return plus(apply(R, _three(rows, HOT * piece + first)), t)
+
+
+@inline
+def _put_bounds(bounds, body, S, s, center, wide, half, astray):
+    """Write the bounds of a body, rounded up, and how far it may be astray."""
+    at = body * BOUNDS * S + s
+    put_number(bounds, at + X * S, center[0])
+    put_number(bounds, at + Y * S, center[1])
+    put_number(bounds, at + Z * S, center[2])
+    put_number(bounds, at + WIDE * S, wide * UP)
+    put_number(bounds, at + HALF_X * S, half[0] * UP)
+    put_number(bounds, at + HALF_Y * S, half[1] * UP)
+    put_number(bounds, at + HALF_Z * S, half[2] * UP)
+    put_number(bounds, at + ASTRAY * S, astray)
+
+
+@njit()
+def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
+    """Write a ball and a box about one moving body at one configuration.
+
+    Parameters
+    ----------
+    thread : int
+        The body times S plus the configuration; S is 2 ** log_S.
+    placed : float32
+        The links of the tile.
+    bodies : int32, shape (moving bodies, BODY_INTEGERS)
+        Link, first piece and the one after the last.
+    balls : float32, shape (moving bodies, BALL_NUMBERS)
+        See `records.Problem`; radius and reach are rounded up.
+    rows : float32, shape (pieces, HOT)
+        In the frames of their links.
+    bounds : float32
+        Receives the bounds of the tile.
+    """
+    body, s = thread >> log_S, thread & (S - 1)
+    link = integer_at(bodies, BODY_INTEGERS * body + LINK_OF_BODY) * LINK_NUMBERS
+    R, t = _rotation_at(placed, link, S, s), _vector_at(placed, link + LINK_AT, S, s)
+    reach = number_at(balls, BALL_NUMBERS * body + BALL_REACH)
+    turn_off, shift_off = number_at(placed, (link + TURN_OFF) * S + s), number_at(placed, (link + SHIFT_OFF) * S + s)
+    astray = SINGLE_ROUNDOFF * UP * (turn_off * reach + shift_off)
+    off = OFF * (_one_norm(t) + reach) * UP + LEAST + astray
+    center = plus(apply(R, _three(balls, BALL_NUMBERS * body)), t)
+    wide = number_at(balls, BALL_NUMBERS * body + BALL_RADIUS) + off
+    half = lane_of(0.0), lane_of(0.0), lane_of(0.0)
+    piece, last = _pieces_of(bodies, body)
+    while piece < last:
+        r = minus(_placed_center(rows, piece, OUTER_CENTER, R, t), center)
+        shape = eight_at(rows, HOT * piece + OUTER_SHAPE)
+        Q = rotated_shape(R, (shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]))
+        slack = SHAPE_ERROR * SINGLE_ROUNDOFF * trace(Q)
+        half = (
+            _wider(absolute(r[0]) + sqrt(Q[0] + slack), half[0]),
+            _wider(absolute(r[1]) + sqrt(Q[3] + slack), half[1]),
+            _wider(absolute(r[2]) + sqrt(Q[5] + slack), half[2]),
+        )
+        piece += 1
+    half = _narrower(UP * half[0] + off, wide), _narrower(UP * half[1] + off, wide), _narrower(UP * half[2] + off, wide)
+    _put_bounds(bounds, body, S, s, center, wide, half, astray)
+
+
+@inline
+def _wider(x, y):
+    """The larger width; no number if either is none."""
+    return maximum(x, y) + 0.0 * x
+
+
+@inline
+def _narrower(x, y):
+    """The lesser width; no number if either is none."""
+    return minimum(x, y) + 0.0 * x
+
+
+@inline
+def _bounds_of(bounds, row, step):
+    """Bounds whose numbers begin at `row` and are `step` apart."""
+    return Bounds(
+        (
+            number_at(bounds, row + X * step), number_at(bounds, row + Y * step), number_at(bounds, row + Z * step)
+        ),
+        number_at(bounds, row + WIDE * step),
+        (
+            number_at(bounds, row + HALF_X * step), number_at(bounds, row + HALF_Y * step),
+            number_at(bounds, row + HALF_Z * step),
+        ),
+    )  # fmt: skip
+
+
+@njit()
+def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing, state, survivors, capacity, count):
+    """List a pair of bodies at one configuration unless their bounds are apart by the margin.
+
+    Parameters
+    ----------
+    thread : int
+        The pair times S plus the configuration; S is 2 ** log_S.
+    total : int
+        Configurations in the tile that are asked about.
+    moving : int
+        Bodies that move.
+    pairs : int32, shape (pairs, 2)
+        Bodies, the first of which moves.
+    margins : float32, shape (pairs,)
+        Rounded up.
+    bounds : float32
+        Of the moving bodies, of the tile.
+    standing : float32, shape (standing bodies, BOUNDS)
+    state : int32, shape (S,)
+        A configuration for whose pairs the list is too short is left to the CPU.
+    survivors : int32, shape (capacity,)
+        Receives numbers of threads.
+    count : int32
+        How many there are, more than `capacity` perhaps.
+    """
+    p, s = thread >> log_S, thread & (S - 1)
+    if s >= total:
+        return
+    one, other = integer_at(pairs, 2 * p), integer_at(pairs, 2 * p + 1)
+    here = _bounds_of(bounds, one * BOUNDS * S + s, S)
+    if other < moving:
+        there = _bounds_of(bounds, other * BOUNDS * S + s, S)
+    else:
+        there = _bounds_of(standing, (other - moving) * BOUNDS, np.int64(1))
+    if near(here, there, number_at(margins, p), np.int64(1)) == 0:
+        return
+    at = add_to(count, 0, 1)
+    if at < capacity:
+        put_integer(survivors, at, thread)
+    else:
+        raise_to(state, s, LEFT_OPEN)
+
+
+@inline
+def _pieces_of(bodies, body):
+    """First piece of a body, and the one after its last."""
+    row = BODY_INTEGERS * body
+    return integer_at(bodies, row + FIRST_PIECE), integer_at(bodies, row + LAST_PIECE)
+
+
+@inline
+def _pose_of_body(placed, link, S, s):
+    """Where a moving body is."""
+    R, t = _rotation_at(placed, link * LINK_NUMBERS, S, s), _vector_at(placed, link * LINK_NUMBERS + LINK_AT, S, s)
+    return Pose(R, t, True)
+
+
+@inline
+def _pose_of_standing():
+    """What stands still has its rows in the world."""
+    on, off = lane_of(1.0), lane_of(0.0)
+    return Pose((on, off, off, off, on, off, off, off, on), (off, off, off), True)
+
+
+@njit()
+def certify_survivor(
+    thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, capacity, count
+):  # fmt: skip
+    """Certify the ellipsoids of a listed pair of bodies, and raise the state of its configuration by what comes out.
+
+    Parameters
+    ----------
+    thread : int
+        Place in the list.
+    moving, pairs, margins, placed, bounds, state, survivors, capacity, count
+        As for `cull_pair` and `place_body`.
+    bodies : int32, shape (bodies, BODY_INTEGERS)
+        As for `place_body`; those that stand still follow.
+    rows : float32, shape (pieces, HOT)
+        In the frames of their links; of what stands still in the world.
+    """
+    if thread >= min(integer_at(count, 0), capacity):
+        return
+    code = integer_at(survivors, thread)
+    p, s = code >> log_S, code & (S - 1)
+    if integer_at(state, s) == HIT:
+        return
+    one, other = integer_at(pairs, 2 * p), integer_at(pairs, 2 * p + 1)
+    a = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * one + LINK_OF_BODY), S, s)
+    astray = number_at(bounds, (one * BOUNDS + ASTRAY) * S + s)
+    b = _pose_of_standing()
+    if other < moving:
+        b = _pose_of_body(placed, integer_at(bodies, BODY_INTEGERS * other + LINK_OF_BODY), S, s)
+        astray = astray + number_at(bounds, (other * BOUNDS + ASTRAY) * S + s)
+    more = astray * (UP / OFF)  # a length of which positions take that much for slack
+    i, last_a = _pieces_of(bodies, one)
+    first_b, last_b = _pieces_of(bodies, other)
+    found = np.int64(SO_FAR_FREE)
+    # With a margin the near points need the best s, in double precision.
+    if holds(number_at(margins, p) > 0.0) or (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
+        found, i = np.int64(LEFT_OPEN), last_a
+    while i < last_a:
+        j = first_b
+        while j < last_b and found != HIT:
+            tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
+            if tier == BY_INNER:
+                found = np.int64(HIT)
+            elif tier not in (BY_SPHERE, BY_OUTER):
+                found = np.int64(LEFT_OPEN)
+            j += 1
+        i += 1
+    if found != SO_FAR_FREE:
+        raise_to(state, s, found)
+
+
+@njit()
+def conclude(thread, first, state, verdicts, left, count):
+    """Write the verdict of configuration `first + thread`, and list it if the CPU has to settle it."""
+    found = integer_at(state, thread)
+    put_byte(verdicts, first + thread, COLLIDING if found == HIT else (AMBIGUOUS if found == LEFT_OPEN else FREE))
+    if found == LEFT_OPEN:
+        put_integer(left, add_to(count, 0, 1), first + thread)

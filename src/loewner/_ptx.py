@@ -1,0 +1,160 @@
+"""The threads' functions as PTX: what drivers of NVIDIA's GPUs compile for the GPU at hand.
+
+llvmlite's wheels have LLVM's back end for PTX. It takes the intermediate code that Numba makes of the library's own
+formulas; there is no second source, and nothing else to install. PTX that was built with the native library is used as
+it is. Otherwise it is made when it is first asked for, and kept as a sealed file beside the compiled kernels.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from loewner._kernels import _sealed
+from loewner._kernels._sources import source_hash
+from loewner._native import library
+from loewner._native.entries import expect_numba
+
+NAME = "threads.ptx"
+
+# The oldest GPUs that it is for (Turing, 2018), and PTX that drivers from 2020 on understand.
+OLDEST, VERSION = "sm_75", "ptx70"
+TRIPLE = "nvptx64-nvidia-cuda"
+
+# Kernels, by the modules of `loewner._kernels.threads` whose functions they call.
+KERNELS = {
+    "pairs": ("classify_pieces", "classify_bodies", "gather_rows", "scatter_bytes"),
+    "configurations": ("place_links", "place_body", "cull_pair", "certify_survivor", "conclude"),
+}
+
+
+@cache
+def text() -> bytes:
+    """PTX of all threads' functions: as it was built, as it was kept, or made now.
+
+    Raises
+    ------
+    MissingExtraError
+        If it has to be made, and Numba is not installed.
+    """
+    shipped = library.shipped(NAME)
+    if shipped is not None:
+        return shipped
+    expect_numba()
+    path = _kept()
+    if path is not None:
+        try:
+            return _sealed.read(path)
+        except (OSError, _sealed.DamagedFileError):
+            pass  # it is made anew
+    made = compiled()
+    if path is not None:
+        _keep(path, made)
+    return made
+
+
+def _kept() -> Path | None:
+    """Where it is kept; None if the sources cannot be told, so that nobody would know what it was made from.
+
+    The folder is named by the kernels' sources and by Numba, the file by what else it is made from.
+    """
+    import hashlib
+
+    import llvmlite
+
+    from loewner._kernels._jit import CACHE_FOLDER
+
+    try:
+        made_by = hashlib.sha256(Path(__file__).read_bytes() + llvmlite.__version__.encode()).hexdigest()[:16]
+    except OSError:
+        return None
+    return CACHE_FOLDER / f"threads-{made_by}.ptx" if source_hash() else None
+
+
+def _keep(path: Path, made: bytes) -> None:
+    """Write the file, if the disk lets us."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _sealed.write(path, made)
+    except OSError:
+        pass  # it is made again in the next process
+
+
+def compiled() -> bytes:
+    """Compile the threads' functions."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(TRIPLE).create_target_machine(
+        cpu=OLDEST, features=f"+{VERSION}", opt=3, reloc="static", codemodel="small"
+    )
+    whole = llvm.parse_assembly("")
+    _target(whole, machine)
+    for module, names in KERNELS.items():
+        functions = import_module(f"loewner._kernels.threads.{module}")
+        for name in names:
+            whole.link_in(_kernel(getattr(functions, name), machine))
+    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
+    passes.getModulePassManager().run(whole, passes)
+    return str(machine.emit_assembly(whole)).encode("ascii")
+
+
+def _target(module: Any, machine: Any) -> None:
+    """Make a module one of the GPU's."""
+    module.triple, module.data_layout = TRIPLE, str(machine.target_data)
+
+
+def _kernel(function: Any, machine: Any) -> Any:
+    """Module of one kernel: Numba's intermediate code of a function, and what calls it with the thread's number."""
+    import llvmlite.binding as llvm
+    from numba.core import types
+
+    # The first argument is the thread's number.
+    count = function.py_func.__code__.co_argcount
+    kinds = (types.int64,) * count
+    function.compile(kinds)
+    found = function.overloads[kinds]
+    inner = found.fndesc.llvm_func_name
+    module = llvm.parse_bitcode(found.library._final_module.as_bitcode())
+    _target(module, machine)
+    module.link_in(llvm.parse_assembly(_caller(function.py_func.__name__, inner, count, machine)))
+    # Functions made by several processes may share a name: none is seen from outside but the kernel.
+    for symbol in (*module.functions, *module.global_variables):
+        if not symbol.is_declaration and symbol.name != function.py_func.__name__:
+            symbol.linkage = llvm.Linkage.internal
+    return module
+
+
+def _caller(name: str, inner: str, count: int, machine: Any) -> str:
+    """Intermediate code of the kernel itself: ``name(total, arguments)``, for threads 0 .. total."""
+    from llvmlite import ir
+
+    word, half = ir.IntType(64), ir.IntType(32)
+    pointer = ir.IntType(8).as_pointer()
+    module = ir.Module(name)
+    module.triple, module.data_layout = TRIPLE, str(machine.target_data)
+    # As Numba calls: where to put the result, and what describes an exception; there is neither.
+    body = ir.Function(module, ir.FunctionType(half, [pointer, pointer] + [word] * count), inner)
+    kernel = ir.Function(module, ir.FunctionType(ir.VoidType(), [word] * count), name)
+    kernel.calling_convention = "ptx_kernel"
+    builder = ir.IRBuilder(kernel.append_basic_block())
+
+    def register(which: str) -> Any:
+        read = ir.Function(module, ir.FunctionType(half, []), f"llvm.nvvm.read.ptx.sreg.{which}.x")
+        return builder.zext(builder.call(read, []), word)
+
+    thread = builder.add(builder.mul(register("ctaid"), register("ntid")), register("tid"))
+    with builder.if_then(builder.icmp_unsigned("<", thread, kernel.args[0])):
+        nothing = ir.Constant(pointer, None)
+        result = builder.bitcast(builder.alloca(word), pointer)
+        builder.call(body, [result, nothing, thread, *kernel.args[1:]])
+    builder.ret_void()
+    return str(module)
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_bytes(compiled())

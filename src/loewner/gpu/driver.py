@@ -1,0 +1,307 @@
+"""NVIDIA's driver by ctypes: one GPU, its memory, the kernels on it, and errors that say what is wrong.
+
+The driver is the library that comes with the GPU's own software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is
+needed. It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
+
+All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well:
+what they allocated can be read here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import sys
+import threading
+import weakref
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _ptx
+from loewner.errors import GpuError
+
+LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+
+# Threads of a block; registers for six such blocks and more are there on every GPU since `_ptx.OLDEST`.
+BLOCK = 128
+
+# Codes of errors that need words of our own.
+OUT_OF_MEMORY, NO_DEVICE, UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE = 2, 100, 222, 218, 209
+OLD_DRIVER = (34, 35, 36, 803)
+
+# After these nothing more can be done in the context, which is all of this process's work on the GPU.
+LOST = (201, 700, 702, 709, 710, 714, 715, 716, 717, 718, 719, 721, 999)
+
+# Of the capability of a GPU to compute, and the oldest that is taken: sm_75.
+MAJOR, MINOR, LEAST_CAPABILITY = 75, 76, (7, 5)
+
+# Options of the driver's compiler: where what it says goes, and how much of that there may be.
+ERROR_LOG, ERROR_LOG_SIZE, LOG_BYTES = 5, 6, 8192
+
+ORDINAL_OF_POINTER = 9
+NOT_WAITING_FOR_THE_DEFAULT_STREAM = 1
+WITHOUT_TIMES = 2
+
+
+class Memory:
+    """Memory of a GPU; given back when nobody refers to it any more.
+
+    Attributes
+    ----------
+    address, size : int
+    device : Device
+    """
+
+    def __init__(self, device: Device, address: int, size: int) -> None:
+        self.device, self.address, self.size = device, address, size
+        weakref.finalize(self, device._free, address)
+
+
+class Device:
+    """One GPU, with the kernels loaded.
+
+    Parameters
+    ----------
+    number : int
+        Which of the GPUs that the driver sees.
+    cuda : object
+        The driver's functions.
+
+    Attributes
+    ----------
+    number : int
+    name : str
+    capability : tuple of int
+    driver : int
+        Version of CUDA that the driver is for, 1000 times the major plus 10 times the minor.
+
+    Raises
+    ------
+    GpuError
+        If there is no such GPU, the driver is too old, or it refuses the kernels.
+    """
+
+    def __init__(self, number: int, cuda: Any) -> None:
+        self.number, self._cuda, self.lost = number, cuda, False
+        self._ask("cuInit", 0)
+        self.driver = self._integer("cuDriverGetVersion")
+        count = self._integer("cuDeviceGetCount")
+        if not 0 <= number < count:
+            raise GpuError(f"device: expected one of the {count} GPUs that the driver sees, found number {number}")
+        handle = self._integer("cuDeviceGet", number)
+        text = ctypes.create_string_buffer(256)
+        self._ask("cuDeviceGetName", text, len(text), handle)
+        self.name = text.value.decode(errors="replace")
+        self.capability = self._attribute(MAJOR, handle), self._attribute(MINOR, handle)
+        if self.capability < LEAST_CAPABILITY:
+            raise GpuError(
+                "device: expected a GPU of compute capability 7.5 (Turing) or newer, found "
+                f"{self.name} of {self.capability[0]}.{self.capability[1]}"
+            )
+        self._context = ctypes.c_void_p()
+        self._ask("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), handle)
+        with self._current():
+            self._stream = ctypes.c_void_p()
+            self._ask("cuStreamCreate", ctypes.byref(self._stream), NOT_WAITING_FOR_THE_DEFAULT_STREAM)
+            self._functions = self._load(_ptx.text())
+
+    @property
+    def stream(self) -> int:
+        """The stream that all work goes to, as a number."""
+        return int(self._stream.value or 0)
+
+    # -- memory -------------------------------------------------------------------------------
+
+    def memory(self, size: int) -> Memory:
+        """Allocate at least one byte of memory."""
+        address = ctypes.c_uint64()
+        with self._current():
+            self._ask("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(1, size)), size=size)
+        return Memory(self, int(address.value), size)
+
+    def upload(self, array: NDArray[Any]) -> Memory:
+        """Copy an array to the GPU."""
+        array = np.ascontiguousarray(array)
+        to = self.memory(array.nbytes)
+        if array.nbytes:
+            with self._current():
+                self._ask(
+                    "cuMemcpyHtoDAsync_v2", ctypes.c_uint64(to.address), ctypes.c_void_p(array.ctypes.data),
+                    ctypes.c_size_t(array.nbytes), self._stream,
+                )  # fmt: skip
+        return to
+
+    def download(self, address: int, array: NDArray[Any]) -> None:
+        """Fill an array from the GPU's memory, when all work before is done."""
+        with self._current():
+            if array.nbytes:
+                self._ask(
+                    "cuMemcpyDtoHAsync_v2", ctypes.c_void_p(array.ctypes.data), ctypes.c_uint64(address),
+                    ctypes.c_size_t(array.nbytes), self._stream,
+                )  # fmt: skip
+            self._ask("cuStreamSynchronize", self._stream)
+
+    def clear(self, address: int, size: int) -> None:
+        """Set memory to zero."""
+        with self._current():
+            self._ask("cuMemsetD8Async", ctypes.c_uint64(address), 0, ctypes.c_size_t(size), self._stream)
+
+    # -- work ---------------------------------------------------------------------------------
+
+    def launch(self, kernel: str, threads: int, *arguments: int) -> None:
+        """Run a kernel with threads 0 .. `threads`; it takes their number before the arguments."""
+        if threads == 0:
+            return
+        numbers = [ctypes.c_int64(number) for number in (threads, *arguments)]
+        addresses = [ctypes.cast(ctypes.byref(number), ctypes.c_void_p) for number in numbers]
+        packed = (ctypes.c_void_p * len(numbers))(*addresses)
+        blocks = -(-threads // BLOCK)
+        with self._current():
+            self._ask(
+                "cuLaunchKernel", self._functions[kernel], blocks, 1, 1, BLOCK, 1, 1, 0, self._stream, packed, None
+            )
+
+    def wait(self) -> None:
+        """Return when all work is done."""
+        with self._current():
+            self._ask("cuStreamSynchronize", self._stream)
+
+    def after(self, stream: int) -> None:
+        """Let all further work wait for what another stream has to do now."""
+        if stream == self.stream:
+            return
+        event, other = ctypes.c_void_p(), ctypes.c_void_p(stream)
+        with self._current():
+            self._ask("cuEventCreate", ctypes.byref(event), WITHOUT_TIMES)
+            self._ask("cuEventRecord", event, other)
+            self._ask("cuStreamWaitEvent", self._stream, event, 0)
+            self._ask("cuEventDestroy_v2", event)  # which the driver does when it has been reached
+
+    def time(self) -> Any:
+        """Record the moment on the stream; `seconds` takes two of these."""
+        event = ctypes.c_void_p()
+        with self._current():
+            self._ask("cuEventCreate", ctypes.byref(event), 0)
+            self._ask("cuEventRecord", event, self._stream)
+        return event
+
+    def seconds(self, start: Any, stop: Any) -> float:
+        """Return the time between two moments, once both are past, and forget them."""
+        found = ctypes.c_float()
+        with self._current():
+            self._ask("cuEventSynchronize", stop)
+            self._ask("cuEventElapsedTime", ctypes.byref(found), start, stop)
+            for event in (start, stop):
+                self._ask("cuEventDestroy_v2", event)
+        return float(found.value) * 1e-3
+
+    def holds(self, address: int) -> bool:
+        """Tell whether an address is of this GPU's memory."""
+        found = ctypes.c_int(-1)
+        with self._current():
+            code = self._cuda.cuPointerGetAttribute(ctypes.byref(found), ORDINAL_OF_POINTER, ctypes.c_uint64(address))
+        return code == 0 and found.value == self.number
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _load(self, ptx: bytes) -> dict[str, Any]:
+        """Have the driver compile the kernels for its GPU."""
+        module, log = ctypes.c_void_p(), ctypes.create_string_buffer(LOG_BYTES)
+        options = (ctypes.c_int * 2)(ERROR_LOG, ERROR_LOG_SIZE)
+        values = (ctypes.c_void_p * 2)(ctypes.cast(log, ctypes.c_void_p), ctypes.c_void_p(LOG_BYTES))
+        code = self._cuda.cuModuleLoadDataEx(ctypes.byref(module), ctypes.c_char_p(ptx), 2, options, values)
+        if code:
+            raise self._error("cuModuleLoadDataEx", code, said=log.value.decode(errors="replace").strip())
+        functions = {}
+        for name in (name for names in _ptx.KERNELS.values() for name in names):
+            functions[name] = ctypes.c_void_p()
+            self._ask("cuModuleGetFunction", ctypes.byref(functions[name]), module, ctypes.c_char_p(name.encode()))
+        return functions
+
+    @contextlib.contextmanager
+    def _current(self) -> Iterator[None]:
+        """Make the context the thread's own for a while."""
+        self._ask("cuCtxPushCurrent_v2", self._context)
+        try:
+            yield
+        finally:
+            self._cuda.cuCtxPopCurrent_v2(ctypes.byref(ctypes.c_void_p()))
+
+    def _integer(self, function: str, *arguments: Any) -> int:
+        """Ask a function that writes one integer."""
+        found = ctypes.c_int()
+        self._ask(function, ctypes.byref(found), *arguments)
+        return int(found.value)
+
+    def _attribute(self, which: int, handle: int) -> int:
+        return self._integer("cuDeviceGetAttribute", which, handle)
+
+    def _ask(self, function: str, *arguments: Any, size: int | None = None) -> None:
+        """Call a function of the driver; what it refuses is an exception."""
+        code = getattr(self._cuda, function)(*arguments)
+        if code:
+            raise self._error(function, code, size=size)
+
+    def _error(self, function: str, code: int, size: int | None = None, said: str = "") -> GpuError:
+        """Say what is wrong, in words of the driver and, where it has no good ones, of our own."""
+        self.lost = self.lost or code in LOST
+        text = f"{function}: {self._words(code)}"
+        if code == OUT_OF_MEMORY and size is not None:
+            text = f"expected {size / 1e6:.0f} MB of memory on the GPU, found less; ask for fewer at a time ({text})"
+        elif code == NO_DEVICE:
+            text = f"expected an NVIDIA GPU, found none ({text})"
+        elif code in OLD_DRIVER:
+            text = f"expected a newer driver of the GPU: update it ({text})"
+        elif code in (UNSUPPORTED_PTX, INVALID_PTX, NO_IMAGE):
+            found = f"{self.driver // 1000}.{self.driver % 1000 // 10}"
+            text = (
+                f"expected a driver that takes PTX {_ptx.VERSION[3]}.{_ptx.VERSION[4]} (CUDA 11.0 or newer), "
+                f"found one for CUDA {found} that refuses it; update the driver ({text})"
+            )
+        elif code in LOST:
+            text = f"the GPU's work was lost, and all that this process keeps there; start the process again ({text})"
+        return GpuError(text + (f": {said}" if said else ""), code)
+
+    def _words(self, code: int) -> str:
+        """Name and text that the driver has for an error."""
+        words = []
+        for function in ("cuGetErrorName", "cuGetErrorString"):
+            text = ctypes.c_char_p()
+            if getattr(self._cuda, function)(code, ctypes.byref(text)) == 0 and text.value:
+                words.append(text.value.decode(errors="replace"))
+        return f"{', '.join(words)} ({code})" if words else f"error {code}"
+
+    def _free(self, address: int) -> None:
+        """Give memory back; at the end of a process, or of a context, it is gone already."""
+        with contextlib.suppress(Exception), self._current():
+            self._cuda.cuMemFree_v2(ctypes.c_uint64(address))
+
+
+_opened: dict[int, Device] = {}
+_lock = threading.Lock()
+
+
+def opened(number: int) -> Device:
+    """Return a GPU, opened once for the process.
+
+    Raises
+    ------
+    GpuError
+        If there is no driver, no such GPU, or it cannot be used.
+    """
+    with _lock:
+        device = _opened.get(number)
+        if device is None or device.lost:
+            device = _opened[number] = Device(number, library())
+        return device
+
+
+def library() -> Any:
+    """Load the driver."""
+    try:
+        return getattr(ctypes, "WinDLL" if sys.platform == "win32" else "CDLL")(LIBRARY)
+    except OSError as error:
+        raise GpuError(f"expected NVIDIA's driver, found no {LIBRARY} to load ({error})") from None

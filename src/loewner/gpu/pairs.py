@@ -1,0 +1,271 @@
+"""Verdicts of pairs of bodies on a GPU."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loewner import _validate, queries
+from loewner._guard import guarded
+from loewner._kernels import codes
+from loewner._settle import NO_ROWS, settle
+from loewner._validate import Floats, Ints
+from loewner.bodies import Bodies, Body, Packed
+from loewner.errors import InputError, PoseError
+from loewner.gpu import driver
+from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
+from loewner.gpu.driver import Device, Memory
+from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
+from loewner.queries import Plan, Verdict
+
+# Of pairs that are settled one at a time, each listed by the rows of its bodies.
+_ONE_LISTED = np.array([[1], [1], [0], [1], [0]], dtype=np.int64)
+
+
+@guarded
+def classify(
+    a: Body | Bodies,
+    T_world_a: Any,
+    b: Body | Bodies,
+    T_world_b: Any,
+    *,
+    pairs: ArrayLike | None = None,
+    refine: bool = True,
+    fallback: str = "error",
+    device: int = 0,
+) -> Any:
+    """Certified verdicts as `loewner.classify` gives them, margin 0, on a GPU. Experimental: not yet run on hardware.
+
+    Parameters
+    ----------
+    a, b : Body or Bodies
+        A `Bodies` of n broadcasts with the last batch axis of the poses. Their ellipsoids stay on the GPU for as
+        long as the bodies live.
+    T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
+        Poses, broadcast together; translation in metres. None is the identity. On the GPU: an array of float32 in C
+        order, of CuPy, PyTorch, JAX or whatever else has ``__cuda_array_interface__`` or DLPack; the question is then
+        about exactly these float32 numbers. Anything else is copied there.
+    pairs : array_like of int, shape (..., 2), optional
+        Which of a to ask about with which of b, instead of broadcasting; see `loewner.classify`. Not on the GPU.
+    refine : bool
+        Let the CPU settle what single precision leaves open, half a percent of pairs of round pieces. False leaves
+        these AMBIGUOUS, which claims nothing, and poses that are no rigid motions, too; the call then does not wait for
+        the GPU if the poses are there.
+    fallback : {"error", "cpu"}
+        What to do where there is no GPU, its driver is too old, its memory too small, or its work was lost: raise, or
+        warn once and ask the CPU. Of poses on a GPU there is nothing to ask the CPU, and it is always an error.
+    device : int
+        Which of the GPUs that the driver sees.
+
+    Returns
+    -------
+    Verdict, or ndarray of int8, shape (...), or DeviceArray of int8
+        What `loewner.classify` says. A `DeviceArray` if any of the poses are on the GPU; other libraries take it
+        without a copy.
+
+    Raises
+    ------
+    GpuError
+        If the GPU cannot do it.
+    PoseError
+        If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
+    InputError
+        If an operand is no body, an array on the GPU is of another type, layout or GPU, pieces are smaller than 1e-3 or
+        larger than 1e3 m, or there are more than 2^31 - 1 pairs.
+
+    Notes
+    -----
+    The formulas are those of the CPU, compiled once more, and only correctly rounded operations: FREE and COLLIDING are
+    proven as docs/certified.md says. Over the bus pairs are not worth it: poses take 128 bytes a pair.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import loewner
+    >>> from loewner import Body, gpu
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = 0.5, 1.2, 3.0
+    >>> try:
+    ...     verdicts = gpu.classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
+    ... except loewner.GpuError:
+    ...     verdicts = loewner.classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
+    >>> verdicts
+    array([1, 1, 0], dtype=int8)
+    """
+    queries.expect_bodies(a, b)
+    number = number_of(device)
+    refined, instead = _validate.flag(refine, "refine"), _validate.choice(fallback, "fallback", FALLBACKS) == "cpu"
+    there = [is_on_gpu(T) for T in (T_world_a, T_world_b)]
+    here = [
+        None if on else _validate.poses(T, name, check=False)
+        for T, on, name in ((T_world_a, there[0], "T_world_a"), (T_world_b, there[1], "T_world_b"))
+    ]
+    if not any(there):
+        queries.plan_of(a, _shape(here[0]), b, _shape(here[1]), each=5, chosen=pairs)  # its errors are not the GPU's
+
+    def on_gpu() -> Any:
+        gpu = driver.opened(number)
+        views = [
+            taken(T, name, gpu) if on else None
+            for T, on, name in ((T_world_a, there[0], "T_world_a"), (T_world_b, there[1], "T_world_b"))
+        ]
+        operands = [
+            _Operand(bodies, *poses) for bodies, poses in zip((a, b), zip(here, views, strict=True), strict=True)
+        ]
+        plan = queries.plan_of(a, operands[0].shape, b, operands[1].shape, each=5, chosen=pairs)
+        return _classified(gpu, plan, operands, refined, any(there))
+
+    def on_cpu() -> Any:
+        ask: Any = queries.classify  # which has a signature for each kind of operands
+        return ask(a, here[0], b, here[1], pairs=pairs)
+
+    return attempted(on_gpu, on_cpu if instead and not any(there) else None)
+
+
+def _shape(poses: Floats | None) -> tuple[int, ...]:
+    return () if poses is None else poses.shape
+
+
+class _Operand(NamedTuple):
+    """Bodies and their poses, on the CPU or on the GPU."""
+
+    bodies: Body | Bodies
+    here: Floats | None
+    there: View | None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the poses."""
+        found = self.there.shape if self.there is not None else _shape(self.here)
+        if found[-2:] != (4, 4):
+            raise PoseError(f"expected poses of shape (..., 4, 4), found {_validate.shape_text(found)}")
+        return found
+
+    def poses_at(self, gpu: Device, rows: Ints) -> Floats:
+        """Poses of some rows, on the CPU in double precision."""
+        if self.there is not None:
+            return gathered(gpu, self.there.address, 16, rows).reshape(-1, 4, 4)
+        assert self.here is not None
+        return np.ascontiguousarray(self.here.reshape(-1, 4, 4)[rows])
+
+
+class _Tables(NamedTuple):
+    """Bodies on the GPU: rows of their pieces, and the first piece of each."""
+
+    rows: Memory
+    start: Memory
+
+
+_tables: weakref.WeakKeyDictionary[Packed, dict[Device, _Tables]] = weakref.WeakKeyDictionary()
+
+
+def _tables_of(gpu: Device, packed: Packed) -> _Tables:
+    """Return the tables of bodies, copied to the GPU when they are first asked about."""
+    at = _tables.setdefault(packed, {})
+    if gpu not in at:
+        at[gpu] = _Tables(
+            gpu.upload(single_rows(packed)), gpu.upload(packed.kernel_arrays.arrays.piece_start.astype(np.int32))
+        )
+    return at[gpu]
+
+
+def single_rows(packed: Packed) -> NDArray[np.float32]:
+    """Pieces in single precision.
+
+    Raises
+    ------
+    InputError
+        If there are none since a piece is too small or too large for that.
+    """
+    rows: NDArray[np.float32] = packed.kernel.single
+    if len(rows) == 0 and len(packed.layout) > 0:
+        raise InputError(
+            "expected pieces between 1e-3 and 1e3 m for single precision, found others; ask loewner.classify"
+        )
+    return rows
+
+
+def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool, there: bool) -> Any:
+    """Ask the GPU, and the CPU about what that leaves."""
+    expect_few(plan.total, "pairs")
+    packs = [operand.bodies._packed for operand in operands]
+    tables = [_tables_of(gpu, packed) for packed in packs]
+    poses = [_poses_on(gpu, operand) for operand in operands]
+    steps = gpu.upload(plan.steps.astype(np.int32))
+    rows = gpu.upload(plan.rows.astype(np.int32)) if plan.rows.size else None
+    verdicts, left = gpu.memory(plan.total), Left(gpu, plan.total)
+    # Of surfaces the CPU knows more than one ellipsoid.
+    of_open = codes.LEFT if any(len(packed.kernel.part_start) > 0 for packed in packs) else codes.AMBIGUOUS
+    one_each = all(len(packed.piece_start) == len(packed.layout) + 1 for packed in packs)
+    asked = steps.address, plan.steps.shape[1], 0 if rows is None else rows.address, plan.rows.shape[1]
+    each: list[int] = []
+    for table, pose in zip(tables, poses, strict=True):
+        each += [table.rows.address, *([] if one_each else [table.start.address]), pose.address]
+    told = of_open, verdicts.address, left.list.address, left.count.address
+    gpu.launch("classify_pieces" if one_each else "classify_bodies", plan.total, *asked, *each, *told)
+    if refine:
+        numbers = left.numbers()
+        settled = _settled(gpu, plan, operands, numbers)
+        if there:
+            scattered(gpu, numbers, settled, verdicts)
+    if there:
+        # What the kernel reads lives until it is done: memory is given back in the order of the stream's work.
+        return DeviceArray(verdicts, plan.shape, np.int8)
+    out = np.empty(plan.total, dtype=np.int8)
+    gpu.download(verdicts.address, out)
+    if refine:
+        out[numbers] = settled
+    return Verdict(int(out[0])) if plan.shape == () else out.reshape(plan.shape)
+
+
+def _poses_on(gpu: Device, operand: _Operand) -> View:
+    """Poses on the GPU, in single precision."""
+    if operand.there is not None:
+        return operand.there
+    assert operand.here is not None
+    with np.errstate(over="ignore"):  # infinite, and then left to the CPU
+        memory = gpu.upload(operand.here.astype(np.float32))
+    return View(memory.address, operand.here.shape, memory)
+
+
+def _rows_of(plan: Plan, numbers: Ints) -> list[Ints]:
+    """Rows of a, Ta, b and Tb that belong to some pairs."""
+    if plan.rows.shape[1]:
+        of_a, of_b = plan.rows[:, numbers]
+        return [side * step for side, step in zip((of_a, of_a, of_b, of_b), plan.steps[1:, 0], strict=True)]
+    places = np.array(np.unravel_index(numbers, plan.steps[0]))
+    return [step @ places for step in plan.steps[1:]]
+
+
+def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -> NDArray[np.int8]:
+    """Verdicts of some pairs by the CPU."""
+    out = np.empty(len(numbers), dtype=np.int8)
+    if len(numbers) == 0:
+        return out
+    a, b = (operand.bodies._packed.handle for operand in operands)
+    body_a, pose_a, body_b, pose_b = _rows_of(plan, numbers)
+    Ta, Tb = operands[0].poses_at(gpu, pose_a), operands[1].poses_at(gpu, pose_b)
+    if not body_a.any() and not body_b.any():
+        steps = np.array([[len(numbers)], [0], [1], [0], [1]], dtype=np.int64)
+        done = settle(codes.CERTIFY, 0.0, 0, len(numbers), (steps, NO_ROWS, a, Ta, b, Tb), out) is not None
+        if not done:
+            _refuse(Ta, Tb)
+        return out
+    rows = np.stack([body_a, body_b]).astype(np.int64)
+    for k in range(len(numbers)):
+        listed = np.ascontiguousarray(rows[:, k : k + 1])
+        asked = _ONE_LISTED, listed, a, Ta[k : k + 1], b, Tb[k : k + 1]
+        if settle(codes.CERTIFY, 0.0, 0, 1, asked, out[k : k + 1]) is None:
+            _refuse(Ta[k : k + 1], Tb[k : k + 1])
+    return out
+
+
+def _refuse(Ta: Floats, Tb: Floats) -> None:
+    """Say which pose is no rigid motion."""
+    for T, name in ((Ta, "T_world_a"), (Tb, "T_world_b")):
+        for one in T:
+            _validate.rigid_motions(one, name)
+    raise PoseError("expected rigid motions, found poses that changed during the call")

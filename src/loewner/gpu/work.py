@@ -1,0 +1,120 @@
+"""What queries of pairs and of configurations share: where there is no GPU, lists of what is left, rows of tables."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _validate
+from loewner._validate import Floats, Ints
+from loewner.errors import GpuError, InputError
+from loewner.gpu import driver
+from loewner.gpu.driver import Device, Memory
+
+FALLBACKS = ("error", "cpu")
+
+# Threads have numbers of 31 bits.
+MOST = 2**31 - 1
+
+Answer = TypeVar("Answer")
+
+_warned = False
+
+
+def why_not(device: int = 0) -> str:
+    """Say why a GPU cannot be used.
+
+    Parameters
+    ----------
+    device : int
+        Which of the GPUs that the driver sees.
+
+    Returns
+    -------
+    str
+        Empty if it can be used.
+
+    Raises
+    ------
+    InputError
+        If `device` is no whole number.
+
+    Examples
+    --------
+    >>> from loewner import gpu
+    >>> bool(gpu.why_not(1000))  # nobody has that many
+    True
+    """
+    try:
+        driver.opened(number_of(device))
+    except GpuError as error:
+        return str(error)
+    return ""
+
+
+def number_of(device: int) -> int:
+    """Check the number of a GPU."""
+    return _validate.whole_number(device, "device", 0, MOST)
+
+
+def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:
+    """Return what the GPU says; where it cannot, what the CPU says, with one warning a process."""
+    global _warned
+    try:
+        return on_gpu()
+    except GpuError as error:
+        if on_cpu is None:
+            raise
+        if not _warned:
+            _warned = True
+            warnings.warn(f"loewner.gpu: the CPU answers instead: {error}", UserWarning, stacklevel=4)
+    return on_cpu()
+
+
+def expect_few(count: int, what: str) -> None:
+    """Refuse more than there are numbers for."""
+    if count > MOST:
+        raise InputError(f"expected at most {MOST} {what} a call, found {count}; ask for fewer at a time")
+
+
+class Left:
+    """What a kernel leaves to the CPU: a list on the GPU that its threads append to.
+
+    Parameters
+    ----------
+    device : Device
+    most : int
+        Entries that there may be.
+    """
+
+    def __init__(self, device: Device, most: int) -> None:
+        self._device, self.list, self.count = device, device.memory(4 * most), device.memory(4)
+        device.clear(self.count.address, 4)
+
+    def numbers(self) -> Ints:
+        """Return the list when all work is done, in ascending order."""
+        count = np.empty(1, dtype=np.int32)
+        self._device.download(self.count.address, count)
+        found = np.empty(int(count[0]), dtype=np.int32)
+        self._device.download(self.list.address, found)
+        return np.sort(found).astype(np.int64)
+
+
+def gathered(device: Device, address: int, width: int, rows: Ints) -> Floats:
+    """Copy rows of a table of float32 on the GPU to the CPU, shape (len(rows), width)."""
+    listed, found = device.upload(rows.astype(np.int32)), device.memory(4 * width * len(rows))
+    device.launch("gather_rows", width * len(rows), width, listed.address, address, found.address)
+    here = np.empty((len(rows), width), dtype=np.float32)
+    device.download(found.address, here)
+    return here.astype(np.float64)
+
+
+def scattered(device: Device, rows: Ints, values: NDArray[Any], target: Memory) -> None:
+    """Write small values to bytes on the GPU."""
+    listed, given = device.upload(rows.astype(np.int32)), device.upload(values.astype(np.int32))
+    device.launch("scatter_bytes", len(rows), listed.address, given.address, target.address)
+    device.wait()  # until then the lists have to live

@@ -1,0 +1,344 @@
+"""The threads of a GPU, run in a loop on the CPU, and the PTX that is made of them."""
+
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from checker_oracle import random_scene, robot_of, simple_bodies
+from families import FAMILIES, pieces, random_poses
+from gpu_stand_in import StandIn
+from loewner import Bodies, Body, CollisionChecker, Robot, Scene, Verdict, _ptx, classify, gpu
+from loewner._kernels import _jit, _sealed, columns
+from loewner._kernels.simd import scalars, trig
+from loewner._native import library
+from loewner.gpu import configurations, driver
+from loewner.gpu.driver import Device
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import robot_samples
+
+U24 = 2.0**-24
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    """A GPU whose threads run one after the other."""
+    return Device(0, StandIn())
+
+
+@pytest.fixture(autouse=True)
+def stand_in(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver, "opened", lambda number: device)
+
+
+def told(a, Ta, b, Tb) -> tuple[np.ndarray, np.ndarray]:
+    """What the GPU says of pairs by itself, and what the CPU says."""
+    return np.asarray(gpu.classify(a, Ta, b, Tb, refine=False)), classify(a, Ta, b, Tb)
+
+
+# -- pairs -----------------------------------------------------------------------------------------
+
+
+def test_pairs_are_told_as_on_the_cpu(rng):
+    """Of 100,000 turned pairs no claim differs; few are left to the CPU, and with these all verdicts agree."""
+    n, kinds = 100_000, tuple(FAMILIES)
+    bodies = Bodies.from_points([V for kind in kinds for V in pieces(kind, 30)])
+    chosen = rng.integers(0, len(bodies), size=(n, 2))
+    a, b = bodies[chosen[:, 0]], bodies[chosen[:, 1]]
+    Ta, Tb = random_poses(rng, n, 1.0), random_poses(rng, n, 1.0)
+    alone, expected = told(a, Ta, b, Tb)
+    claims = alone != Verdict.AMBIGUOUS
+    assert (alone[claims] == expected[claims]).all()
+    assert (np.bincount(expected, minlength=3) > n // 50).all()
+    assert (alone != expected).mean() < 0.02
+    np.testing.assert_array_equal(gpu.classify(a, Ta, b, Tb), expected)
+
+
+@pytest.mark.parametrize("spread", [1e-3, 1.0, 100.0])
+def test_no_claim_is_wrong_far_from_the_origin(rng, spread):
+    """Wherever the world's origin is, a claim is the CPU's, in double precision."""
+    bodies = Bodies.from_points(pieces("ball 20", 50))
+    shift = rng.normal(size=(50, 3)) * spread
+    Ta, Tb = random_poses(rng, 50, 0.3), random_poses(rng, 50, 0.3)
+    Ta[:, :3, 3] += shift
+    Tb[:, :3, 3] += shift
+    alone, expected = told(bodies, Ta, bodies, Tb)
+    assert ((alone == expected) | (alone == Verdict.AMBIGUOUS)).all()
+
+
+def test_bodies_of_several_pieces(rng):
+    """A union of pieces is FREE only if all piece pairs are, COLLIDING if any is; a body of many is left to the CPU."""
+    parts = [Body.from_points(V) for V in pieces("ball 8", 40)]
+    several = [
+        Body.union([part.transformed(T) for part, T in zip(parts[k::8], random_poses(rng, 5, 0.8), strict=True)])
+        for k in range(8)
+    ]
+    many = Body.spheres(rng.normal(size=(1100, 3)), np.full(1100, 0.05))
+    bodies = Bodies([*several, many, parts[0]])
+    chosen = rng.integers(0, len(bodies), size=(300, 2))
+    Ta, Tb = random_poses(rng, len(bodies), 1.0), random_poses(rng, len(bodies), 1.0)
+    expected = classify(bodies, Ta, bodies, Tb, pairs=chosen)
+    alone = gpu.classify(bodies, Ta, bodies, Tb, pairs=chosen, refine=False)
+    claims = alone != Verdict.AMBIGUOUS
+    assert (alone[claims] == expected[claims]).all()
+    assert claims.mean() > 0.3
+    np.testing.assert_array_equal(gpu.classify(bodies, Ta, bodies, Tb, pairs=chosen), expected)
+
+
+def test_surfaces_get_what_the_cpu_knows_besides(rng):
+    """What the ellipsoids of a surface leave open is not AMBIGUOUS yet: its parts are asked on the CPU."""
+    n = 8
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
+    vertices = np.column_stack([x.ravel(), y.ravel(), 0.2 * np.sin(3 * x.ravel())])
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([np.c_[corner, corner + 1, corner + n], np.c_[corner + 1, corner + n + 1, corner + n]])
+    sheet, ball = Body.from_surface((vertices, faces)), Body.sphere(0.2)
+    T = random_poses(rng, 400, 0.8)
+    np.testing.assert_array_equal(gpu.classify(sheet, None, ball, T), classify(sheet, None, ball, T))
+
+
+# -- kinematics ------------------------------------------------------------------------------------
+
+
+@numba.njit
+def _sines(angles, found):
+    for k in range(len(angles)):
+        s, c = trig.sine_cosine_single(scalars.number_at(angles.ctypes.data, k))
+        scalars.put_number(found.ctypes.data, 2 * k, s)
+        scalars.put_number(found.ctypes.data, 2 * k + 1, c)
+
+
+def test_sines_are_within_their_bound(rng):
+    """Sine and cosine of floats up to 1000 rad are off by less than 5 roundings, near quarter turns too."""
+    near = np.arange(-600, 600) * (np.pi / 2) + rng.normal(size=1200) * 1e-4
+    angles = np.concatenate([rng.uniform(-1000, 1000, 200_000), rng.uniform(-4, 4, 200_000), near, [0.0]])
+    angles = angles.astype(np.float32)
+    found = np.empty((len(angles), 2), dtype=np.float32)
+    _sines(angles, found)
+    exact = np.column_stack([np.sin(angles.astype(float)), np.cos(angles.astype(float))])
+    off = np.abs(found - exact).max() / U24
+    print(f"at most {off:.2f} roundings")
+    assert off < 4.2
+
+
+def placed_links(device: Device, robot: Robot, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of links as the GPU has them, and how far off it says they may be: shapes (N, L, 3, 4) and (N, L, 2)."""
+    tables = configurations._tables(device, CollisionChecker(robot, Scene())._ready())
+    S, n = configurations.TILE, len(Q)
+    placed, there = device.memory(4 * columns.LINK_NUMBERS * tables.links * S), device.upload(Q.astype(np.float32))
+    device.launch(
+        "place_links", n, S, there.address, robot.dof, tables.links, tables.joints.address, tables.constants.address,
+        placed.address,
+    )  # fmt: skip
+    found = np.empty((tables.links, columns.LINK_NUMBERS, S), dtype=np.float32)
+    device.download(placed.address, found)
+    numbers = found[:, :, :n].transpose(2, 0, 1).astype(np.float64)
+    R, t = numbers[:, :, :9].reshape(n, -1, 3, 3), numbers[:, :, 9:12, None]
+    return np.concatenate([R, t], axis=3), numbers[:, :, 12:]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_links_are_where_they_are_said_to_be(seed, device, tmp_path):
+    """Rotations and translations in single precision are off by less than the bound that comes with them."""
+    rng = np.random.default_rng(seed)
+    bodies = simple_bodies(rng)
+    joints = [
+        (str(rng.choice(["revolute", "prismatic", "fixed", "continuous"])), k, _joint(rng))
+        for k in range(int(4 * seed + 3))
+    ]
+    robot = robot_of(tmp_path, joints, {"l1": bodies[0]})
+    Q = rng.uniform(-3.0, 3.0, size=(500, robot.dof)) * rng.choice([1.0, 10.0], size=(500, 1))
+    found, said = placed_links(device, robot, Q)
+    exact = robot.forward_kinematics(Q)[:, :, :3]
+    turned = np.linalg.norm((found - exact)[..., :3], axis=(2, 3))
+    moved = np.linalg.norm((found - exact)[..., 3], axis=2)
+    assert (turned <= U24 * said[..., 0]).all(), (turned / (U24 * said[..., 0])).max()
+    assert (moved <= U24 * said[..., 1]).all(), (moved / (U24 * said[..., 1])).max()
+
+
+def _joint(rng: np.random.Generator) -> str:
+    """A joint's place, axis and wide limits."""
+    axis, place, turn = rng.normal(size=3), rng.normal(size=3), rng.uniform(-3, 3, 3)
+    text = " ".join(map(str, axis / np.linalg.norm(axis)))
+    where = f'<origin xyz="{" ".join(map(str, place))}" rpy="{" ".join(map(str, turn))}"/>'
+    return f'{where}<axis xyz="{text}"/><limit lower="-100" upper="100" effort="1" velocity="1"/>'
+
+
+# -- robots ----------------------------------------------------------------------------------------
+
+
+def test_a_panda_collides_as_on_the_cpu():
+    """Of 100,000 configurations among ten obstacles every answer is the checker's, and most need no CPU."""
+    robot = robot_samples.panda().robot
+    checker = CollisionChecker(robot, robot_samples.obstacles(3))
+    Q = robot.random_configurations(100_000, seed=1)
+    expected = checker.collide(Q)
+    assert 0.05 < expected.mean() < 0.95
+    np.testing.assert_array_equal(gpu.Checker(checker).collide(Q), expected)
+
+
+def test_no_claim_about_a_configuration_is_wrong(device, rng):
+    """What the GPU does not leave to the CPU is right: no wrong FREE, no wrong COLLIDING; it leaves less than half."""
+    robot = robot_samples.panda().robot
+    checker = CollisionChecker(robot, robot_samples.obstacles(4))
+    Q = robot.random_configurations(30_000, seed=2)
+    ready, there = checker._ready(), device.upload(Q.astype(np.float32))
+    verdicts, left = gpu.Checker(checker)._asked(device, ready, there.address, len(Q))
+    said = np.empty(len(Q), dtype=np.int8)
+    device.download(verdicts.address, said)
+    assert ((said == Verdict.AMBIGUOUS) == np.isin(np.arange(len(Q)), left)).all()
+    claims = said != Verdict.AMBIGUOUS
+    assert (said[claims] == checker.collide(Q)[claims]).all()
+    assert claims.mean() > 0.5
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_any_robot_collides_as_on_the_cpu(seed, tmp_path):
+    """Robots of joints that turn or slide, bodies of several pieces, attachments, margins, scenes that change."""
+    rng = np.random.default_rng(seed)
+    bodies = simple_bodies(rng)
+    joints = [
+        (str(rng.choice(["revolute", "prismatic", "fixed"])), int(rng.integers(0, k + 1)), _joint(rng))
+        for k in range(6)
+    ]
+    union = Body.union([bodies[0], bodies[1].transformed(random_poses(rng, 1, 0.5)[0])])
+    robot = robot_of(tmp_path, joints, {f"l{k}": union if k == 3 else bodies[k % len(bodies)] for k in range(1, 7)})
+    scene = random_scene(rng, robot, int(rng.integers(0, 6)), [*bodies, union])
+    scene.add("one", bodies[2], random_poses(rng, 1, 1.0)[0])
+    checker = CollisionChecker(robot, scene)
+    on_gpu = gpu.Checker(checker)
+    Q = rng.uniform(-2.0, 2.0, size=(300, robot.dof))
+    np.testing.assert_array_equal(on_gpu.collide(Q), checker.collide(Q))
+    scene.add("two", union, random_poses(rng, 1, 2.0)[0])
+    scene.move("one", random_poses(rng, 1, 2.0)[0])
+    np.testing.assert_array_equal(on_gpu.collide(Q.reshape(3, 100, -1)), checker.collide(Q).reshape(3, 100))
+    assert on_gpu.collide(Q[0]) == checker.collide(Q[0])
+
+
+def test_a_list_that_is_too_short_leaves_configurations_to_the_cpu(monkeypatch, tmp_path):
+    """Where more pairs survive than were expected, answers stay right."""
+    rng = np.random.default_rng(0)
+    bodies = simple_bodies(rng)
+    joints = [("revolute", k, _joint(rng)) for k in range(4)]
+    robot = robot_of(tmp_path, joints, {f"l{k}": bodies[k] for k in range(5)})
+    checker = CollisionChecker(robot, Scene(), skip_adjacent=False)
+    Q = robot.random_configurations(200, 3)
+    tile = configurations._tile
+    monkeypatch.setattr(configurations, "_tile", lambda *of: tile(*of)._replace(capacity=50))
+    np.testing.assert_array_equal(gpu.Checker(checker).collide(Q), checker.collide(Q))
+
+
+# -- PTX -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ptx() -> str:
+    return _ptx.text().decode()
+
+
+def test_ptx_rounds_correctly(ptx):
+    """Only operations that round to the nearest; nothing approximate, flushed to zero or in double precision."""
+    operations = Counter(re.findall(r"^\s+(?:@\S+ )?([a-z]\w*(?:\.\w+)+)", ptx, flags=re.M))
+    of_floats = {name for name in operations if name.endswith(".f32")}
+    exact = {"abs.f32", "neg.f32", "max.f32", "min.f32", "selp.f32", "mov.f32", "cvt.rni.f32.f32", "cvt.rmi.f32.f32"}
+    exact |= {name for name in of_floats if name.startswith(("setp.", "ld.", "st."))} | {"cvt.rn.f32.s32"}
+    rounded = {"add.f32", "sub.f32", "mul.f32", "fma.rn.f32", "div.rn.f32", "rcp.rn.f32", "sqrt.rn.f32"}
+    rounded |= {"add.rn.f32", "sub.rn.f32", "mul.rn.f32"}  # without a word they round to the nearest, too
+    assert of_floats <= exact | rounded, of_floats - exact - rounded
+    assert {"fma.rn.f32", "div.rn.f32", "sqrt.rn.f32"} <= of_floats
+    for word in (".f64", ".approx", ".ftz", ".full", ".local"):
+        assert word not in ptx, word
+    assert not re.search(r"\bcall\b|\.extern|\.func", ptx)
+
+
+def test_ptx_has_every_kernel(ptx):
+    """Each kernel is there, takes its function's arguments, and is for GPUs from the oldest on."""
+    kernels = {name for names in _ptx.KERNELS.values() for name in names}
+    assert set(re.findall(r"\.visible \.entry (\w+)\(", ptx)) == kernels
+    assert re.search(r"^\.version 7\.0$", ptx, flags=re.M)
+    assert re.search(r"^\.target sm_75$", ptx, flags=re.M)
+
+
+def test_ptx_is_the_same_when_it_is_made_again():
+    """What is compiled depends on nothing but the sources."""
+    assert _ptx.compiled() == _ptx.compiled()
+
+
+def test_ptx_is_kept_and_made_anew_when_damaged(monkeypatch, tmp_path):
+    """Where none was built, it is kept in a sealed file; one that is damaged is not used."""
+    monkeypatch.setattr(library, "shipped", lambda name: None)
+    monkeypatch.setattr(_jit, "CACHE_FOLDER", tmp_path)
+    monkeypatch.setattr(_ptx, "compiled", lambda: b"made")
+    _ptx.text.cache_clear()
+    assert _ptx.text() == b"made"
+    (path,) = tmp_path.iterdir()
+    assert _sealed.read(path) == b"made"
+    monkeypatch.setattr(_ptx, "compiled", lambda: b"again")
+    _ptx.text.cache_clear()
+    assert _ptx.text() == b"made"
+    path.write_bytes(path.read_bytes()[:-1])
+    _ptx.text.cache_clear()
+    assert _ptx.text() == b"again"
+    _ptx.text.cache_clear()
+
+
+def test_shipped_ptx_is_that_of_the_sources(monkeypatch, tmp_path):
+    """What was built beside the library is what is compiled now; a copy that is damaged is not used."""
+    shipped = library.shipped(_ptx.NAME)
+    if shipped is None:
+        pytest.skip(f"no library was built: {library.why_not()}")
+    names = re.compile(rb"[$%][\w$]+")  # of registers and branches, which have numbers
+    assert names.sub(b"", shipped) == names.sub(b"", _ptx.compiled())
+    for name in (library.LIST, _ptx.NAME):
+        shutil.copy(library.HOME / name, tmp_path)
+    monkeypatch.setattr(library, "HOME", tmp_path)
+    assert library.shipped(_ptx.NAME) == shipped
+    (tmp_path / _ptx.NAME).write_bytes(shipped[:-1])
+    assert library.shipped(_ptx.NAME) is None
+    (tmp_path / _ptx.NAME).unlink()
+    assert library.shipped(_ptx.NAME) is None
+
+
+# Registers that a kernel may take, of 65,536 that its threads share.
+REGISTERS = {"classify_pieces": 80, "classify_bodies": 100, "certify_survivor": 100, "place_links": 80}
+
+
+def ptxas() -> Path | None:
+    """NVIDIA's assembler, of its package or of a toolkit."""
+    try:
+        files = distribution("nvidia-cuda-nvcc").files or []
+        found = [Path(str(path.locate())) for path in files if path.name in ("ptxas", "ptxas.exe")]
+    except PackageNotFoundError:
+        found = []
+    return found[0] if found else (Path(other) if (other := shutil.which("ptxas")) else None)
+
+
+@pytest.mark.parametrize("arch", ["sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120"])
+def test_ptx_assembles_without_spills(arch, ptx, tmp_path):
+    """NVIDIA's own assembler takes it for all GPUs since 2018; no kernel spills registers, and none takes many."""
+    assembler = ptxas()
+    if assembler is None:
+        pytest.skip("no ptxas here: pip install -r requirements/gpu.txt")
+    source = tmp_path / "threads.ptx"
+    source.write_text(ptx)
+    command = [str(assembler), "-v", f"-arch={arch}", "-o", str(tmp_path / "threads.cubin"), str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    told_of = re.findall(
+        r"Compiling entry function '(\w+)'.*?(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads"
+        r".*?Used (\d+) registers",
+        done.stderr + done.stdout, flags=re.S,
+    )  # fmt: skip
+    assert {name for name, *_ in told_of} == {name for names in _ptx.KERNELS.values() for name in names}
+    for name, stack, stores, loads, registers in told_of:
+        assert (int(stack), int(stores), int(loads)) == (0, 0, 0), name
+        assert int(registers) <= REGISTERS.get(name, 64), (name, registers)
