@@ -41,7 +41,7 @@ from loewner.scenes import Attachment, Contact, Scene
 __version__ = "0.1.0"
 
 # Modules that take longer to import than all the rest, or need an extra: at their first use.
-_AT_FIRST_USE = ("cluster", "jax", "paper", "planners", "plots", "torch", "viewer")
+_AT_FIRST_USE = ("cluster", "gpu", "jax", "paper", "planners", "plots", "torch", "viewer")
 
 __all__ = [
     "Attachment",
