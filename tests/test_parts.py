@@ -135,6 +135,17 @@ def test_a_plan_in_a_cupboard_of_one_mesh(machine):
     assert path[:, 1].min() < -0.2 + RADIUS
 
 
+def test_no_part_hangs_over_an_opening():
+    """The front edges of a rack's boards lie in one plane: a part of all of them would be a curtain, flat as it is."""
+    boards = [((0.35, 0.8, 0.02), (0, 0, z)) for z in (-0.3, 0.0, 0.3)]
+    boards += [((0.35, 0.02, 0.62), (0, y, 0)) for y in (-0.4, 0.0, 0.4)]
+    boards += [((0.02, 0.8, 0.62), (0.175, 0, 0))]
+    mesh = trimesh.util.concatenate([trimesh.creation.box(size).apply_translation(at) for size, at in boards])
+    for part in parts._halved(mesh.triangles.view(np.ndarray), 0.0, parts.MOST_PARTS):
+        sides = np.ptp(mesh.triangles[part].reshape(-1, 3), axis=0)
+        assert sides @ np.roll(sides, 1) < 4 * mesh.area_faces[part].sum()
+
+
 def test_parts_follow_a_body_that_moves(machine, rng):
     """What was prepared is moved along; a body that is replaced is cut anew; links that hold one see it as it is."""
     scene = Scene()

@@ -20,6 +20,9 @@ from loewner.errors import GeometryError
 # Parts of a surface, and of all surfaces of a pack together: each takes a millisecond to make.
 MOST_PARTS, ALL_PARTS = 128, 1024
 
+# What a flat part counts as thick, relative to the whole.
+THICKNESS = 0.01
+
 # Certified log-volume gap of the ellipsoids around parts: a box is what counts.
 TOLERANCE = 1e-2
 
@@ -90,7 +93,7 @@ def _cut(packed: Packed, i: int, most: int) -> Prepared | None:
 
 
 def _halved(triangles: Floats, radius: float, most: int) -> list[Ints]:
-    """Numbers of the triangles of each part: the one with the largest box is halved, across one of its axes.
+    """Numbers of the triangles of each part: the one with most empty box is halved, across one of its axes.
 
     Parameters
     ----------
@@ -101,13 +104,16 @@ def _halved(triangles: Floats, radius: float, most: int) -> list[Ints]:
         Parts.
     """
     numbers = count()  # of parts with equal boxes the older one comes first
+    # Flat boxes have volume, too, and triangles fill it: what lies in one plane may be far apart there.
+    thick = THICKNESS * float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    filled = thick * _areas(triangles)
 
     def entry(part: Ints) -> tuple[float, int, Ints, Floats]:
         points = triangles[part].reshape(-1, 3)
         off = points - points.mean(axis=0)
         turned = (off @ np.linalg.eigh(off.T @ off)[1]).reshape(len(part), -1, 3)
-        volume = float(_sides(turned, radius).prod()) if len(part) > 1 else 0.0
-        return -volume, next(numbers), part, turned
+        empty = float((_sides(turned, radius) + thick).prod() - filled[part].sum()) if len(part) > 1 else 0.0
+        return -empty, next(numbers), part, turned
 
     parts = [entry(np.arange(len(triangles)))]
     while len(parts) < most and parts[0][0] < 0:
@@ -129,6 +135,14 @@ def _halves(turned: Floats, radius: float) -> tuple[Ints, Ints]:
     orders = [np.argpartition(along, middle) for along in axes]
     halves = [(order[:middle], order[middle:]) for order in orders]
     return min(halves, key=lambda two: surface(two[0]) + surface(two[1]))
+
+
+def _areas(triangles: Floats) -> Floats:
+    """Of each; points have none."""
+    if triangles.shape[1] == 1:
+        return np.zeros(len(triangles))
+    a, b, c = triangles.transpose(1, 0, 2)
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2
 
 
 def _sides(points: Floats, radius: float) -> Floats:
