@@ -58,6 +58,7 @@ def test_jacobians_of_batches(tmp_path: Path):
     J = robot.jacobian(Q, robot.link_names[-1])
     assert J.shape == (2, 3, 6, robot.dof)
     np.testing.assert_array_equal(J[1, 2], robot.jacobian(Q[1, 2], robot.link_names[-1], [0, 0, 0]))
+    np.testing.assert_array_equal(J, robot.jacobian(Q, robot.link_names[-1], np.broadcast_to(0.0, 3)))  # read-only
 
 
 def test_bad_jacobians(tmp_path: Path):

@@ -773,6 +773,18 @@ def test_real_collision_mesh_is_convex():
         assert meshes.convex_pieces(panda(f"collision/{name}.stl"))[1].kind == "convex"
 
 
+def test_a_path_that_fails_is_refused():
+    """An object of the caller's may raise anything when it is asked for its path."""
+
+    class Sulky:
+        def __fspath__(self):
+            raise RuntimeError("not today")
+
+    for make in (loewner.Body.from_mesh, loewner.Body.from_surface, meshes.convex_pieces, meshes.load):
+        with pytest.raises(InputError, match="source: expected the path of a file, found .*not today"):
+            make(Sulky())
+
+
 def test_flat_mesh_is_refused():
     """A flat mesh carries no ellipsoid."""
     flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])

@@ -275,7 +275,7 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
 
 def name_of(source: Source) -> str:
     """What to call a mesh in a message."""
-    return shown(source) if isinstance(source, str | PathLike) else "mesh"
+    return shown(_validate.path(source, "source")) if isinstance(source, str | PathLike) else "mesh"
 
 
 def convex_polytopes(

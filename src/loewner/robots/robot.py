@@ -510,7 +510,7 @@ class Robot:
         """
         if not isinstance(link, str) or link not in self.link_names:
             raise _validate.unknown_name("link in jacobian", link, self.link_names)
-        x = np.zeros(3) if point is None else _validate.finite_array(point, "point", (3,))
+        x = np.zeros(3) if point is None else np.array(_validate.finite_array(point, "point", (3,)))
         checked = self.checked(Q)
         batch, number = checked.shape[:-1], self.link_names.index(link)
         count = math.prod(batch)
