@@ -15,6 +15,7 @@ import pytest
 import driver
 import loewner
 from loewner import Bodies, Body, InputError, _threads, get_num_threads, set_num_threads
+from loewner._kept import kept
 from loewner._threads import in_shares
 
 
@@ -450,3 +451,27 @@ signal.setitimer(signal.ITIMER_REAL, 0)
     for delay in ("0.0005", "0.001", "0.002", "0.004"):
         done = subprocess.run([sys.executable, "-c", code, delay], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
+
+
+def test_what_is_kept_is_the_same_for_all_threads():
+    """Of several that meet in it, each gets what the first one kept, though all of them computed."""
+    together, computed = threading.Barrier(4), []
+
+    class Owner:
+        @kept
+        def value(self):
+            """What it is."""
+            together.wait(10)
+            computed.append(object())
+            return computed[-1]
+
+    owner, found = Owner(), []
+    threads = [threading.Thread(target=lambda: found.append(owner.value)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(computed) == 4
+    assert len({id(value) for value in found}) == 1
+    assert owner.value is found[0]
+    assert Owner.value.__doc__ == "What it is."

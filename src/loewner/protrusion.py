@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
+from loewner._kept import kept
 from loewner._kernels import records
 from loewner._kernels.codes import UNCOUNTED
 from loewner._native import entries
@@ -126,7 +126,7 @@ class Solid:
             answers[some] = found
         return answers
 
-    @cached_property
+    @kept
     def _turned_alike(self) -> bool:
         """Whether each triangle has the solid on its inner side, as far as four points of each tell.
 

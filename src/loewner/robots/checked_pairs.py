@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _archives, _validate
+from loewner._kept import kept
 from loewner._kernels import columns, records, tolerances
 from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
@@ -156,17 +156,17 @@ class CheckedPairs:
             standing[k, :7] = _single(_bounds(packed, start[k], placed, poses[k]))
         return replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
 
-    @cached_property
+    @kept
     def memory_of_nearest(self) -> int:
         """Bytes that distances write to."""
         return int(entries.memory_of_nearest(self.bodies._packed.handle, self.handle, self.robot.dof))
 
-    @cached_property
+    @kept
     def memory_of_clearances(self) -> int:
         """Bytes that smooth clearances write to."""
         return int(entries.memory_of_clearances(self.bodies._packed.handle, self.handle, self.robot.dof))
 
-    @cached_property
+    @kept
     def in_parts(self) -> CheckedPairs:
         """The same for proofs of motions, with surfaces that stand in parts; made when it is first needed.
 
@@ -186,14 +186,14 @@ class CheckedPairs:
         )
         return unplaced._placed(self.standing_poses.reshape(-1, 4, 4), self.version)
 
-    @cached_property
+    @kept
     def starts_matter(self) -> bool:
         """Whether motions that are free of all parts have to be free at their starts as well."""
         packed = self.bodies._packed
         solid = packed.layout[packed.piece_start[len(self.link)] :, columns.KIND] == columns.SOLID
         return self.in_parts is not self and bool(solid.any())
 
-    @cached_property
+    @kept
     def motions(self) -> PreparedMotions:
         """What certifying motions takes besides; made when it is first needed."""
         packed = self.bodies._packed

@@ -650,7 +650,7 @@ class CollisionChecker:
         -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Surfaces and clouds that
         stand enter with up to 128 ellipsoids each, around parts of them, unless one of them is a solid. Where centers
         of two ellipsoids coincide the pair adds nothing to the gradient. The derivative by a quaternion is as in
-        `distance`.
+        `distance`. Where they nearly do, it is finite but may be huge.
 
         Examples
         --------

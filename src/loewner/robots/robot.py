@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
+from loewner._kept import kept
 from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._native import entries
@@ -757,7 +757,7 @@ class Robot:
                 squares[..., quaternion.start] = (4 * np.arcsin(np.minimum(chord / 2, 1.0))) ** 2
             return np.sqrt(squares.sum(axis=-1))
 
-    @cached_property
+    @kept
     def runs_straight(self) -> bool:
         """Whether all that lies between two configurations is straight: no joint has an orientation of its own."""
         return not self._quaternions
@@ -799,7 +799,7 @@ class Robot:
             Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
         return np.ascontiguousarray(Q)
 
-    @cached_property
+    @kept
     def _unlimited(self) -> tuple[Bools, Bools, Bools]:
         """Columns without a lower limit, without an upper one, and those that a whole turn brings back, without any.
 
@@ -822,7 +822,7 @@ class Robot:
             ends[..., quaternion], _ = _nearer(Q0[..., quaternion], Q1[..., quaternion])
         return ends
 
-    @cached_property
+    @kept
     def _quaternions(self) -> dict[str, slice]:
         """Columns of the orientations of joints that have one."""
         widths = {len(VALUES[kind]) for kind in WITH_QUATERNION}
