@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar, overload
+from functools import cached_property
+from typing import Any, TypeVar, overload
 
 T = TypeVar("T")
 
 
-class kept(Generic[T]):
+class kept(cached_property[T]):
     """A property that is computed when it is first needed, and kept.
 
     `functools.cached_property` has no lock from Python 3.12 on: of two threads that meet in it each gets a value of its
@@ -17,20 +17,17 @@ class kept(Generic[T]):
 
     Parameters
     ----------
-    compute : callable
+    func : callable
         From the object to the value.
     """
 
-    def __init__(self, compute: Callable[[Any], T]) -> None:
-        self._compute, self._name, self.__doc__ = compute, compute.__name__, compute.__doc__
-
     @overload
-    def __get__(self, instance: None, owner: type) -> kept[T]: ...
+    def __get__(self, instance: None, owner: type[Any] | None = None) -> kept[T]: ...
     @overload
-    def __get__(self, instance: object, owner: type) -> T: ...
-    def __get__(self, instance: Any, owner: type) -> kept[T] | T:
+    def __get__(self, instance: object, owner: type[Any] | None = None) -> T: ...
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> kept[T] | T:
         if instance is None:
             return self
         # From now on found before this: what an object has itself goes before what its class has but does not set.
-        value: T = vars(instance).setdefault(self._name, self._compute(instance))
+        value: T = vars(instance).setdefault(self.func.__name__, self.func(instance))
         return value
