@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -51,13 +52,19 @@ NAMES = (
 )  # fmt: skip
 
 
+def in_time(*asked, **options):
+    """A plan in a time that some planners use up, and with more of it on a machine that is busy."""
+    for timeout in (0.4, 4.0):
+        with suppress(PlanningError):
+            return planners.plan(*asked, timeout=timeout, **options)
+    return planners.plan(*asked, timeout=40.0, **options)
+
+
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("simplify", [False, True])
 def test_every_planner_goes_around_the_wall(checker, name, simplify):
     """Paths start and end where they should, stay within the limits, and never touch the wall."""
-    path = planners.plan(
-        checker, LEFT, RIGHT, joints="slide", planner=name, timeout=0.4, resolution=RESOLUTION, simplify=simplify
-    )
+    path = in_time(checker, LEFT, RIGHT, joints="slide", planner=name, resolution=RESOLUTION, simplify=simplify)
     np.testing.assert_array_equal(path[[0, -1]], [LEFT, RIGHT])
     np.testing.assert_array_equal(path[:, 2], UP)
     assert (np.abs(path[:, :2]) <= 1).all()

@@ -111,7 +111,7 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     (array([0.05, 0.1 , 0.15]), (12, 3))
     """
     if isinstance(source, str | PathLike):
-        path = Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
+        path = _path(source)
         name = shown(path)
         vertices, triangles = mesh_files.read(path)
     else:
@@ -275,7 +275,12 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
 
 def name_of(source: Source) -> str:
     """What to call a mesh in a message."""
-    return shown(_validate.path(source, "source")) if isinstance(source, str | PathLike) else "mesh"
+    return shown(_path(source)) if isinstance(source, str | PathLike) else "mesh"
+
+
+def _path(source: str | PathLike[str]) -> Path:
+    """The path of a source; what is wrong with a name, the reader of the file says."""
+    return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
 
 
 def convex_polytopes(
