@@ -148,10 +148,10 @@ def test_meshes_are_the_hulls_that_mujoco_has(tmp_path):
     ("inside", "outside", "kind", "message"),
     [
         (
-            '<geom name="hill" type="hfield" hfield="h"/>',
-            '<asset><hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/></asset>',
+            '<geom name="blob" type="sdf" mesh="m"/>',
+            '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>',
             InputError,
-            "geom 'hill': expected a sphere.*found a height field.*from_surface",
+            "geom 'blob': expected a sphere.*found a signed distance field.*from_surface",
         ),
         ('<geom type="spehre"/>', "", FileError, "MuJoCo refuses"),
         ("<body><freejoint/></body>", "", FileError, "mass and inertia"),
@@ -281,6 +281,30 @@ def test_a_plane_is_the_space_below_it(tmp_path):
     ball, T = Body.sphere(0.1), np.tile(np.eye(4), (4, 1, 1))
     T[:, :3, 3] = [[300, -200, 0.1001], [300, -200, 0.0999], [0, 0, -1], [0, 0, -900]]
     assert loewner.collide(ball, T, scene["floor"], scene.pose("floor")).tolist() == [False, True, True, True]
+
+
+def test_height_fields_are_where_mujoco_has_them(tmp_path):
+    """Balls touch a tilted terrain for both, over it, in it and at its rim, and so do they in a scene."""
+    rng = np.random.default_rng(0)
+    asset = (
+        '<asset><hfield name="h" nrow="7" ncol="5" size="1.5 1 0.7 0.2"'
+        f' elevation="{numbers(rng.uniform(0, 1, 35))}"/></asset>'
+    )
+    path = written(
+        tmp_path,
+        '<geom name="hill" type="hfield" hfield="h" pos="0.1 0.2 0.3" euler="10 20 30"/>'
+        '<body name="ball"><freejoint/><geom size="0.1"/></body>',
+        asset,
+    )
+    Q = np.zeros((2000, 7))
+    Q[:, :3], Q[:, 3] = rng.uniform([-1.7, -1.3, -0.2], [1.9, 1.7, 1.4], (2000, 3)), 1
+    told = compare(Robot.from_mjcf(path), path, Q)
+    assert told["off"] < 1e-14
+    assert told["both"] > 300
+    assert (told["ours"], told["theirs"]) == (0, 0)
+    scene, Ts = load_scene(path), np.tile(np.eye(4), (2000, 1, 1))
+    Ts[:, :3, 3] = Q[:, :3]
+    assert loewner.collide(scene["ball"], Ts, scene["hill"], scene.pose("hill")).sum() == told["both"] + told["near"]
 
 
 def test_a_viewer_shows_what_stands_on_a_plane(tmp_path):

@@ -128,7 +128,7 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     FileError
         If there is no such file, or MuJoCo cannot compile it.
     InputError
-        If a geom that collides is of a kind that cannot be read: a height field, or a signed distance field.
+        If a geom that collides is a signed distance field, which cannot be read.
     GeometryError
         If a mesh that collides is flat.
     MissingExtraError
@@ -314,11 +314,24 @@ def _shape(kinds: Any, model: Any, geom: int, tol: float) -> Body:
         below = np.eye(4)
         below[2, 3] = -PLANE_EDGE / 2
         return Body.box([PLANE_EDGE] * 3).transformed(below)
-    found = "a height field" if kind == kinds.mjGEOM_HFIELD else "a signed distance field"
+    if kind == kinds.mjGEOM_HFIELD:
+        return _terrain(model, int(model.geom_dataid[geom]))
     raise InputError(
-        f"expected a sphere, capsule, ellipsoid, cylinder, box, plane or mesh, found {found}, which is not convex; "
-        "take it out of the model (contype='0' conaffinity='0'), and add it to a scene by Body.from_surface"
+        "expected a sphere, capsule, ellipsoid, cylinder, box, plane, mesh or height field, found a signed distance "
+        "field; take it out of the model (contype='0' conaffinity='0'), and add a mesh of it to a scene by "
+        "Body.from_surface"
     )
+
+
+def _terrain(model: Any, field: int) -> Body:
+    """A height field, about the middle of its grid: rows go along y, columns along x, and heights are shares of one."""
+    rows, columns, first = (int(a[field]) for a in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr))
+    half_x, half_y, highest, below = model.hfield_size[field].tolist()
+    shares = np.array(model.hfield_data[first : first + rows * columns], dtype=np.float64).reshape(rows, columns)
+    spacing = [2 * half_x / (columns - 1), 2 * half_y / (rows - 1)]
+    corner = np.eye(4)
+    corner[:2, 3] = -half_x, -half_y
+    return Body.height_field(highest * shares.T, spacing, base=-below).transformed(corner)
 
 
 def _hull_points(model: Any, mesh: int) -> Floats:

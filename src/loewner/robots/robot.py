@@ -308,7 +308,7 @@ class Robot:
         FileError
             If the file is missing, or MuJoCo refuses it.
         InputError
-            If a geom that collides is a height field or a signed distance field.
+            If a geom that collides is a signed distance field.
         GeometryError
             If a mesh that collides is flat.
         MissingExtraError
