@@ -1,18 +1,19 @@
 """Surfaces in parts: proofs of motions among clouds, surfaces and solids, and what stays inside a solid all the way."""
 
 from fractions import Fraction
-from itertools import product
 
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay
 
 from families import translation
 from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, PlanningError, Robot, Scene, Verdict, planners
 from loewner.bodies import layout, parts
+from loewner.bodies.flat_faces import flat_faces
 from loewner.planners.judge import Judge
 from motion_oracle import assert_true, steps
 
@@ -135,15 +136,41 @@ def test_a_plan_in_a_cupboard_of_one_mesh(machine):
     assert path[:, 1].min() < -0.2 + RADIUS
 
 
-def test_no_part_hangs_over_an_opening():
-    """The front edges of a rack's boards lie in one plane: a part of all of them would be a curtain, flat as it is."""
+@pytest.mark.parametrize("finer", [0, 2])
+@pytest.mark.parametrize("turned", [False, True])
+def test_no_part_hangs_over_an_opening(finer, turned, rng):
+    """Boards go through each other, and their front edges lie in one plane: a part of all of these were a curtain."""
     boards = [((0.35, 0.8, 0.02), (0, 0, z)) for z in (-0.3, 0.0, 0.3)]
     boards += [((0.35, 0.02, 0.62), (0, y, 0)) for y in (-0.4, 0.0, 0.4)]
     boards += [((0.02, 0.8, 0.62), (0.175, 0, 0))]
     mesh = trimesh.util.concatenate([trimesh.creation.box(size).apply_translation(at) for size, at in boards])
-    for part in parts._halved(mesh.triangles.view(np.ndarray), 0.0, parts.MOST_PARTS):
-        sides = np.ptp(mesh.triangles[part].reshape(-1, 3), axis=0)
-        assert sides @ np.roll(sides, 1) < 4 * mesh.area_faces[part].sum()
+    for _ in range(finer):
+        mesh = mesh.subdivide()
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if turned else np.eye(3)
+    body = Body.from_surface((mesh.vertices @ turn.T, mesh.faces), solid=False)
+    cut = parts.in_parts(body._packed, 0)
+    for i in cut.trees:
+        corners, triangles = _part(cut, i)
+        sides = np.ptp(corners @ turn, axis=0)
+        a, b, c = corners[triangles].transpose(1, 0, 2)
+        assert sides @ np.roll(sides, 1) < 2 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def test_terrain_is_cut_where_its_surface_is():
+    """Its sides and its base, which few triangles close, are in no box with the ground."""
+    x = np.linspace(0, 2, 60)
+    body = Body.height_field(0.1 * np.sin(7 * x)[:, None] * np.cos(6 * x), x[1], base=-2.0)
+    cut = parts.in_parts(body._packed, 0)
+    high = [np.ptp(vertices[:, 2]) for vertices, _ in (_part(cut, i) for i in cut.trees) if vertices[:, 2].max() > -1]
+    sides = [height for height in high if height > 1]
+    assert len(high) > 100
+    assert len(sides) < 20
+
+
+def _part(packed, i):
+    """Vertices and triangles of a surface in a pack."""
+    vertices = packed.points[packed.layout[i, 1] : packed.layout[i, 2]]
+    return vertices, packed.triangles[packed.triangle_start[i] : packed.triangle_start[i + 1]]
 
 
 def test_parts_follow_a_body_that_moves(machine, rng):
@@ -225,14 +252,15 @@ def test_slivers_of_rounding_stay_whole():
     assert checker.certify_edges([-0.2], [0.0]).verdict != FREE
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_boxes_around_surfaces_hold_their_points_exactly(seed):
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_boxes_around_surfaces_hold_their_points_exactly(seed, single):
     """However they are turned, stretched, and far from the origin; in exact arithmetic."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(20, 3)) * 10.0 ** rng.uniform(-9, 3, 3)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     points = points @ turn.T + rng.normal(size=3) * 10.0 ** rng.uniform(-3, 4)
-    corners = [[Fraction(x) for x in row] for row in layout._box_corners(points)]
+    triangles = rng.integers(20, size=(30, 1 if single else 3)) * np.ones(3, dtype=int)
+    corners = [[Fraction(x) for x in row] for row in layout._box_corners(points, triangles)]
     edges = [[corners[k][j] - corners[0][j] for j in range(3)] for k in (4, 2, 1)]
     for a, b in ((0, 1), (1, 2), (2, 0)):
         n = [edges[a][i] * edges[b][j] - edges[a][j] * edges[b][i] for i, j in ((1, 2), (2, 0), (0, 1))]
@@ -240,9 +268,39 @@ def test_boxes_around_surfaces_hold_their_points_exactly(seed):
         assert all(min(along) <= sum(x * Fraction(y) for x, y in zip(n, p, strict=True)) <= max(along) for p in points)
 
 
-def test_boxes_around_tilted_walls_are_thin():
-    """A wall that stands across the axes has a box as thin as it is."""
-    grid = np.array(list(product(np.linspace(0, 1, 5), np.linspace(0, 1, 5), [0.0])))
-    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    corners = layout._box_corners(grid @ turn.T)
-    assert np.ptp(corners @ turn, axis=0)[2] < 1e-12
+def test_boxes_around_tilted_walls_are_as_large_as_they(rng):
+    """However a rectangle lies, and however its triangles do: as thin, as long and as wide."""
+    inside = rng.uniform(0.01, [0.99, 0.29], (50, 2))
+    flat = np.concatenate([[[0, 0], [1, 0], [1, 0.3], [0, 0.3]], inside])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    corners = layout._box_corners(np.pad(flat, [(0, 0), (0, 1)]) @ turn.T, Delaunay(flat).simplices)
+    assert np.allclose(np.ptp(corners @ turn, axis=0), [1, 0.3, 0], atol=1e-12)
+
+
+def test_of_one_triangle_the_box_is_along_its_legs():
+    """Boxes along all its edges have one area; that along the longest stands out over both others."""
+    points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]])
+    corners = layout._box_corners(points, np.array([[0, 1, 2]]))
+    assert sorted(np.ptp(corners, axis=0).tolist()) == [0, 3, 4]
+
+
+def test_flat_faces_are_those_of_the_shape():
+    """However finely they are cut; of a shape without flat faces each triangle is one; what only touches is another."""
+    box, ball = trimesh.creation.box((1, 2, 3)), trimesh.creation.icosphere(subdivisions=2)
+    fine = box.subdivide().subdivide()
+    two = trimesh.util.concatenate([box, box.copy().apply_translation([1, 0, 0])])
+    for mesh, count in ((box, 6), (fine, 6), (ball, len(ball.faces)), (two, 12)):
+        faces = flat_faces(mesh.vertices, mesh.faces)
+        assert len(np.unique(faces)) == count
+        for face in np.unique(faces):
+            normals = mesh.face_normals[faces == face]
+            assert np.allclose(normals, normals[0])
+
+
+def test_flat_faces_end_where_neighbours_turn():
+    """At a thousandth of a radian; triangles that lie on each other, and those without area, are no obstacle."""
+    strip = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0.0], [2, 1, 0.0]])
+    triangles = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5], [5, 4, 3], [0, 0, 2]])
+    for slope, count in ((0.5e-3, 1), (2e-3, 2)):
+        strip[4:, 2] = slope
+        assert len(np.unique(flat_faces(strip, triangles))) == count

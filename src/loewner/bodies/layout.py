@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from loewner._kernels import columns, records, tolerances
 from loewner._native import entries
 from loewner._validate import Floats, Ints
+from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.surface_trees import Trees
 from loewner.errors import GeometryError
 
@@ -152,7 +153,7 @@ def _kernel_points(p: PieceArrays, maps: Maps, trees: Trees) -> tuple[Ints, Floa
     lengths = p.layout[:, columns.POINTS_TO] - first
     vertices, table_at = p.points, np.zeros(len(first), dtype=np.int64)
     if trees:
-        corners = [_box_corners(p.points[first[i] : first[i] + lengths[i]]) for i in trees]
+        corners = [_box_corners(p.points[first[i] : first[i] + lengths[i]], _triangles(p, i)) for i in trees]
         surfaces = list(trees)
         first[surfaces] = len(vertices) + 8 * np.arange(len(trees))
         lengths[surfaces] = 8
@@ -200,23 +201,19 @@ def _parts(p: PieceArrays, trees: Trees) -> tuple[Floats, Ints]:
     return np.ascontiguousarray(rows[:, : columns.HOT]), start.ravel()
 
 
-def _box_corners(points: Floats) -> Floats:
-    """Corners of a box around points: along the axes, or along their principal ones if it has less surface so."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
-    off = points - lower
-    _, turn = np.linalg.eigh(off.T @ off - len(off) * np.outer(off.mean(axis=0), off.mean(axis=0)))
-    turned = points @ turn
+def _triangles(p: PieceArrays, i: int) -> Ints:
+    return p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]]
+
+
+def _box_corners(points: Floats, triangles: Ints) -> Floats:
+    """Corners of a box with little surface around triangles, whose corners are some of the points, all in the box."""
+    single = (triangles == triangles[:, :1]).all()
+    turn = least_box_axes(points[triangles[:, :1] if single else triangles].transpose(2, 1, 0))
+    turned = turn.T @ points.T
     # What rounding takes of a turn there and back, far from orthonormal by some roundings itself.
-    slack = TURN_ROUNDINGS * np.abs(points).max()
-    least, most = turned.min(axis=0) - slack, turned.max(axis=0) + slack
-    if _surface(most - least) < _surface(upper - lower):
-        return np.asarray(np.stack([least, most])[_CORNERS, np.arange(3)] @ turn.T)
-    return np.stack([lower, upper])[_CORNERS, np.arange(3)]
-
-
-def _surface(sides: Floats) -> float:
-    """Half the surface of a box."""
-    return float(sides @ np.roll(sides, 1))
+    slack = 0.0 if np.array_equal(turn, np.eye(3)) else TURN_ROUNDINGS * np.abs(points).max()
+    ends = np.stack([turned.min(axis=1) - slack, turned.max(axis=1) + slack])
+    return np.asarray(ends[_CORNERS, np.arange(3)] @ turn.T)
 
 
 def _table(p: PieceArrays) -> Floats:

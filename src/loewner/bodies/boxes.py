@@ -1,0 +1,75 @@
+"""Boxes with little surface: which way to turn one around points, or around triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._validate import Floats
+
+# Of so many triangles, at most, it is asked how a box around all may lie.
+MOST_ASKED = 512
+
+# Along so many edges of a hull, the longest.
+MOST_EDGES = 8
+
+# What a flat box counts as thick, relative to its longest side: of two of one area the shorter one is chosen.
+THICKNESS = 0.01
+
+
+def least_box_axes(triangles: Floats) -> Floats:
+    """Axes of a box around triangles with little surface, as columns: along none of those that are tried has one less.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (3, corners, n)
+        Coordinates come first. Each with one corner, if they are points.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Orthonormal but for rounding.
+    """
+    asked = triangles[:, :, :: -(-triangles.shape[2] // MOST_ASKED)]
+    tried = _turns(asked)
+    sides = np.ptp(tried.transpose(0, 2, 1) @ asked.reshape(3, -1), axis=2)
+    flat = THICKNESS * sides.max(axis=1, keepdims=True)
+    return np.asarray(tried[((sides + flat) * np.roll(sides + flat, 1, axis=1)).sum(axis=1).argmin()])
+
+
+def _turns(triangles: Floats) -> Floats:
+    """Axes along which a box may have little surface, shape (k, 3, 3): none, principal ones, and those along faces.
+
+    Of the last, one axis is the normal of the largest triangle, and another runs along an edge of the hull of what is
+    seen along it: of all rectangles around points in a plane, the smallest has a side along such an edge (Freeman and
+    Shapira: Determining the minimum-area encasing rectangle for an arbitrary closed curve, 1975).
+    """
+    points = triangles.reshape(3, -1)
+    off = points - points.mean(axis=1, keepdims=True)
+    plain = np.stack([np.eye(3), np.linalg.eigh(off @ off.T)[1]])
+    if triangles.shape[1] == 1:
+        return plain
+    a, b, c = triangles.transpose(1, 2, 0)
+    normals = np.cross(b - a, c - a)
+    normal = normals[(normals**2).sum(axis=1).argmax()]
+    if not normal.any():
+        return plain
+    frame = np.linalg.qr(np.column_stack([normal / np.abs(normal).max(), np.eye(3)]))[0]
+    along = _directions(off.T @ frame[:, 1:])
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    seen = np.broadcast_to(frame[:, 0], (len(along), 3))
+    return np.concatenate([plain, np.stack([seen, along @ frame[:, 1:].T, across @ frame[:, 1:].T], axis=2)])
+
+
+def _directions(points: Floats) -> Floats:
+    """Unit vectors along the longest edges of the hull of points in a plane, shape (k, 2)."""
+    # Imported late, as all of SciPy that few programs need.
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        rim = points[ConvexHull(points).vertices]
+    except QhullError:  # nearly in a line
+        return np.empty((0, 2))
+    edges = np.roll(rim, -1, axis=0) - rim
+    lengths = np.linalg.norm(edges, axis=1)
+    longest = lengths.argsort()[-MOST_EDGES:]
+    return np.asarray(edges[longest] / lengths[longest, None])

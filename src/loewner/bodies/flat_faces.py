@@ -1,0 +1,40 @@
+"""Flat faces of a mesh: neighbouring triangles in one plane."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._validate import Floats, Ints
+
+# Neighbours at a smaller angle [rad] count as in one plane.
+FLAT = 1e-3
+
+
+def flat_faces(vertices: Floats, triangles: Ints) -> Ints:
+    """Number the faces of a mesh.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (V, 3)
+    triangles : ndarray of int, shape (T, 3)
+
+    Returns
+    -------
+    ndarray of int, shape (T,)
+        Of triangles that share an edge and lie in one plane, the same; along a smooth surface, too.
+    """
+    # Imported late: few programs cut surfaces.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    order = np.lexsort(edges.T)
+    same = (edges[order[1:]] == edges[order[:-1]]).all(axis=1)
+    one, other = order[:-1][same] // 3, order[1:][same] // 3
+    squares = (normals**2).sum(axis=1)
+    bend = (np.cross(normals[one], normals[other]) ** 2).sum(axis=1)
+    flat = bend <= FLAT**2 * squares[one] * squares[other]
+    graph = coo_array((np.ones(flat.sum(), dtype=np.int8), (one[flat], other[flat])), shape=(len(triangles),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
