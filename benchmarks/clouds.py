@@ -9,8 +9,8 @@ counted there, and of the balls with a loop over all points, body by body. Last,
 
 from __future__ import annotations
 
+import argparse
 import os
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -98,7 +98,9 @@ def octree_of(points: Array) -> coal.OcTree:
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 50_000
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("points", nargs="?", type=int, default=50_000)
+    count = parser.parse_args().points
     loewner.set_num_threads(1)
     points, arm = seen(count), panda()
     robot = arm.robot

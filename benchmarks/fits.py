@@ -12,8 +12,8 @@ for each hull with the faces in one vectorised constraint, and by the solver's o
 question, where most of the points are, by another ellipsoid; scikit-learn is in requirements/bench.txt.
 """
 
+import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable
 
@@ -249,9 +249,14 @@ def many_points() -> None:
 
 def main() -> None:
     sections = {"large": large_fits, "inside": inside, "outliers": outliers, "many": many_points}
-    if len(sys.argv) == 2 and sys.argv[1] in sections:
-        return sections[sys.argv[1]]()
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("asked", nargs="?", default="20000", help=f"{', '.join(sections)}, or a number of hulls")
+    asked = parser.parse_args().asked
+    if asked in sections:
+        return sections[asked]()
+    if not asked.isdecimal():
+        parser.error(f"expected {', '.join(sections)}, or a number of hulls, found {asked!r}")
+    count = int(asked)
     rng = np.random.default_rng(0)
     available = loewner.get_num_threads()
     loewner.set_num_threads(1)

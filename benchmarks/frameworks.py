@@ -8,6 +8,7 @@ functions of JAX are compiled, in float64.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
@@ -24,6 +25,7 @@ SIZES = {1: 200, 1000: 5}
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     sample = panda()
     checker = CollisionChecker(sample.robot, obstacles(0))
     Q = sample.robot.random_configurations(max(SIZES), 1)

@@ -227,6 +227,33 @@ def test_bodies_far_beyond_single_precision(far: float, tmp_path: Path):
     assert len(checker.distance_by_pair(q, within=2 * far)) == 1
 
 
+def test_bodies_are_taken_out_once(tmp_path: Path):
+    """Not for each question, nor when they move; anew where another one takes a name."""
+    rng = np.random.default_rng(9)
+    robot = random_robot(rng, tmp_path, 3, simple_bodies(rng))
+    scene = Scene()
+    scene.add("seen", Body.from_cloud(rng.normal(size=(50, 3)), radius=0.1))
+    checker = CollisionChecker(robot, scene)
+    q = robot.random_configurations(1)
+
+    def nearest():
+        found = checker.distance_by_pair(q, within=100.0)
+        return found.distance[(found.names == "seen").any(axis=1)]
+
+    before, taken = nearest(), checker._ready().taken
+    assert taken
+    kept = dict(taken)
+    T = np.eye(4)
+    T[0, 3] = 3.0
+    scene.move("seen", T)
+    moved = nearest()
+    assert (moved != before).any()
+    assert all(checker._ready().taken[k] is body for k, body in kept.items())
+    scene.remove("seen")
+    scene.add("seen", Body.from_cloud(rng.normal(size=(50, 3)) - [3, 0, 0], radius=0.1), T)
+    assert (nearest() != moved).any()
+
+
 def test_bad_distances_by_pair(tmp_path: Path):
     """A distance that is none is refused; of no configurations there are no pairs."""
     rng = np.random.default_rng(8)

@@ -122,6 +122,18 @@ def test_planners_inside_a_closed_surface(machine, rng, solid):
     assert free.tolist() == [not solid] * 2
 
 
+def test_messages_tell_how_a_surface_is_seen(machine, monkeypatch):
+    """A motion within the only box of a surface is free and not proven; one that collides is not excused so."""
+    monkeypatch.setattr(parts, "ALL_PARTS", 1)
+    scene = Scene()
+    scene.add("body", Body.from_surface(shelf(), solid=False))
+    checker = CollisionChecker(machine, scene)
+    with pytest.raises(PlanningError, match="'body' as the box around it, since .*: take pieces or voxels$"):
+        planners.shorten(checker, [[-0.2, 0.0, 0.0], [0.2, 0.0, 0.0]])
+    with pytest.raises(PlanningError, match=r"collide .* at the fraction [\d.]+$"):
+        planners.shorten(checker, [[-0.2, 0.0, 0.0], [2.0, 0.0, 0.0]])
+
+
 def test_a_plan_in_a_cupboard_of_one_mesh(machine):
     """From one corner to another, around a wall in the middle: proven, within the box of the surface."""
     vertices, faces = shelf()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loewner._kernels import codes, columns
+from loewner._kernels import codes
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_GOAL, OF_START, RANDOM, STARTS, STATE
 from loewner._native import entries
 from loewner._validate import Floats, Ints, fits_memory
@@ -170,17 +170,7 @@ def _path(space: Space, judge: Judge, trees: Trees, state: Ints) -> Floats:
 
 def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) -> str:
     """What is said of a search that found nothing."""
-    packed, in_parts = judge.ready.bodies._packed, judge.ready.in_parts.bodies._packed
-    surfaces = np.minimum.reduceat(packed.layout[:, columns.KIND], packed.piece_start[:-1]) <= columns.SURFACE
-    seen = ""
-    if surfaces.any() and not judge.resolution:
-        k = int(surfaces.argmax())
-        count = in_parts.piece_start[k + 1] - in_parts.piece_start[k]
-        how = "the box around it" if count == 1 else f"the boxes around {count} parts of it"
-        seen = (
-            f". Proofs see {judge.ready.names[k]!r} as {how}, since it is a surface, a cloud or a height field: "
-            "take pieces or voxels, or certified=False"
-        )
+    seen = judge.how_surfaces_are_seen()
     from_start, from_goals = state[[STARTS, GOALS]].tolist()
     near = (
         f"the two came within {gap[0]:.3g} (in the units of the joints) of each other"
@@ -189,7 +179,7 @@ def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) ->
     return (
         f"expected a path from start to goal, found none {spent}: of {state[MOTIONS]} motions tried, the free ones "
         f"make a tree of {from_start} configurations from the start and one of {from_goals} from the goals; {near}. "
-        f"There may be no path; a larger {option}, or another seed, may help{seen}"
+        f"There may be no path; a larger {option}, or another seed, may help{seen and f'{seen}, or certified=False'}"
     )
 
 

@@ -6,12 +6,14 @@ motions that are free at different moments make no path that is free at any.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
+from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError, InputError, PlanningError
@@ -49,6 +51,26 @@ class Judge:
     def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
         """For the scene as it is now."""
         return cls(checker, checker._ready(), resolution, np.empty(1), np.empty(1, dtype=np.int8))
+
+    def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
+        """What may keep motions from being proven: to add to a message; nothing if they are not, or by no surface.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Bodies that are asked about; all of them, if not given.
+        """
+        whole, cut = self.ready.bodies._packed, self.ready.in_parts.bodies._packed
+        kinds = np.minimum.reduceat(whole.layout[:, columns.KIND], whole.piece_start[:-1])
+        for k, name in enumerate(self.ready.names):
+            if kinds[k] <= columns.SURFACE and not self.resolution and (names is None or name in names):
+                count = cut.piece_start[k + 1] - cut.piece_start[k]
+                how = "the box around it" if count == 1 else f"the boxes around {count} parts of it"
+                return (
+                    f". Proofs see {name!r} as {how}, since it is a surface, a cloud or a height field: "
+                    "take pieces or voxels"
+                )
+        return ""
 
     def up_to(self, longest: float) -> Judge:
         """The same, of the same moment, with memory for kernels to look at motions up to a length.
@@ -141,6 +163,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     k = int(free.argmin())
     certified = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
     found = certified.of_shape((), judge.ready)
+    seen = ""
     if found.verdict == Verdict.FREE:
         told = f"which is not free where it is looked at in steps of {judge.resolution:g}"
     else:
@@ -150,4 +173,6 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
             else f"come within {TOLERANCE:g} m of their margin"
         )
         told = f"on which {found.names[0]} and {found.names[1]} {how} at the fraction {found.fraction:.6g}"
-    raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}")
+        if found.verdict == Verdict.AMBIGUOUS:
+            seen = judge.how_surfaces_are_seen(found.names)
+    raise PlanningError(f"{name}: expected free motions, found the one from row {k} to row {k + 1}, {told}{seen}")

@@ -19,7 +19,7 @@ from loewner._kernels import columns, records, tolerances
 from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
 from loewner._validate import Floats, Ints, Pair
-from loewner.bodies import Bodies, Packed
+from loewner.bodies import Bodies, Body, Packed
 from loewner.bodies.layout import arrays_of, starts
 from loewner.bodies.pack import ranges
 from loewner.bodies.parts import in_parts
@@ -82,6 +82,8 @@ class CheckedPairs:
         Bytes that the kernel writes to.
     single : object
         Queries of one configuration or motion, see `loewner._native.singles`.
+    taken : dict of int to Body
+        Bodies that were asked for alone, by number; see `body`.
     """
 
     robot: Robot
@@ -98,6 +100,7 @@ class CheckedPairs:
     standing_rows: NDArray[np.float32]
     standing_poses: Floats
     hits: Ints
+    taken: dict[int, Body] = field(default_factory=dict, repr=False)
     handle: int = field(init=False)
     memory: int = field(init=False)
     single: Any = field(init=False, repr=False)
@@ -120,6 +123,12 @@ class CheckedPairs:
         pack = self.bodies._packed.handle
         single = singles.configurations(pack, self.handle, memory, piece_pairs, plain, self.hits, held)
         object.__setattr__(self, "single", single)
+
+    def body(self, number: int) -> Body:
+        """One of the bodies, packed alone when it is first asked for: a cloud takes milliseconds."""
+        if number not in self.taken:
+            self.taken[number] = self.bodies[number]
+        return self.taken[number]
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""
@@ -180,6 +189,7 @@ class CheckedPairs:
         unplaced = replace(
             self,
             bodies=Bodies._wrap(packed),
+            taken={},
             standing=np.zeros_like(self.standing),
             standing_rows=np.zeros((packed.piece_start[-1] - first, columns.HOT), dtype=np.float32),
             standing_poses=np.full_like(self.standing_poses, np.nan),

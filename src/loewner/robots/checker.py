@@ -735,7 +735,7 @@ class CollisionChecker:
             for p in np.unique(listed[start:stop, 1]):
                 rows = start + np.flatnonzero(listed[start:stop, 1] == p)
                 at, (a, b) = listed[rows, 0] - k, (int(body) for body in ready.pairs[p])
-                found = queries.distance(ready.bodies[a], T[at, a], ready.bodies[b], T[at, b], exact=True)
+                found = queries.distance(ready.body(a), T[at, a], ready.body(b), T[at, b], exact=True)
                 distance[rows] = found.distance
                 for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
                     column[rows] = values
@@ -963,7 +963,7 @@ def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
         if bounds.lower[p] > min(best, bounds.upper.min()):
             break
         i, j = (int(body) for body in ready.pairs[p])
-        one = queries.distance(ready.bodies[i], T[i], ready.bodies[j], T[j], exact=True)
+        one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
         if one.distance < best:
             best, nearest, found = one.distance, int(p), one
     assert found is not None  # the first bound is below all upper ones
