@@ -25,6 +25,7 @@ MODELS = (
     "dm_control/suite/fish.xml",
     "dm_control/suite/humanoid_CMU.xml",
     "dm_control/suite/manipulator.xml",
+    "dm_control/suite/quadruped.xml",
     "dm_control/mujoco/testing/assets/model_with_ball_joints.xml",
     "dm_control/third_party/kinova/jaco_arm.xml",
     "dm_control/locomotion/walkers/assets/rodent.xml",
