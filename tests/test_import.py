@@ -47,7 +47,7 @@ def test_command_line_is_light_until_it_prints_tables():
     assert modules_after("from loewner.cli.main import _parser; _parser()").isdisjoint(OPTIONAL)
 
 
-# What needs no hull: primitives, boxes among them, files, queries, crowds and a robot of primitives.
+# What needs no hull: primitives, boxes among them, surfaces, clouds, files, queries, crowds and a robot of primitives.
 WITHOUT_HULLS = """
 import numpy as np, loewner
 from loewner import Body, Bodies
@@ -59,8 +59,13 @@ loewner.classify(body, None, body, None)
 assert loewner.collide(Body.box([1, 1, 1]), None, Body.sphere(1.0), None)
 loewner.distance(body, None, body, None, exact=True)
 loewner.overlapping_pairs(Bodies([body, body]), None)
+surface = Body.from_surface((np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+Body.union([surface, Body.from_cloud(np.eye(3), radius=0.1)]).save(FOLDER + "/surface.npz")
+surface = Body.load(FOLDER + "/surface.npz")
+loewner.distance(surface, None, body, None)
 scene = loewner.Scene()
 scene.add("body", body)
+scene.add("surface", surface)
 loewner.CollisionChecker(loewner.Robot.from_urdf(FOLDER + "/gantry.urdf"), scene).collide(np.zeros(3))
 """
 
