@@ -122,6 +122,39 @@ def test_planners_inside_a_closed_surface(machine, rng, solid):
     assert free.tolist() == [not solid] * 2
 
 
+@pytest.mark.parametrize("solid", [True, False])
+def test_links_that_stand_are_cut(tmp_path, rng, solid):
+    """A surface that is fixed to the root, or attached to such a link, is as well proven as one in the scene."""
+    mesh = trimesh.Trimesh(*(bumpy(rng, 0.4) if solid else shelf()))
+    mesh.export(tmp_path / "body.stl")
+    urdf, _ = gantry(tmp_path)
+    hold = """<link name="stand"/><link name="body"><collision><geometry><mesh filename="body.stl"/></geometry>
+    </collision></link><joint name="s" type="fixed"><parent link="base"/><child link="stand"/>
+    <origin xyz="0.05 0.02 0"/></joint>
+    <joint name="t" type="fixed"><parent link="stand"/><child link="body"/></joint></robot>"""
+    (tmp_path / "held.urdf").write_text(urdf.read_text().replace("</robot>", hold))
+    whole = Robot.from_urdf(urdf), Scene(), "body"
+    linked = Robot.from_urdf(tmp_path / "held.urdf", meshes="surface"), Scene(), "body"
+    attached = whole[0], Scene(), "held"
+    body = Body.from_surface(tmp_path / "body.stl")
+    whole[1].add("body", body, translation(0.05, 0.02, 0.0))
+    attached[1].add("held", body)
+    attached[1].attach("held", "base", translation(0.05, 0.02, 0.0))
+    Q = whole[0].random_configurations(300, 1)
+    Q[:, :2] = rng.uniform(-0.95, 0.95, (300, 2))
+    found = []
+    for robot, scene, name in (whole, linked, attached):
+        checker = CollisionChecker(robot, scene, allowed=[("ball", "rod")])
+        ready = checker._ready()
+        assert ready.starts_matter == solid
+        k = ready.names.index(name)
+        assert np.diff(ready.in_parts.bodies._packed.piece_start)[k] > 4
+        free = Q[~checker.collide(Q)][:60]
+        found.append(assert_true(checker, free, steps(robot, np.random.default_rng(3), free, 0.2)))
+    assert (found[0] == FREE).mean() > 0.4
+    assert [(verdicts == FREE).sum() for verdicts in found[1:]] == [(found[0] == FREE).sum()] * 2
+
+
 def test_messages_tell_how_a_surface_is_seen(machine, monkeypatch):
     """A motion within the only box of a surface is free and not proven; one that collides is not excused so."""
     monkeypatch.setattr(parts, "ALL_PARTS", 1)
@@ -160,7 +193,7 @@ def test_no_part_hangs_over_an_opening(finer, turned, rng):
         mesh = mesh.subdivide()
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if turned else np.eye(3)
     body = Body.from_surface((mesh.vertices @ turn.T, mesh.faces), solid=False)
-    cut = parts.in_parts(body._packed, 0)
+    cut = parts.in_parts(body._packed, np.array([True]))
     for i in cut.trees:
         corners, triangles = _part(cut, i)
         sides = np.ptp(corners @ turn, axis=0)
@@ -172,7 +205,7 @@ def test_terrain_is_cut_where_its_surface_is():
     """Its sides and its base, which few triangles close, are in no box with the ground."""
     x = np.linspace(0, 2, 60)
     body = Body.height_field(0.1 * np.sin(7 * x)[:, None] * np.cos(6 * x), x[1], base=-2.0)
-    cut = parts.in_parts(body._packed, 0)
+    cut = parts.in_parts(body._packed, np.array([True]))
     high = [np.ptp(vertices[:, 2]) for vertices, _ in (_part(cut, i) for i in cut.trees) if vertices[:, 2].max() > -1]
     sides = [height for height in high if height > 1]
     assert len(high) > 100
@@ -214,7 +247,7 @@ def test_parts_hold_each_triangle_once(rng):
     assert cut.piece_start.tolist() == [0, 1, 1 + 2 + parts.MOST_PARTS, 1 + 2 + 2 * parts.MOST_PARTS]
     assert sorted(_corners(whole).tolist()) == sorted(_corners(cut).tolist())
     assert np.unique(cut.frames[:, 0]).tolist() == [0.0, 0.1, 1.0]
-    assert parts.in_parts(whole, 3) is whole
+    assert parts.in_parts(whole, np.zeros(len(whole.piece_start) - 1, dtype=bool)) is whole
 
 
 def test_many_surfaces_have_few_parts_each(monkeypatch):

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from loewner._kernels import columns
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.flat_faces import flat_faces
 from loewner.bodies.layout import starts
@@ -36,7 +36,7 @@ TOLERANCE = 1e-2
 _known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDictionary()
 
 
-def in_parts(packed: Packed, first: int) -> Packed:
+def in_parts(packed: Packed, bodies: Bools) -> Packed:
     """The same bodies, with surfaces cut into parts, each a piece of its own; the same pack if there are none.
 
     Parts of a solid are of its surface alone: what stays clear of all of them stays outside if it was outside once.
@@ -44,10 +44,11 @@ def in_parts(packed: Packed, first: int) -> Packed:
     Parameters
     ----------
     packed : Packed
-    first : int
-        Number of the first body whose surfaces are cut.
+    bodies : ndarray of bool
+        Whose surfaces are cut.
     """
-    standing = [i for i in packed.trees if i >= packed.piece_start[first]]
+    of_piece = np.repeat(bodies, np.diff(packed.piece_start))
+    standing = [i for i in packed.trees if of_piece[i]]
     # A power of two, lest each surface that is added has all others cut anew.
     most = MOST_PARTS
     while most * len(standing) > ALL_PARTS:

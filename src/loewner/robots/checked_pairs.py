@@ -18,7 +18,7 @@ from loewner._kept import kept
 from loewner._kernels import columns, records, tolerances
 from loewner._kernels.records import MotionTables
 from loewner._native import entries, singles
-from loewner._validate import Floats, Ints, Pair
+from loewner._validate import Bools, Floats, Ints, Pair
 from loewner.bodies import Bodies, Body, Packed
 from loewner.bodies.layout import arrays_of, starts
 from loewner.bodies.pack import ranges
@@ -179,10 +179,12 @@ class CheckedPairs:
     def in_parts(self) -> CheckedPairs:
         """The same for proofs of motions, with surfaces that stand in parts; made when it is first needed.
 
+        What stands is in the world, or moves with a link that is fixed to the root.
+
         Parts of a solid are of its surface: a motion that is free of them is free if it is free at its start, for what
         begins outside gets inside only through the surface. `starts_matter` says whether there is any.
         """
-        packed = in_parts(self.bodies._packed, len(self.link))
+        packed = in_parts(self.bodies._packed, self._stand)
         if packed is self.bodies._packed:
             return self
         first = packed.piece_start[len(self.link)]
@@ -200,8 +202,15 @@ class CheckedPairs:
     def starts_matter(self) -> bool:
         """Whether motions that are free of all parts have to be free at their starts as well."""
         packed = self.bodies._packed
-        solid = packed.layout[packed.piece_start[len(self.link)] :, columns.KIND] == columns.SOLID
-        return self.in_parts is not self and bool(solid.any())
+        solid = packed.layout[:, columns.KIND] == columns.SOLID
+        return self.in_parts is not self and bool((solid & np.repeat(self._stand, np.diff(packed.piece_start))).any())
+
+    @property
+    def _stand(self) -> Bools:
+        """Which bodies are at one pose, whatever the configuration is."""
+        stand = np.ones(len(self.bodies), dtype=bool)
+        stand[: len(self.link)] = _rigid_with(self.robot)[self.link] == _rigid_with(self.robot)[0]
+        return stand
 
     @kept
     def motions(self) -> PreparedMotions:
@@ -316,11 +325,15 @@ def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]
     return {frozenset(pair) for pair in (*skipped, *scene.allowed)} | touching
 
 
+def _rigid_with(robot: Robot) -> Ints:
+    """Links that are rigidly joined are one thing: for each link, its first one."""
+    parent, kind = robot.tree.parent, robot.tree.kind
+    return np.asarray(np.where(kind == columns.FIXED, parent, np.arange(len(parent))))
+
+
 def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[frozenset[str]]) -> Ints:
     """Pairs of bodies, as places in `names`, the first of which moves."""
-    # Links that are rigidly joined are one thing; its number is that of its first link.
-    parent, kind = robot.tree.parent, robot.tree.kind
-    thing = np.where((kind == columns.FIXED), parent, np.arange(len(parent)))[link]
+    thing = _rigid_with(robot)[link]
     moving, total = len(link), len(names)
     others = total - 1 - np.arange(moving)  # each with all that come after it
     if others.sum() > MOST_PAIRS:
