@@ -667,28 +667,26 @@ def directional_distance(a: Support, b: Support, directions: int = 2000) -> tupl
             starts.append(k)
         if len(starts) == 8:
             break
-    # The gap has ridges, where it grows in a narrow wedge only: hence many angles, turned every round.
-    turn = np.random.default_rng(0)
+    # The gap has ridges, where it grows in a narrow wedge only: hence many angles, turned every round. All starts go at
+    # once, for NumPy's sake.
+    turn, each = np.random.default_rng(0), np.arange(len(starts))
     angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    best, best_n = -np.inf, grid[0]
-    for k in starts:
-        n, value, reach, failures = grid[k], values[k], 4 / directions**0.5, 0
-        while reach > 1e-14:
-            u = np.cross(n, np.eye(3)[np.abs(n).argmin()])
-            u /= np.linalg.norm(u)
-            w = np.cross(n, u)
-            phase = angles + turn.uniform(0, 0.1)
-            radius = reach * turn.uniform(0.1, 1, size=(64, 1))
-            near = n + radius * (np.cos(phase)[:, None] * u + np.sin(phase)[:, None] * w)
-            near /= np.linalg.norm(near, axis=1, keepdims=True)
-            tried = gap(near)
-            m = tried.argmax()
-            if tried[m] > value:
-                n, value, failures = near[m], tried[m], 0
-            else:
-                failures += 1
-                if failures == 2:
-                    reach, failures = 0.6 * reach, 0
-        if value > best:
-            best, best_n = value, n
-    return float(best), best_n
+    n, best = grid[starts], values[starts]
+    reach, failures = np.full(len(n), 4 / directions**0.5), np.zeros(len(n))
+    while (reach > 1e-14).any():
+        u = np.cross(n, np.eye(3)[np.abs(n).argmin(axis=1)])
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        w = np.cross(n, u)
+        phase = (angles + turn.uniform(0, 0.1))[None, :, None]
+        radius = reach[:, None, None] * turn.uniform(0.1, 1, size=(len(n), 64, 1))
+        near = n[:, None] + radius * (np.cos(phase) * u[:, None] + np.sin(phase) * w[:, None])
+        near /= np.linalg.norm(near, axis=2, keepdims=True)
+        tried = gap(near.reshape(-1, 3)).reshape(len(n), 64)
+        m = tried.argmax(axis=1)
+        better = tried[each, m] > best
+        n[better], best[better] = near[each, m][better], tried[each, m][better]
+        failures = np.where(better, 0, failures + 1)
+        reach[failures == 2] *= 0.6
+        failures[failures == 2] = 0
+    k = best.argmax()
+    return float(best[k]), n[k]

@@ -59,7 +59,7 @@ def solid(name: str, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.n
     return np.concatenate([np.eye(n), -np.eye(n), A]), np.ones(22 * n), np.zeros(n), 0.0
 
 
-@pytest.mark.parametrize("n", [2, 3, 10, 50, 100])
+@pytest.mark.parametrize("n", [2, 3, 10, *(pytest.param(n, marks=pytest.mark.verify) for n in (50, 100))])
 @pytest.mark.parametrize("name", ["simplex", "box", "ball"])
 @pytest.mark.usefixtures("always_large")
 def test_closed_forms_under_affine_maps(name: str, n: int, rng: np.random.Generator) -> None:

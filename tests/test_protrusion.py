@@ -469,6 +469,7 @@ def test_a_limit_that_is_too_small():
     assert all(later <= 1.3 * sooner for sooner, later in itertools.pairwise(out))  # bounds are known to a quarter
 
 
+@pytest.mark.verify
 def test_tolerances_near_rounding_end():
     """Where the deepest point lies on the mesh but for rounding, planes are found without dividing by nothing."""
     with pytest.warns(UserWarning, match="mesh: expected pieces that stick out"):
