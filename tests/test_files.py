@@ -1,12 +1,28 @@
-"""Files: only regular ones, whole, within a limit; any other is a FileError that names the path, and at once."""
+"""Files: only regular ones are read, within a limit, and written over; any other is a FileError that names the path."""
 
 import os
 import socket
+from contextlib import contextmanager
 
 import pytest
 
-from loewner import FileError
-from loewner._files import CHUNK, read_regular
+from loewner import Body, FileError, Scene, save_scene
+from loewner._files import CHUNK, read_regular, replacing
+
+
+@contextmanager
+def no_regular_files(folder):
+    """A pipe, a socket and a directory, and what each is called."""
+    os.mkfifo(folder / "pipe")
+    (folder / "folder").mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        here = os.getcwd()
+        os.chdir(folder)  # a socket's path is limited to about a hundred letters
+        try:
+            server.bind("socket")
+        finally:
+            os.chdir(here)
+        yield {folder / "pipe": "a pipe", folder / "socket": "a socket", folder / "folder": "a directory"}
 
 
 def test_read_whole(tmp_path):
@@ -25,17 +41,65 @@ def test_limit(tmp_path):
 
 def test_endless_device_and_pipe_are_refused_at_once(tmp_path):
     """What could block or never end is not read: a pipe without a writer, a device, a socket, a directory."""
-    os.mkfifo(tmp_path / "pipe")
-    with socket.socket(socket.AF_UNIX) as server:
-        here = os.getcwd()
-        os.chdir(tmp_path)  # a socket's path is limited to about a hundred letters
-        try:
-            server.bind("socket")
-        finally:
-            os.chdir(here)
-        for path, found in (("pipe", "a pipe"), ("/dev/zero", "a device"), ("socket", "a socket"), (".", "directory")):
+    with no_regular_files(tmp_path) as paths:
+        for path, found in {**paths, "/dev/zero": "a device"}.items():
             with pytest.raises(FileError, match=f"expected a text, found .*{found}"):
-                read_regular(tmp_path / path, "a text", 1 << 40)
+                read_regular(path, "a text", 1 << 40)
+
+
+def test_what_is_no_regular_file_is_not_written_over(tmp_path):
+    """Renaming a file would take the name away from a pipe, a socket, a device (as root), or what links lead to."""
+    with no_regular_files(tmp_path) as paths:
+        for path, found in paths.items():
+            link = tmp_path / f"link to {found}"
+            link.symlink_to(path)
+            for name in (path, link):
+                before = os.lstat(name)
+                refused = pytest.raises(FileError, match=f"expected the name of a file to write, found .*{found}")
+                with refused, replacing(name):
+                    pytest.fail("there is nothing to write to")
+                assert os.lstat(name) == before
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(FileError, match="loop: could not be written"), replacing(tmp_path / "loop"):
+        pytest.fail("there is nothing to write to")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a\ud800b"])
+def test_impossible_names_are_not_written(name, tmp_path):
+    """A name with NUL or a surrogate is a FileError, too."""
+    with pytest.raises(FileError, match="found one that no file can have"), replacing(tmp_path / name):
+        pytest.fail("there is nothing to write to")
+
+
+def test_no_name_is_the_folder(tmp_path, monkeypatch):
+    """An empty name writes nothing, least of all beside the folder."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileError, match="found a directory"), replacing(""):
+        pytest.fail("there is nothing to write to")
+
+
+def test_links_stay_links(tmp_path):
+    """What a link leads to is written, whether it is there or not; nothing else is left in either folder."""
+    (tmp_path / "there").mkdir()
+    (tmp_path / "here").mkdir()
+    link, file = tmp_path / "here" / "link.txt", tmp_path / "there" / "file.txt"
+    link.symlink_to("../there/file.txt")
+    for text in ("first", "second"):
+        with replacing(link) as temporary:
+            temporary.write_text(text)
+        assert link.is_symlink()
+        assert file.read_text() == text
+    assert [*link.parent.iterdir(), *file.parent.iterdir()] == [link, file]
+
+
+def test_a_scene_that_cannot_be_written_leaves_nothing(tmp_path):
+    """Bodies are saved beside a scene's file only where there can be one."""
+    scene = Scene()
+    scene.add("hull", Body.from_points([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]))
+    (tmp_path / "scene.yaml").mkdir()
+    with pytest.raises(FileError, match=r"scene.yaml: expected the name of a file to write, found a directory"):
+        save_scene(scene, tmp_path / "scene.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"]
 
 
 @pytest.mark.parametrize("name", ["a\0b", "a\ud800b", "x" * 300, "none", "x/../y", "\udcff"])

@@ -80,21 +80,42 @@ def _expect_regular(status: os.stat_result, name: str, what: str) -> None:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name next to `path` to write to; rename it when the block ends well.
+    """Give a temporary name to write to; rename it to `path` when the block ends well.
+
+    A link stays a link: what it leads to is written, as by a plain open.
 
     Raises
     ------
     FileError
-        If writing or renaming fails; an older file of that name is then untouched.
+        If something other than a regular file has that name (renaming would take a device's or a pipe's name away, and
+        root may), or writing or renaming fails; an older file of that name is then untouched.
     """
-    target = Path(path)
+    name = shown(path)
+    target = _regular_or_new(Path(path), name)
     # A plain open keeps the user's file mode; the suffix stays, since some writers go by it.
     temporary = target.with_name(f".{target.stem}-{os.urandom(6).hex()}{target.suffix}")
     try:
         yield temporary
         os.replace(temporary, target)
+    except FileError:
+        raise
     except OSError as error:
-        raise FileError(f"{target}: could not be written ({error.strerror or error})") from None
+        raise FileError(f"{name}: could not be written ({error.strerror or error})") from None
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _regular_or_new(path: Path, name: str) -> Path:
+    """Where a file of that name is, or would be, links followed."""
+    try:
+        _expect_regular(os.stat(path), name, "the name of a file to write")
+    except FileError:
+        raise
+    except FileNotFoundError:
+        pass  # a new one; whether there can be one is told when it is written
+    except ValueError:  # NUL, or a surrogate that stands for no byte
+        raise FileError(f"{name}: expected the name of a file to write, found one that no file can have") from None
+    except OSError as error:
+        raise FileError(f"{name}: could not be written ({error.strerror or error})") from None
+    return Path(os.path.realpath(path))

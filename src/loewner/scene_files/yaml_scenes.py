@@ -146,6 +146,15 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     if not isinstance(scene, Scene):
         raise InputError(f"scene: expected loewner.Scene, found {type(scene).__name__}")
     file = _validate.path(path, "path")
+    with replacing(file) as temporary:
+        text = yaml.safe_dump(
+            _document(scene, file), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
+        )
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _document(scene: Scene, file: Path) -> dict[str, Any]:
+    """What the file says of the scene; bodies that it cannot say are saved beside it."""
     saved: dict[int, str] = {}
     bodies = {}
     for name in scene:
@@ -158,9 +167,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     margins = [[*names, margin] for names, margin in scene.margins.items() if names[0] not in scene or len(names) == 2]
     if margins:
         document["margins"] = margins
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
-    with replacing(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    return document
 
 
 # -- reading YAML -----------------------------------------------------------------------------
