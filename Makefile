@@ -37,6 +37,10 @@ demo: $(VENV)/.compiler
 	$(COMPILE) --only verdicts robots fits distances paper
 	$(BIN)/python examples/demo.py
 
+# Tests run in as many processes as there are cores; linear algebra on several threads in each of them takes turns, and
+# several times as long.
+test fuzz bounds test-wheel: export OPENBLAS_NUM_THREADS := 1
+
 test: $(VENV)/.dev
 	$(BUILD)
 	$(COMPILE)

@@ -221,6 +221,12 @@ def test_names_are_plain(name, tmp_path):
         Body.sphere(1).to_mjcf(name=name)
 
 
+def test_the_world_is_no_body_of_a_model():
+    """MuJoCo has a body of that name in every model."""
+    with pytest.raises(InputError, match="name: expected another one than 'world'"):
+        Body.sphere(1).to_mjcf(name="world")
+
+
 def test_files_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
     """A disk that is full leaves the older file, and no temporary one."""
     path = tmp_path / "part.xml"

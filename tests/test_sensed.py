@@ -13,7 +13,19 @@ from hypothesis import strategies as st
 import loewner
 from exact import halfspaces_crossed, points_outside
 from gantry import gantry
-from loewner import Body, CollisionChecker, FileError, GeometryError, InputError, PlanningError, Robot, Scene, planners
+from loewner import (
+    Body,
+    CollisionChecker,
+    FileError,
+    GeometryError,
+    InputError,
+    MemoryLimitError,
+    PlanningError,
+    Robot,
+    Scene,
+    _memory,
+    planners,
+)
 from loewner.bodies import sensed
 
 SHAPES = {
@@ -142,6 +154,45 @@ def test_voxels_are_the_cells_that_points_are_in(rng: np.random.Generator) -> No
     points = rng.uniform(-1, 1, size=(200, 3))
     expected = {tuple(int(Fraction(x) // Fraction(0.25)) for x in p) for p in points}
     assert set(map(tuple, sensed.cells_of(points, 0.25))) == expected
+
+
+@pytest.mark.parametrize("shape", [(9, 4, 5), (4, 9, 5), (4, 5, 9), (1, 1, 1), (7, 1, 1)])
+def test_boxes_of_a_grid_are_its_cells(rng: np.random.Generator, shape: tuple[int, int, int]) -> None:
+    """Each occupied cell is in one box and no other cell is, whatever the axis along which rows are fewest."""
+    for share in (0.2, 0.5, 0.9, 1.0):
+        grid = rng.uniform(size=shape) < share
+        grid[0, 0, 0] = True
+        pieces = Body.from_voxels(grid, 1.0).pieces
+        covered = np.zeros(shape, int)
+        for piece in pieces:
+            i, j, k = piece.vertices.min(axis=0).astype(int)
+            p, q, r = piece.vertices.max(axis=0).astype(int)
+            covered[i:p, j:q, k:r] += 1
+        np.testing.assert_array_equal(covered, grid)
+        fewest = min(np.count_nonzero(np.diff(grid, axis=axis, prepend=False) & grid) for axis in range(3))
+        assert len(pieces) == fewest
+
+
+def test_what_does_not_fit_is_refused_before_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large inputs are held against the memory there is; views that take none, too."""
+    monkeypatch.setattr(_memory, "left", lambda: (2**26, " left in this test"))
+    told = "expected .* GiB of memory at least, found 0.0625 GiB left in this test"
+    for call, what in (
+        (
+            lambda: Body.from_voxels(np.broadcast_to(False, (10**5, 10**5, 10**3)), 0.1),
+            "grid: 100000 x 100000 x 1000 c",
+        ),
+        (lambda: Body.from_voxels(np.ones((200, 200, 1), bool), 0.1), None),
+        (lambda: Body.from_voxels(np.indices((70, 70, 70)).sum(axis=0) % 2 == 0, 0.1), "grid: 171500 boxes"),
+        (lambda: Body.from_cloud(np.zeros((300_000, 3)), radius=0.1), "points: 300000 triangles or balls"),
+        (lambda: Body.height_field(np.zeros((400, 400)), 0.1), "a height field of 400 x 400"),
+        (lambda: Body.spheres(np.zeros((70_000, 3)), 0.1), "70000 spheres"),
+    ):
+        if what is None:
+            assert len(call().pieces) == 200
+        else:
+            with pytest.raises(MemoryLimitError, match=f"{what}.*: {told}"):
+                call()
 
 
 def test_a_grid_is_where_its_origin_says() -> None:
@@ -308,6 +359,7 @@ def test_a_plan_that_proofs_cannot_make_says_why(tmp_path: Path) -> None:
         (lambda: Body.half_space([0, 0, 0], 1), InputError, "normal"),
         (lambda: Body.half_space([0, 0, 1], np.inf), InputError, "offset"),
         (lambda: Body.half_space([0, 0, 1], 0, extent=0), InputError, "extent"),
+        (lambda: Body.half_space([0, 0, 1], 0, extent=2e9), InputError, r"extent: expected at most 1e\+09 m, .*2e\+09"),
     ],
 )
 def test_bad_input_says_what_was_expected(call: object, error: type[Exception], message: str) -> None:

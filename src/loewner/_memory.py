@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from loewner._native import library
 from loewner.errors import MemoryLimitError
 
@@ -22,6 +24,9 @@ KERNELS, SCIPY = "compiled kernels", "SciPy"
 # the first body: 38 MiB, and SciPy 148. With Numba, and what it compiled: 180 MiB, and what it leaves of SciPy 45.
 LIBRARY = {KERNELS: 64 * 2**20, SCIPY: 192 * 2**20}
 NUMBA = {KERNELS: 256 * 2**20, SCIPY: 64 * 2**20}
+
+# What OpenBLAS takes in a call [bytes], and arrays around it that are small: some tens of kilobytes, seen from outside.
+BLAS = 2**21
 
 _ROOT = Path("/")
 
@@ -62,11 +67,24 @@ def expect_place(*names: str) -> None:
 def expect_left(needed: int, what: str) -> None:
     """Refuse work on `what` whose arrays take `needed` bytes at least, where they would not fit."""
     if needed >= LOOK:
-        there, which = left()
+        there, which = min(left(), (physical(), " in this machine"))
         if needed > there:
             raise MemoryLimitError(
                 f"{what}: expected {needed / 2**30:.3g} GiB of memory at least, found {there / 2**30:.3g} GiB{which}"
             )
+
+
+def expect_room_for_blas(needed: int = 0) -> None:
+    """Refuse to go on where hardly any address space is left beyond `needed` bytes.
+
+    On several threads OpenBLAS asks for some more kilobytes in each call, and ends the process where it gets none.
+
+    Raises
+    ------
+    MemoryError
+        As NumPy does.
+    """
+    np.empty(BLAS + needed, dtype=np.uint8)
 
 
 def _of_process(root: Path) -> Iterator[tuple[int, str]]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _memory, _validate
 from loewner._large_fits.dense import (
     CENTRING_FLOOR,
     LARGEST_SYSTEM,
@@ -92,6 +92,7 @@ def largest_inside(
     `center` and `frame` are the analytic center and the whitening there, from `entries.center_in`. What is found holds
     to rounding; `proven` says how good it is. Where nothing was found the factor is zero.
     """
+    _memory.expect_room_for_blas(4 * A.nbytes)  # for R, and as much again in each step and in what it solves
     n = A.shape[1]
     distinct, lam = _distinct(A, b), np.zeros(len(A))
     if len(distinct) < len(A):

@@ -98,6 +98,7 @@ def smallest_around(
         On points in a flat.
     """
     _memory.expect_place(_memory.KERNELS, _memory.SCIPY)
+    _memory.expect_room_for_blas()
     m, n = points.shape
     lifted = 1 if given is None else 0
     sample = _spaced(m, FIRST * (n + 1))

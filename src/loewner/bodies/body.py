@@ -23,6 +23,9 @@ from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, box_hull, hulls
 
+# Edge of the largest half-space [m]: contact is told to about 1e-12 of it.
+LARGEST_EXTENT = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:
@@ -534,7 +537,7 @@ class Body(_Bodies):
             return cls(Packed.of(sensed.point_pieces(x, length, fits.DEFAULT_TOLERANCE)))
         edge = _validate.positive_scalar(voxel, "voxel")
         cells = sensed.cells_of(x, edge)
-        return cls(Packed.of(sensed.voxel_pieces(cells, edge, np.zeros(3))))
+        return cls(Packed.of(sensed.voxel_pieces(cells, edge)))
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
@@ -555,6 +558,8 @@ class Body(_Bodies):
             If the grid is no array of bool with three axes.
         GeometryError
             If no cell is occupied.
+        MemoryLimitError
+            If the boxes would not fit into memory.
 
         Examples
         --------
@@ -573,10 +578,7 @@ class Body(_Bodies):
             )
         edge = _validate.positive_scalar(size, "size")
         corner = _validate.finite_array(origin, "origin", (3,))
-        cells = np.argwhere(occupied)
-        if len(cells) == 0:
-            raise GeometryError("grid: expected at least one occupied cell, found none")
-        return cls(Packed.of(sensed.voxel_pieces(cells, edge, corner)))
+        return cls(Packed.of(sensed.grid_pieces(occupied, edge, corner)))
 
     @classmethod
     def from_octree(cls, path: str | os.PathLike[str]) -> Body:
@@ -654,13 +656,14 @@ class Body(_Bodies):
         offset : float
             Distance of the plane from the origin along the normal, in metres; negative behind it.
         extent : float
-            Edge of the cube, in metres. One of its sides is in the plane, about the point nearest to the origin. What
-            gets out of it is free: choose it larger than all that moves.
+            Edge of the cube, in metres, at most 1e9. One of its sides is in the plane, about the point nearest to the
+            origin. What gets out of it is free: choose it larger than all that moves, but not without need, since
+            contact is told to about 1e-12 of it.
 
         Raises
         ------
         InputError
-            If a number is not finite, the normal has no length or the extent is not positive.
+            If a number is not finite, the normal has no length, or the extent is not positive or more than 1e9.
 
         Examples
         --------
@@ -676,6 +679,10 @@ class Body(_Bodies):
         n = n / np.linalg.norm(n)
         where = float(_validate.finite_array(offset, "offset", ()))
         edge = _validate.positive_scalar(extent, "extent")
+        if edge > LARGEST_EXTENT:
+            raise InputError(
+                f"extent: expected at most {LARGEST_EXTENT:g} m, where contact is told to a millimetre, found {edge:g}"
+            )
         T = np.eye(4)
         # A frame whose third axis is the normal: by QR, with the signs that leave it so.
         frame = np.linalg.qr(np.column_stack([n, np.eye(3)[:, np.argsort(np.abs(n))[:2]]]))[0]
@@ -837,7 +844,7 @@ class Body(_Bodies):
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         name : str
-            Of the model and of its body; geoms are ``NAME_0``, ``NAME_1``, ...
+            Of the model and of its body, any but "world", which is MuJoCo's; geoms are ``NAME_0``, ``NAME_1``, ...
 
         Returns
         -------
@@ -847,7 +854,8 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If a piece is a surface, whose convex hull MuJoCo would collide, and no ellipsoids are asked for.
+            If a piece is a surface, whose convex hull MuJoCo would collide, and no ellipsoids are asked for, or if the
+            name is none.
         FileError
             If the file cannot be written.
 

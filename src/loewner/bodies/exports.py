@@ -65,6 +65,8 @@ class Shape:
 
 def mjcf_text(packed: Packed, name: str, which: str | None) -> str:
     """A model of one body, without joints."""
+    if name == "world":
+        raise InputError("name: expected another one than 'world', which MuJoCo gives to what stands, found 'world'")
     root = ElementTree.Element("mujoco", model=name)
     asset = ElementTree.SubElement(root, "asset")
     body = ElementTree.SubElement(ElementTree.SubElement(root, "worldbody"), "body", name=name)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _memory
 from loewner._kernels import columns
-from loewner._validate import Floats, Ints
+from loewner._validate import Bools, Floats, Ints
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING
 from loewner.bodies.surfaces import surface_pieces
@@ -29,7 +29,7 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
     radii : ndarray, shape (n,)
     """
     n = len(centers)
-    _validate.fits_memory(n * PIECE_BYTES, f"{n} spheres")
+    _memory.expect_left(n * PIECE_BYTES, f"{n} spheres")
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = columns.POINT
     factor = radii[:, None, None] * np.eye(3)
@@ -64,7 +64,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
         If rounding leaves no digits for a box this thin so far from the origin.
     """
     n = len(lower)
-    _validate.fits_memory(n * BOX_BYTES, f"{n} boxes")
+    _memory.expect_left(n * BOX_BYTES, f"{n} boxes")
     unit = box_hull(np.ones(3), "boxes")
     center, half = (lower + upper) / 2, (upper - lower) / 2
     farthest, thinnest = np.maximum(np.abs(lower), np.abs(upper)).max(axis=1), half.min(axis=1)
@@ -121,8 +121,8 @@ def cells_of(points: Floats, edge: float) -> Ints:
     return np.column_stack([*np.divmod(rest, side), z]) - MOST_CELLS
 
 
-def voxel_pieces(cells: Ints, edge: float, origin: Floats) -> PieceArrays:
-    """One body of boxes: the union of occupied cells, those in a row as one.
+def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
+    """One body of boxes: the union of cells of a grid through the origin, those in a row as one.
 
     Parameters
     ----------
@@ -130,11 +130,10 @@ def voxel_pieces(cells: Ints, edge: float, origin: Floats) -> PieceArrays:
         Each once.
     edge : float
         Metres.
-    origin : ndarray, shape (3,)
-        The lowest corner of cell (0, 0, 0).
     """
     first, last = min((_rows_along(cells, axis) for axis in range(3)), key=lambda rows: len(rows[0]))
-    return box_pieces(origin + edge * first, origin + edge * (last + 1))
+    lower, upper = (np.multiply(edge, ends, dtype=np.float64) for ends in (first, last + 1))
+    return box_pieces(lower, upper)
 
 
 def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
@@ -144,6 +143,42 @@ def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
     step = np.diff(ordered, axis=0)
     ends = np.flatnonzero((step[:, axis] != 1) | (step[:, i] != 0) | (step[:, j] != 0))
     return ordered[np.concatenate([[0], ends + 1])], ordered[np.concatenate([ends, [len(ordered) - 1]])]
+
+
+def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
+    """One body of boxes: the union of occupied cells, those in a row as one.
+
+    Parameters
+    ----------
+    occupied : ndarray of bool, shape (p, q, r)
+    edge : float
+        Metres.
+    origin : ndarray, shape (3,)
+        The lowest corner of cell (0, 0, 0).
+
+    Raises
+    ------
+    GeometryError
+        If no cell is occupied.
+    """
+    # At a time: what comes first along an axis, and for a moment which cells follow an empty one.
+    _memory.expect_left(2 * occupied.size, f"grid: {' x '.join(map(str, occupied.shape))} cells")
+    count, axis = min((int(np.count_nonzero(_begins(np.moveaxis(occupied, axis, 2)))), axis) for axis in range(3))
+    if count == 0:
+        raise GeometryError("grid: expected at least one occupied cell, found none")
+    _memory.expect_left(count * BOX_BYTES, f"grid: {count} boxes")
+    along = np.moveaxis(occupied, axis, 2)
+    first = np.argwhere(_begins(along))
+    last = np.argwhere(_begins(along[..., ::-1])[..., ::-1])
+    order = np.argsort([k for k in range(3) if k != axis] + [axis])
+    return box_pieces(origin + edge * first[:, order], origin + edge * (last[:, order] + 1))
+
+
+def _begins(occupied: Bools) -> Bools:
+    """Occupied cells before which, along the last axis, is none."""
+    begins = occupied.copy()
+    begins[..., 1:] &= ~occupied[..., :-1]
+    return begins
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
@@ -160,7 +195,7 @@ def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) ->
         Certified log-volume gap of the outer ellipsoid.
     """
     p, q = heights.shape
-    _validate.fits_memory(p * q * 500, f"a height field of {p} x {q}")
+    _memory.expect_left(p * q * 500, f"a height field of {p} x {q}")
     x, y = np.meshgrid(np.arange(p) * spacing[0], np.arange(q) * spacing[1], indexing="ij")
     top = np.stack([x, y, heights], axis=2).reshape(-1, 3)
     number = np.arange(p * q).reshape(p, q)

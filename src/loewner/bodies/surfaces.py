@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _memory, _validate
 from loewner._kernels import columns
 from loewner._native import entries
 from loewner._plausible import warn
@@ -19,6 +19,9 @@ SMALLEST, LARGEST = 1e-12, 1e12
 
 # Of a mesh that is nearly closed: the share of its edges that are open, and of its area that does not cancel, at most.
 FEW_OPEN, NEARLY_CANCELLED = 0.25, 0.2
+
+# Bytes of a triangle in all arrays and the tree, nearly.
+TRIANGLE_BYTES = 350
 
 # A flat surface's outer ellipsoid is as thick as this, relative to its size: more than rounding, less than matters.
 THICKNESS = 1e-6
@@ -47,6 +50,7 @@ def surface_pieces(
     GeometryError
         If the mesh is too small or too large, the radius is too large, or the mesh is to be solid and is open.
     """
+    _memory.expect_left(len(triangles) * TRIANGLE_BYTES, f"{name}: {len(triangles)} triangles or balls")
     vertices, triangles = _merged(vertices, triangles)
     expect_sizes(vertices)
     expect_radius(radius)
