@@ -118,8 +118,7 @@ def main() -> None:
         checker.collide(Q)
 
         def replace(scene: Scene = scene, body: Body = body, checker: CollisionChecker = checker) -> None:
-            scene.remove("seen")
-            scene.add("seen", body)
+            scene.replace("seen", body)
             checker.collide(Q[0])
 
         each = best(lambda checker=checker: checker.collide(Q)) / MANY

@@ -175,6 +175,44 @@ def test_removed_name_takes_its_rules_along(scene):
     assert met(scene) == [("box", "near")]
 
 
+def test_a_body_is_replaced_where_it_is(scene):
+    """Pose, order, margins and allowed pairs stay; what is asked next is asked of the new body."""
+    scene.allow("box", "near")
+    scene.set_margin(0.3, "near")
+    scene.set_margin(0.2, "near", "far")
+    before = scene.names, scene.allowed, scene.margins, scene.pose("near").tolist()
+    version, ball = scene.version, Body.sphere(0.01)
+    scene.replace("near", ball)
+    assert scene["near"] is ball
+    assert scene.version > version
+    assert (scene.names, scene.allowed, scene.margins, scene.pose("near").tolist()) == before
+    scene.forbid("box", "near")
+    scene.set_margin(None, "near")
+    met(scene)
+    scene.replace("near", Body.sphere(30.0))
+    assert ("box", "near") in met(scene)
+    scene.replace("near", ball)
+    assert ("box", "near") not in met(scene)
+
+
+def test_what_hangs_on_a_link_is_replaced_there(scene):
+    """It hangs on it as before."""
+    scene.attach("near", "hand", translation(0.1), touch_links=["arm"])
+    before = scene.attachments
+    scene.replace("near", Body.sphere(0.3))
+    assert scene.attachments == before
+
+
+def test_only_what_is_there_is_replaced(scene):
+    """By bodies alone; else nothing changes."""
+    version = scene.version
+    with pytest.raises(UnknownNameError, match="nobody"):
+        scene.replace("nobody", Body.sphere(1))
+    with pytest.raises(InputError, match="body of 'near': expected loewner.Body, found str"):
+        scene.replace("near", "far")
+    assert scene.version == version
+
+
 def test_attached_bodies_leave_the_world(scene):
     """An attached body has no place in the world, and none of its pairs is reported until it is detached."""
     scene.move("near", translation(0.5))

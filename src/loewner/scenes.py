@@ -314,7 +314,7 @@ class Scene:
         with _CHANGING:
             if name in self._bodies:
                 raise InputError(
-                    f"name: expected a new name, found {name!r}, which the scene has already; remove it first"
+                    f"name: expected a new name, found {name!r}, which the scene has already; replace or remove it"
                 )
             self._bodies[name] = body
             self._poses[name] = T
@@ -352,6 +352,38 @@ class Scene:
             self._allowed = {pair for pair in self._allowed if name not in pair}
             self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
             self._changed()
+
+    def replace(self, name: str, body: Body) -> None:
+        """Put another body in the place of one, as the next image of a camera: all else that is said of it stays.
+
+        Parameters
+        ----------
+        name : str
+            Its pose or attachment, its margins and its allowed pairs hold for the new body.
+        body : Body
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body.
+        InputError
+            If `body` is no body.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.add("camera", Body.from_cloud([[0, 0, 1]], radius=0.01), margin=0.02)
+        >>> scene.replace("camera", Body.from_cloud([[0, 0, 1.1]], radius=0.01))
+        >>> scene.margins
+        {('camera',): 0.02}
+        """
+        if not isinstance(body, Body):
+            raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
+        with _CHANGING:
+            self._bodies[self._known(name)] = body
+            self._changed()
+        if not self._doubted and name in self._poses:
+            self._doubt(name, body, self._poses[name])
 
     def move(self, name: str | Mapping[str, ArrayLike | None], T_world_body: ArrayLike | None = None) -> None:
         """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.

@@ -818,6 +818,7 @@ CALLS: dict[str, Call] = {
         },
     ),
     "Scene.remove": Call(on(scene, "remove"), {"name": arg("post")}),
+    "Scene.replace": Call(on(scene, "replace"), {"name": arg("post"), "body": arg(ball, "Body")}),
     "Scene.move": Call(on(scene, "move"), {"name": arg("post"), "T_world_body": pose()}),
     "Scene.attach": Call(
         on(scene, "attach"),

@@ -646,7 +646,7 @@ class Body(_Bodies):
         return cls(Packed.of(sensed.terrain_pieces(z, step, below, fits.DEFAULT_TOLERANCE)))
 
     @classmethod
-    def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 20.0) -> Body:
+    def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
         """Floor, wall or ceiling: what lies below a plane, as far as a cube of edge `extent` reaches.
 
         Parameters
@@ -657,8 +657,8 @@ class Body(_Bodies):
             Distance of the plane from the origin along the normal, in metres; negative behind it.
         extent : float
             Edge of the cube, in metres, at most 1e9. One of its sides is in the plane, about the point nearest to the
-            origin. What gets out of it is free: choose it larger than all that moves, but not without need, since
-            contact is told to about 1e-12 of it.
+            origin. What gets out of it is free: choose it larger than all that moves. Contact is told to about 1e-12 of
+            it.
 
         Raises
         ------
@@ -669,7 +669,7 @@ class Body(_Bodies):
         --------
         >>> floor = Body.half_space([0, 0, 1], 0.0)
         >>> floor.outer.center.round(6)
-        array([[  0.,   0., -10.]])
+        array([[   0.,    0., -500.]])
         """
         n = _validate.finite_array(normal, "normal", (3,))
         size = float(np.abs(n).max())
