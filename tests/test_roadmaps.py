@@ -587,7 +587,7 @@ def test_damaged_files_are_refused(checker, saved, tmp_path):
     Body.sphere(1.0).save(tmp_path / "body.npz")
     with pytest.raises(FileError, match="found another kind"):
         planners.Roadmap.load(tmp_path / "body.npz", checker)
-    with pytest.raises(FileError, match="expected a file, found none"):
+    with pytest.raises(FileError, match="expected a saved file, found no such file"):
         planners.Roadmap.load(tmp_path / "none.npz", checker)
 
 

@@ -237,7 +237,7 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
         ("bodies:\n  a: {mesh: scene.yaml}", 2, "mesh: .*scene.yaml: expected one of .stl"),
         ("bodies:\n  a: {mesh: parts/part.stl, scale: 0}", 2, "scale: expected factors other than 0"),
         ("bodies:\n  a: {mesh: parts/part.stl, decompose: maybe}", 2, "expected true or false, found 'maybe'"),
-        ("bodies:\n  a: {saved: none.npz}", 2, "saved: .*none.npz: expected a file, found none"),
+        ("bodies:\n  a: {saved: none.npz}", 2, "saved: .*none.npz: expected a saved file, found no such file"),
         ("bodies:\n  '': {box: [1, 1, 1]}", 2, "bodies/: name: expected a name, found ''"),
         ("bodies:\n  [a, b]: {box: [1, 1, 1]}", 2, "bodies: expected a name as key, found a sequence of 2"),
         ("bodies:\n  a: !box {box: [1, 1, 1]}", 2, "expected a mapping, found the tag !box"),

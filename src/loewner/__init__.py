@@ -1,4 +1,4 @@
-"""Certified collision detection between convex pieces, by their Löwner–John ellipsoids."""
+"""Certified collision detection for convex bodies, meshes and robots, using Löwner–John ellipsoids."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -165,7 +165,7 @@ class FileError(LoewnerError, OSError):
     >>> loewner.Body.load("none.npz")
     Traceback (most recent call last):
         ...
-    loewner.errors.FileError: none.npz: expected a file, found none
+    loewner.errors.FileError: none.npz: expected a saved file, found no such file
     """
 
 

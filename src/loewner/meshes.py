@@ -157,8 +157,8 @@ def _ask_about_units(vertices: Floats, name: str) -> None:
     """Warn of a size that looks like another unit of length; `vertices` are scaled already."""
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
-        guess = "in millimetres (then give scale=0.001)" if size > 1 else "scaled to metres twice, or in kilometres"
-        warn(f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess}? scale= is the factor to metres")
+        guess = "in millimetres? Then scale by 0.001" if size > 1 else "scaled to metres twice? Then scale by 1000"
+        warn(f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess} (scale=, or --scale)")
 
 
 def _expect_finite(vertices: Floats, name: str) -> None:

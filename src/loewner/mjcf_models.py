@@ -181,7 +181,7 @@ def _compiled(file: Path) -> tuple[Any, Any]:
     except ImportError:
         raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
     if not os.path.isfile(file):
-        raise FileError(f"{file}: expected an MJCF file, found none")
+        raise FileError(f"{file}: expected an MJCF file, found no such file")
     try:
         return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
     except ValueError as error:

@@ -854,8 +854,8 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If a piece is a surface, whose convex hull MuJoCo would collide, and no ellipsoids are asked for, or if the
-            name is none.
+            If a piece is a surface, a height field or a cloud, whose convex hull MuJoCo would collide, and no
+            ellipsoids are asked for; or if the name is none.
         FileError
             If the file cannot be written.
 
@@ -972,7 +972,7 @@ class Body(_Bodies):
         >>> Body.load("none.npz")
         Traceback (most recent call last):
             ...
-        loewner.errors.FileError: none.npz: expected a file, found none
+        loewner.errors.FileError: none.npz: expected a saved file, found no such file
         """
         from loewner.bodies import files
 

@@ -160,8 +160,9 @@ def _shapes(packed: Packed, which: str | None) -> Iterator[Shape]:
     surface = packed.layout[:, columns.KIND] < columns.POLYTOPE
     if surface.any():
         raise InputError(
-            f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, whose convex hull these "
-            "formats collide; take ellipsoids='outer', or make the body by Body.from_mesh, a cloud of voxels"
+            f"expected convex pieces, found that piece {int(surface.argmax())} is a surface, a height field or a cloud "
+            "of points: these formats would collide its convex hull. Write ellipsoids='outer', or make the body of "
+            "convex pieces: by Body.from_mesh, of a cloud by voxel="
         )
     return (_piece(packed, number, mesh) for number, mesh in enumerate(of_pieces(packed)))
 

@@ -101,7 +101,7 @@ def _on_a_cluster(options: argparse.Namespace, tol: float) -> int:
     if fitted.failed:
         table = new_table("mesh", "what is wrong", title="loewner fit: failed")
         for mesh, text in fitted.failed.items():
-            table.add_row(str(mesh), text)
+            table.add_row(str(mesh), text.removeprefix(f"{mesh}: "))
         print_table(table)
     return ERROR if fitted.failed else 0
 

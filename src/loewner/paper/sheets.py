@@ -22,6 +22,7 @@ from loewner.paper.tables import (
     PAPER_CLASSES,
     PAPER_COLLIDING,
     PAPER_PAIRS,
+    SIGNIFICANCE,
     Table,
     classes,
     errors_outside,
@@ -33,6 +34,9 @@ from loewner.paper.tables import (
 )
 
 SAID = ("collision", "free")  # rows of a confusion matrix
+ESTIMATE = (
+    "Collision where the contact functions F of the inner ellipsoids and of the outer ones have a product of at most 1."
+)
 NUMBER = re.compile(r"-|[\d.,]+(e[+-]\d+)?( [\[(].*[\])])?")  # with what follows it in brackets
 
 
@@ -114,7 +118,8 @@ def right(experiment: Experiment) -> Sheet:
         ("table", "detector", "right", "paper", "consistent"),
         tuple(rows),
         "The paper's: cells (1,1) + (2,2) of the table named. Table 2 stands twice, since what is printed there is "
-        "detector 4's.",
+        f"detector 4's. Consistent: Pearson's chi-square test finds no difference at the level {SIGNIFICANCE:g}; the "
+        "fewer the pairs, the less it can find.",
     )
 
 
@@ -130,9 +135,10 @@ def outside(experiment: Experiment) -> Sheet:
         f"Errors outside the ambiguous pairs, of {len(experiment):,} (the paper: of {PAPER_PAIRS:,})",
         ("detector", "missed", "paper", "false", "paper"),
         tuple(rows),
-        "Collisions missed and false alarms among the pairs that a detector's own overlap checks decided. The paper's: "
-        "cells (2,1) and (1,2) of Tables 1 to 4 (a), less those of (b). Its section 5 puts the three of Table 2 down "
-        "to the finite precision of the overlap check, and those of Table 1 to a wrong check of the outer ellipsoids.",
+        "Counts. Collisions missed and false alarms among the pairs that a detector's own overlap checks decided. The "
+        "paper's: cells (2,1) and (1,2) of Tables 1 to 4 (a), less those of (b). Its section 5 puts the three of Table "
+        "2 down to the finite precision of the overlap check, and those of Table 1 to a wrong check of the outer "
+        "ellipsoids.",
     )
 
 
@@ -212,12 +218,15 @@ def _matrices(whole: Table, part: Table) -> Sheet:
         for k, said in enumerate(SAID):
             line = slice(2 * k, 2 * k + 2)
             rows.append((f"{letter} {said}", *own[line], *paper[line]))
-    source = f" The paper's: the same cells of its {whole.title[:-4]}." if printed else ""
+    source = f"The paper's: the same cells of its {whole.title[:-4]}." if printed else ESTIMATE
+    if head == "detector 2":
+        source += " They are detector 4's, which the paper printed here as well."
     return Sheet(
         f"{whole.title} and {part.title}, {title}",
         (head, "collide", "free", *(("paper: collide", "paper: free") if printed else ())),
         tuple(rows),
-        f"Rows: what the detector says; columns: the truth. In brackets: percent.{source}",
+        "(a) counts all pairs, (b) those that this detector's own overlap checks leave open, in brackets: percent of "
+        f"them. Rows: what the detector says; columns: the truth. {source}",
     )
 
 
