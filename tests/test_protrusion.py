@@ -440,7 +440,7 @@ def test_cells_that_stand_on_an_edge_get_smaller():
         assert areas.max(initial=0.0) <= 0.9 * whole
 
 
-@pytest.mark.parametrize("sections", [32, 48])
+@pytest.mark.parametrize("sections", [32, pytest.param(48, marks=pytest.mark.verify)])
 def test_tolerance_of_a_thin_wall(sections):
     """A thin wall of many facets is cut across, not into slices, however near the tolerance its pieces come."""
     wall = trimesh.creation.annulus(0.037, 0.04, 0.1, sections=sections)
@@ -450,7 +450,7 @@ def test_tolerance_of_a_thin_wall(sections):
     assert len(pieces) <= sections
 
 
-@pytest.mark.parametrize("times", [2, 10])
+@pytest.mark.parametrize("times", [2, pytest.param(10, marks=pytest.mark.verify)])
 def test_a_limit_that_suffices_costs_nothing(times, mug_body):
     """With twice as many pieces allowed as come out without a limit, or more, the tolerance is kept too."""
     pieces, covering = meshes.convex_pieces(mug(), tolerance=0.002, max_pieces=times * len(mug_body.pieces))

@@ -193,7 +193,7 @@ def test_forged_surfaces_are_refused(name, radius, tmp_path):
         Body.load(forged(arrays, tmp_path))
 
 
-@pytest.mark.filterwarnings("ignore:.*scale= is the factor:UserWarning")
+@pytest.mark.filterwarnings("ignore:.*Then give scale=:UserWarning")
 @pytest.mark.parametrize("seed", range(40))
 def test_radii_of_any_size_are_loaded(seed, tmp_path):
     """What from_surface made is never refused: flat, thin and round, radii from far below its size to far above."""

@@ -532,7 +532,7 @@ def test_nothing_to_check(lonely):
         (["--robot", "arm.urdf", "--trajectory", "none.csv"], "none.csv: expected a trajectory, found no such file"),
         (["--robot", "arm.urdf", "--trajectory", "other.csv"], "trajectory: expected one of 'arm'"),
         (["part.npz", "part.npz", "--port", "70000"], "port: expected a whole number"),
-        (["part.npz", "nothing.npz"], "nothing.npz: expected a file"),
+        (["part.npz", "nothing.npz"], "nothing.npz: expected a saved file"),
         (["part.npz", "broken.stl"], "broken.stl: expected a whole text STL"),
         (["part.npz", "part.npz", "--decompose"], "expected --decompose with --robot only"),
         (["part.npz", "part.npz", "--package-dir", "x"], "expected --package-dir with --robot only"),
@@ -1033,7 +1033,7 @@ def fills_the_window(tab, page):
     assert max(bottom - top, right - left) > 0.3 * height, (left, right, top, bottom)
 
 
-@pytest.mark.parametrize("size", [0.01, 30.0])
+@pytest.mark.parametrize("size", [0.01, pytest.param(30.0, marks=pytest.mark.verify)])
 def test_the_browser_opens_with_two_bodies_in_the_frame(tab, size):
     """Whatever their size: all their pixels are in the window, left of the panel."""
     with viewer.show_pair(
@@ -1173,7 +1173,10 @@ def test_another_site_in_the_browser(tab, viser):
         assert len(page.server.get_clients()) == 0
 
 
-@pytest.mark.parametrize("end", ["websocket=ws://localhost:{}", "playbackPath=http://localhost:{}/x.viser"])
+@pytest.mark.parametrize(
+    "end",
+    ["websocket=ws://localhost:{}", pytest.param("playbackPath=http://localhost:{}/x.viser", marks=pytest.mark.verify)],
+)
 def test_link_cannot_lead_the_page_astray(tab, end, monkeypatch):
     """viser's page connects to what its address names, and shows what it finds there as its own; ours does not.
 
@@ -1196,7 +1199,7 @@ def test_link_cannot_lead_the_page_astray(tab, end, monkeypatch):
             asked.clear()
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::1"])
+@pytest.mark.parametrize("host", ["0.0.0.0", pytest.param("::1", marks=pytest.mark.verify)])
 def test_page_with_token_in_the_browser(browser, host):
     """The browser shows the page at the address given, again without its token, and not to who never had it."""
     context, stranger = browser.new_context(), browser.new_context()

@@ -157,8 +157,11 @@ def _ask_about_units(vertices: Floats, name: str) -> None:
     """Warn of a size that looks like another unit of length; `vertices` are scaled already."""
     size = float(np.ptp(vertices, axis=0).max())
     if not USUAL_SIZES[0] <= size <= USUAL_SIZES[1] and size > 0:
-        guess = "in millimetres? Then scale by 0.001" if size > 1 else "scaled to metres twice? Then scale by 1000"
-        warn(f"{name}: {size:.3g} m across, all lengths being metres. Is it {guess} (scale=, or --scale)")
+        unit, factor = ("in millimetres", 0.001) if size > 1 else ("scaled to metres twice", 1000)
+        warn(
+            f"{name}: {size:.3g} m across, all lengths being metres. Is it {unit}? Then give scale={factor} "
+            f"(--scale {factor})"
+        )
 
 
 def _expect_finite(vertices: Floats, name: str) -> None:
