@@ -78,6 +78,16 @@ def test_no_name_is_the_folder(tmp_path, monkeypatch):
         pytest.fail("there is nothing to write to")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a folder in use cannot be removed there")
+def test_in_a_folder_that_is_gone_nothing_is_written(tmp_path, monkeypatch):
+    """Where the process stands in a folder that was removed, a relative name leads nowhere."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(FileError, match="file.txt: could not be written"), replacing("file.txt") as temporary:
+        temporary.write_text("")
+
+
 def test_links_stay_links(tmp_path):
     """What a link leads to is written, whether it is there or not; nothing else is left in either folder."""
     (tmp_path / "there").mkdir()

@@ -109,13 +109,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 def _regular_or_new(path: Path, name: str) -> Path:
     """Where a file of that name is, or would be, links followed."""
     try:
-        _expect_regular(os.stat(path), name, "the name of a file to write")
+        with suppress(FileNotFoundError):  # a new one; whether there can be one is told when it is written
+            _expect_regular(os.stat(path), name, "the name of a file to write")
+        return Path(os.path.realpath(path))
     except FileError:
         raise
-    except FileNotFoundError:
-        pass  # a new one; whether there can be one is told when it is written
     except ValueError:  # NUL, or a surrogate that stands for no byte
         raise FileError(f"{name}: expected the name of a file to write, found one that no file can have") from None
     except OSError as error:
         raise FileError(f"{name}: could not be written ({error.strerror or error})") from None
-    return Path(os.path.realpath(path))
