@@ -285,8 +285,9 @@ def test_robots_among_sensor_data(kind: str, rng: np.random.Generator, tmp_path:
             body = Body.from_cloud(centers, voxel=0.06)
             parts = [Body.boxes([p.outer.center], np.ptp(p.vertices, axis=0)) for p in body.pieces]
         if "seen" in scene:
-            scene.remove("seen")
-        scene.add("seen", body)
+            scene.replace("seen", body)
+        else:
+            scene.add("seen", body)
         single = Scene()
         for k, part in enumerate(parts):
             single.add(str(k), part)
