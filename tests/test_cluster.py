@@ -299,8 +299,16 @@ def test_relative_paths_are_those_of_the_caller(client, tmp_path, monkeypatch):
     """Workers are in another folder."""
     corpus(tmp_path, 1)
     monkeypatch.chdir(tmp_path)
-    assert cluster.fit(["mesh000.stl"], client, "made").done == {Path("mesh000.stl"): Path("made/mesh000.npz")}
+    Path("bad.stl").write_bytes(b"no mesh")
+    found = cluster.fit(["mesh000.stl", "bad.stl"], client, "made")
+    assert found.done == {Path("mesh000.stl"): Path("made/mesh000.npz")}
     assert (tmp_path / "made" / "mesh000.npz").exists()
+    with pytest.raises(loewner.FileError) as serial:
+        Body.from_mesh("bad.stl")
+    assert found.failed == {Path("bad.stl"): str(serial.value)}
+    with pytest.warns(UserWarning, match=r"^mesh000.stl: .* in millimetres") as warned:
+        Body.from_mesh("mesh000.stl")
+    assert found.warned == {Path("mesh000.stl"): (str(warned[0].message),)}
 
 
 # -- bad input ----------------------------------------------------------------------------------

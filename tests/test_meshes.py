@@ -618,6 +618,18 @@ def test_size_of_another_unit_is_asked_about(size, match, tmp_path):
         loewner.Body.from_mesh(trimesh.creation.box((1, 1, 1)), scale=size)
 
 
+@pytest.mark.parametrize("make", [loewner.Body.from_surface, loewner.Body.from_mesh])
+def test_triangles_that_are_no_array(make):
+    """Rows of different lengths, and entries that are masked, are no triangles."""
+    box = trimesh.creation.box((1, 1, 1))
+    for faces, told in (
+        ([[0, 1, 2], [0, 1]], "mesh.faces: expected an array of numbers, found a ragged sequence"),
+        (np.ma.array(box.faces, mask=np.eye(12, 3, dtype=bool)), "mesh.faces: expected numbers only, found masked"),
+    ):
+        with pytest.raises(InputError, match=told):
+            make((box.vertices, faces))
+
+
 def test_scale_that_overflows():
     """Finite vertices times a finite scale beyond all numbers are refused."""
     box = trimesh.creation.box((1, 1, 1))

@@ -351,6 +351,7 @@ def test_a_plan_that_proofs_cannot_make_says_why(tmp_path: Path) -> None:
         (lambda: Body.from_voxels(np.zeros((2, 2, 2), bool), 1), GeometryError, "found none"),
         (lambda: Body.from_voxels(np.zeros((2, 2, 2)), 1), InputError, "array of bool"),
         (lambda: Body.from_voxels(np.ones((2, 2), bool), 1), InputError, "array of bool"),
+        (lambda: Body.from_voxels(np.ma.array(np.ones((2, 2, 2), bool), mask=True), 1), InputError, "masked entries"),
         (lambda: Body.from_voxels(np.ones((2, 2, 2), bool), 0), InputError, "size"),
         (lambda: Body.from_voxels(np.ones((2, 2, 2), bool), 1, origin=[0, 0]), InputError, "origin"),
         (lambda: Body.height_field([[1.0]], 1), InputError, "at least two along each axis"),

@@ -378,7 +378,15 @@ def _outcome(future: Any, mesh: Path) -> _Outcome:
             )
         return _Outcome("failed", f"{shown(mesh)}: {type(error).__name__}: {error}")
     outcome: _Outcome = future.result()
-    return outcome
+    return outcome._replace(
+        message=_as_called(outcome.message, mesh), warnings=tuple(_as_called(text, mesh) for text in outcome.warnings)
+    )
+
+
+def _as_called(text: str, mesh: Path) -> str:
+    """What a worker says of a file, with the name that the caller has for it."""
+    there = f"{shown(_absolute(mesh))}: "
+    return f"{shown(mesh)}: {text.removeprefix(there)}" if text.startswith(there) else text
 
 
 def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, _Outcome]) -> Fitted:

@@ -144,7 +144,7 @@ def _in_memory(source: Any) -> tuple[Floats, Triangles]:
             f"found {type(source).__name__}"
         )
     vertices = _validate.float_array(mesh.vertices, "mesh.vertices")
-    triangles = np.asarray(mesh.faces)
+    triangles = _validate.plain_array(mesh.faces, "mesh.faces")
     for array, what in ((vertices, "vertices"), (triangles, "faces")):
         if array.ndim != 2 or array.shape[1] != 3:
             raise GeometryError(f"mesh.{what}: expected shape (n, 3), found {_validate.shape_text(array.shape)}")

@@ -381,9 +381,10 @@ class Scene:
             raise InputError(f"body of {_validate.short(name)}: expected loewner.Body, found {type(body).__name__}")
         with _CHANGING:
             self._bodies[self._known(name)] = body
+            T = self._poses.get(name)  # none on a link
             self._changed()
-        if not self._doubted and name in self._poses:
-            self._doubt(name, body, self._poses[name])
+        if not self._doubted and T is not None:
+            self._doubt(name, body, T)
 
     def move(self, name: str | Mapping[str, ArrayLike | None], T_world_body: ArrayLike | None = None) -> None:
         """Move one body, or many at once: ``move(name, T)`` or ``move({name: T, ...})``.

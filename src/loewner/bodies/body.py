@@ -568,10 +568,7 @@ class Body(_Bodies):
         >>> Body.from_voxels(grid, 0.1)
         Body(2 pieces, 16 vertices)
         """
-        try:
-            occupied = np.asarray(grid)
-        except Exception as error:  # of an object of the caller's
-            raise InputError(f"grid: expected an array of bool with three axes, found {error}") from None
+        occupied = _validate.plain_array(grid, "grid")
         if occupied.dtype != bool or occupied.ndim != 3:
             raise InputError(
                 f"grid: expected an array of bool with three axes, found {occupied.dtype} of shape {occupied.shape}"

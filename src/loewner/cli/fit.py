@@ -9,6 +9,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
+from loewner._files import shown
 from loewner.cli import inputs
 from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError
@@ -101,7 +102,7 @@ def _on_a_cluster(options: argparse.Namespace, tol: float) -> int:
     if fitted.failed:
         table = new_table("mesh", "what is wrong", title="loewner fit: failed")
         for mesh, text in fitted.failed.items():
-            table.add_row(str(mesh), text.removeprefix(f"{mesh}: "))
+            table.add_row(str(mesh), text.removeprefix(f"{shown(mesh)}: "))
         print_table(table)
     return ERROR if fitted.failed else 0
 

@@ -225,8 +225,8 @@ def _matrices(whole: Table, part: Table) -> Sheet:
         f"{whole.title} and {part.title}, {title}",
         (head, "collide", "free", *(("paper: collide", "paper: free") if printed else ())),
         tuple(rows),
-        "(a) counts all pairs, (b) those that this detector's own overlap checks leave open, in brackets: percent of "
-        f"them. Rows: what the detector says; columns: the truth. {source}",
+        "(a) counts all pairs, (b) those that this detector's own overlap checks leave open. Rows: what the detector "
+        f"says; columns: the truth. In brackets: percent. {source}",
     )
 
 
