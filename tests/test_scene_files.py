@@ -209,7 +209,7 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
             "bodies: expected each key once, found 'a' again",
         ),
         ("bodies: {}\nbodies: {}", 2, "expected each key once, found 'bodies'"),
-        ("bodies: {}\nbody: {}", 2, "expected keys among margin, bodies, allow, margins, found 'body'"),
+        ("bodies: {}\nbody: {}", 2, "expected keys among margin, bodies, allow, leave, reach, margins, found 'body'"),
         ("bodies:\nmargin: 1", 1, "bodies: expected a mapping, found nothing"),
         ("margin: 1", 1, "expected the key bodies, found margin"),
         ("- 1", 1, "expected a mapping, found a sequence of 1"),

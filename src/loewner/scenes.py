@@ -159,6 +159,8 @@ class Scene:
         self._poses: dict[str, Floats] = {}
         self._attachments: dict[str, Attachment] = {}
         self._allowed: set[Pair] = set()
+        self._leaving: set[Pair] = set()
+        self._reaching: set[Pair] = set()
         self._margins: dict[tuple[str, ...], float] = {}
         self._version = self._structure_version = 0
         self._packed: tuple[int, Bodies] | None = None
@@ -275,6 +277,7 @@ class Scene:
             other._poses = dict(self._poses)
             other._attachments = dict(self._attachments)
             other._allowed = set(self._allowed)
+            other._leaving, other._reaching = set(self._leaving), set(self._reaching)
             other._margins = dict(self._margins)
         return other
 
@@ -350,6 +353,7 @@ class Scene:
             self._attachments.pop(name, None)
             # A body that later comes under the same name must not inherit leave to touch.
             self._allowed = {pair for pair in self._allowed if name not in pair}
+            self._end_contacts(name)
             self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
             self._changed()
 
@@ -413,9 +417,16 @@ class Scene:
             self._version += 1
 
     def attach(
-        self, name: str, link: str, T_link_body: ArrayLike | None = None, *, touch_links: Iterable[str] = ()
+        self,
+        name: str,
+        link: str,
+        T_link_body: ArrayLike | None = None,
+        *,
+        touch_links: Iterable[str] = (),
+        leave: Iterable[str] = (),
+        reach: Iterable[str] = (),
     ) -> None:
-        """Hang a body on a link, with which it moves from now on: a grasped object.
+        """Attach a body to a link, with which it moves from now on: a grasped object.
 
         Parameters
         ----------
@@ -427,30 +438,51 @@ class Scene:
             Where the body sits in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+        leave : iterable of str
+            Bodies or links that it touches now and has to leave, such as the table that it stands on: see `leave`.
+        reach : iterable of str
+            Bodies or links that it may touch where a motion ends, such as the shelf that it is put on: see `reach`.
+
+        Warns
+        -----
+        UserWarning
+            If a pair with this body stays allowed by `allow`: motions are then proven without that pair.
+
+        Notes
+        -----
+        Rules of `leave` and `reach` that named the body before end here, and at `detach`.
 
         Examples
         --------
         >>> scene = Scene()
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
         >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
-        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"])
-        >>> scene.static_names
-        ()
+        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"], leave=["table"])
+        >>> scene.static_names, scene.leaving
+        (('table',), frozenset({('can', 'table')}))
         """
         self._known(name)
         _check_name(link, "link")
-        touching = {
-            link,
-            *(
-                _check_name(touched, "touch_links")
-                for touched in _validate.listed(touch_links, "touch_links", wanted="several names of links")
-            ),
-        }
+        touching = {link, *_names(touch_links, "touch_links")}
+        leaving = {_pair(name, other) for other in _names(leave, "leave")}
+        reaching = {_pair(name, other) for other in _names(reach, "reach")}
         T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         with _CHANGING:
             self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
             self._poses.pop(name, None)
+            self._end_contacts(name)
+            self._leaving |= leaving
+            self._reaching |= reaching
+            unseen = sorted(
+                pair for pair in self._allowed - leaving - reaching if name in pair and not touching.intersection(pair)
+            )
             self._changed()
+        if unseen:
+            warn(
+                f"attach of {name!r}: {', '.join(map(_text, unseen))} stay allowed to touch by Scene.allow, so that "
+                "motions are proven without them; name in leave=[...] what the body stands on, or forbid the pair"
+            )
 
     def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Put an attached body back into the world.
@@ -473,6 +505,7 @@ class Scene:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
             self._poses[name] = T
             del self._attachments[name]
+            self._end_contacts(name)
             self._changed()
 
     # -- rules --------------------------------------------------------------------------------
@@ -517,6 +550,83 @@ class Scene:
                 )
             self._allowed.remove(pair)
             self._changed()
+
+    @property
+    def leaving(self) -> frozenset[Pair]:
+        """Pairs whose contact at the start of a motion has to end, each sorted by name; see `leave`."""
+        with _CHANGING:
+            return frozenset(self._leaving)
+
+    @property
+    def reaching(self) -> frozenset[Pair]:
+        """Pairs that may come into contact at the end of a motion, each sorted by name; see `reach`."""
+        with _CHANGING:
+            return frozenset(self._reaching)
+
+    def leave(self, a: str, b: str) -> None:
+        """Let two that touch at the start of a motion part: the contact may end, but not get deeper or come back.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces: a can and the table that it stands on, a finger and the
+            can that it let go.
+
+        See Also
+        --------
+        reach : The mirror image, at the end of a motion.
+        allow : Contact at any time, however deep.
+
+        Notes
+        -----
+        The rule is about motions, see `CollisionChecker.certify_edges`: one that starts with the two in contact is
+        FREE if it is proven that, on a first stretch, no two of their pieces get deeper into each other than at the
+        start, or nearer while they are within their margin, and that the two keep their margin on the rest. It goes
+        before `allow`. At a single configuration contact is a collision, as for all pairs.
+
+        The rule ends when one of the two is attached, detached or removed.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.leave("can", "left_finger")
+        >>> scene.leaving
+        frozenset({('can', 'left_finger')})
+        """
+        self._begin_contact(self._leaving, _pair(a, b))
+
+    def reach(self, a: str, b: str) -> None:
+        """Let two come into contact at the end of a motion, as `leave` lets them part at the start of one.
+
+        There they touch, or are within their margin; they are no deeper in each other than the tolerance of the proof.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces.
+
+        See Also
+        --------
+        leave : What the rule says, with start and end of the motion exchanged.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.reach("can", "shelf")
+        >>> scene.reaching
+        frozenset({('can', 'shelf')})
+        """
+        self._begin_contact(self._reaching, _pair(a, b))
+
+    def _begin_contact(self, rules: set[Pair], pair: Pair) -> None:
+        with _CHANGING:
+            rules.add(pair)
+            self._changed()
+
+    def _end_contacts(self, name: str) -> None:
+        """Forget what `leave` and `reach` said about a body: its contacts are no longer the same."""
+        for rules in (self._leaving, self._reaching):
+            rules.difference_update([pair for pair in rules if name in pair])
 
     @property
     def margin(self) -> float:
@@ -741,6 +851,10 @@ def _check_name(name: Any, what: str) -> str:
     if not isinstance(name, str) or not name:
         raise InputError(f"{what}: expected a name, found {_validate.short(name)}")
     return name
+
+
+def _names(given: Any, what: str) -> list[str]:
+    return [_check_name(name, what) for name in _validate.listed(given, what, wanted="several names")]
 
 
 def _pair_as_given(pair: Any) -> Pair:

@@ -32,7 +32,7 @@ Maker = Callable[..., Body]
 MOST_BYTES = 2**24
 MOST_ENTRIES = 2_000_000
 
-TOP_KEYS = ("margin", "bodies", "allow", "margins")
+TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 BODY_KEYS = (*POSE_KEYS, "attach", "margin")
 SURFACE_KEYS = ("radius", "solid")
@@ -101,10 +101,11 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     made: dict[Any, Body] = {}
     for name, entry in top["bodies"].mapping(None).items():
         _add(scene, name, entry, made)
-    for entry in top["allow"].items() if "allow" in top else []:
-        a, b = (item.text() for item in entry.items(2))
-        with entry.blamed():
-            scene.allow(a, b)
+    for key, rule in (("allow", scene.allow), ("leave", scene.leave), ("reach", scene.reach)):
+        for entry in top[key].items() if key in top else []:
+            a, b = (item.text() for item in entry.items(2))
+            with entry.blamed():
+                rule(a, b)
     for entry in top["margins"].items() if "margins" in top else []:
         *items, last = entry.items(2, 3)
         margin, names = last.length(), [item.text() for item in items]
@@ -162,8 +163,9 @@ def _document(scene: Scene, file: Path) -> dict[str, Any]:
         if (name,) in scene.margins:
             bodies[name]["margin"] = scene.margins[(name,)]
     document: dict[str, Any] = {"margin": scene.margin, "bodies": bodies}
-    if scene.allowed:
-        document["allow"] = [list(pair) for pair in sorted(scene.allowed)]
+    for key, pairs in (("allow", scene.allowed), ("leave", scene.leaving), ("reach", scene.reaching)):
+        if pairs:
+            document[key] = [list(pair) for pair in sorted(pairs)]
     margins = [[*names, margin] for names, margin in scene.margins.items() if names[0] not in scene or len(names) == 2]
     if margins:
         document["margins"] = margins
@@ -306,11 +308,14 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
         with entry.blamed():
             scene.add(name, made[recipe], T, margin=margin)
         return
-    attach = keys["attach"].mapping(("link", "touch"), required=("link",))
-    link, touch = attach["link"].text(), [item.text() for item in attach["touch"].items()] if "touch" in attach else []
+    attach = keys["attach"].mapping(("link", "touch", "leave", "reach"), required=("link",))
+    link = attach["link"].text()
+    touch, leave, reach = (
+        [item.text() for item in attach[key].items()] if key in attach else [] for key in ("touch", "leave", "reach")
+    )
     with entry.blamed():
         scene.add(name, made[recipe], margin=margin)
-        scene.attach(name, link, T, touch_links=touch)
+        scene.attach(name, link, T, touch_links=touch, leave=leave, reach=reach)
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:
