@@ -96,7 +96,7 @@ def at(x: float, y: float, z: float) -> np.ndarray:
 
 def from_above(T_world_can: np.ndarray) -> np.ndarray:
     """Where the finger tips are to be: 4 cm above the can's middle, pointing down, the fingers along y."""
-    T = T_world_can @ at(0, 0, 0.04)
+    T: np.ndarray = T_world_can @ at(0, 0, 0.04)
     T[:3, :3] = np.diag([1.0, -1.0, -1.0])
     return T
 
