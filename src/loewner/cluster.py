@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import pickle
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -40,6 +41,9 @@ PATIENCE = 10
 
 # Files that are handed to the scheduler in one message.
 AT_A_TIME = 4096
+
+# How often the same work is requested, if it is cancelled while the scheduler lives.
+ATTEMPTS = 4
 
 # Records are a few hundred bytes, and a name of 255 letters at most.
 LARGEST_RECORD = 2**16
@@ -136,7 +140,8 @@ def fit(
     MissingExtraError
         If Dask is not installed.
     LoewnerError
-        If the scheduler goes away. What was done by then need not be done again.
+        If the scheduler goes away, or the work is cancelled again and again. What was done by then need not be done
+        again.
 
     See Also
     --------
@@ -151,9 +156,11 @@ def fit(
     whose workers died, goes on where it stopped when it is made again. A glTF file that names other files is always
     fitted anew.
 
-    If a worker dies, Dask gives its files to others. A file at which four workers died counts as failed: it may take
-    more memory than they have. While there is no worker at all, the call waits for one. After an interrupt nobody
-    begins another file; those that workers are at are finished.
+    If a worker dies, Dask gives its files to others, and those whose outcome was lost with it. What is cancelled while
+    the scheduler lives, when its connection breaks or somebody restarts it for instance, is requested again, four times
+    in all. A file at which four workers died counts as failed: it may take more memory than they have. While there is
+    no worker at all, the call waits for one. After an interrupt nobody begins another file; those that workers are at
+    are finished.
 
     Examples
     --------
@@ -317,14 +324,48 @@ def _checksum(data: bytes) -> str:
 def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
 ) -> dict[Path, Outcome]:
-    """Have the workers make all bodies, and wait for them; whatever ends the wait ends the work."""
-    total, found = len(targets), dict[Path, Outcome]()
+    """Have the workers make all bodies, and wait for them; what is cancelled meanwhile is requested again.
+
+    Raises
+    ------
+    LoewnerError
+        If the scheduler has gone, or the work was cancelled as often as it was requested.
+    """
+    found: dict[Path, Outcome] = {}
+    run = os.urandom(8).hex()
+
+    def report(mesh: Path, outcome: Outcome) -> None:
+        found[mesh] = outcome
+        if progress is not None:
+            progress(len(found), len(targets))
+
+    for _ in range(ATTEMPTS):
+        left = {mesh: target for mesh, target in targets.items() if mesh not in found}
+        _request(client, left, options, run, report)
+        if len(found) == len(targets):
+            return found
+        if not _reconnected(client):
+            break
+    raise LoewnerError(
+        "expected a scheduler that stays until the work is done, found that it went away, or that somebody "
+        f"cancelled the work {ATTEMPTS} times; what is done is kept: make the same call again"
+    )
+
+
+def _request(
+    client: Any,
+    targets: Mapping[Path, Path],
+    options: dict[str, Any],
+    run: str,
+    report: Callable[[Path, Outcome], None],
+) -> None:
+    """Report the outcomes of meshes, but for what is cancelled; whatever ends the wait ends the work."""
     futures = client.map(
         _fit_one,
         [str(_absolute(mesh)) for mesh in targets],
         [str(_absolute(target)) for target in targets.values()],
         options=options,
-        run=os.urandom(8).hex(),
+        run=run,
         pure=False,
         batch_size=AT_A_TIME,
     )
@@ -334,35 +375,38 @@ def _outcomes(
     try:
         for future in _distributed().as_completed(waiting, loop=client.loop):
             mesh = waiting.pop(future)
-            found[mesh] = _outcome(future, mesh)
+            outcome = _outcome(future, mesh)
             future.release()
-            if progress is not None:
-                progress(len(found), total)
+            if outcome is not None:
+                report(mesh, outcome)
     except BaseException:
         with suppress(Exception):  # the scheduler may be what went away
             client.cancel(list(waiting))
         raise
-    return found
 
 
-def _outcome(future: Any, mesh: Path) -> Outcome:
-    """What a worker returned; or why none could."""
-    if future.status in ("cancelled", "lost"):
-        raise LoewnerError(
-            "expected a scheduler that stays until the work is done, found that it went away, or that somebody "
-            "cancelled the work; what is done is kept: make the same call again"
+def _outcome(future: Any, mesh: Path) -> Outcome | None:
+    """What a worker returned, or why none could; None if that was cancelled, or the scheduler cannot be reached."""
+    try:
+        outcome: Outcome = future.result()  # that of a worker that died meanwhile is made again, and waited for
+    except _distributed().KilledWorker:
+        return Outcome(
+            "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
         )
-    if future.status == "error":
-        error = future.exception()
-        if isinstance(error, _distributed().KilledWorker):
-            return Outcome(
-                "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
-            )
+    except Exception as error:
+        if future.status != "error" and (future.status == "cancelled" or isinstance(error, OSError)):
+            return None
         return Outcome("failed", f"{shown(mesh)}: {type(error).__name__}: {error}")
-    outcome: Outcome = future.result()
     return outcome._replace(
         message=_as_called(outcome.message, mesh), warnings=tuple(_as_called(text, mesh) for text in outcome.warnings)
     )
+
+
+def _reconnected(client: Any) -> bool:
+    """Tell whether the scheduler is there, once a client that has lost it has found it again or given up."""
+    while client.status == "connecting":
+        time.sleep(0.05)
+    return bool(client.status == "running")
 
 
 def _as_called(text: str, mesh: Path) -> str:

@@ -39,6 +39,10 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "capsule": (("radius", 1), ("length", 1)),
 }
 
+# An axis is meant as a unit vector. One that is far shorter has the direction of rounding errors, or is damaged; and the
+# squares of lengths below 1e-154 vanish, so that readers do not agree on it.
+SHORTEST_AXIS = 1e-9
+
 # Pairs of links that the rules of an SRDF, or links without shapes, may make at most: far more than any robot has.
 MOST_PAIRS = 2**22
 
@@ -264,11 +268,11 @@ def _axis(joint: Element, kind: str) -> Floats:
     if element is None:
         return np.array([0.0, 0.0, 1.0] if kind == "planar" else [1.0, 0.0, 0.0])
     axis = np.array(element.finite("xyz", 3))
-    largest = np.abs(axis).max()
-    if largest == 0:
-        element.fault(f"an axis of length above 0 for joint {joint.text('name')!r}", "0 0 0")
-    axis /= largest
-    return np.asarray(axis / np.linalg.norm(axis))
+    length = np.linalg.norm(axis)
+    if length < SHORTEST_AXIS:
+        expected = f"an axis of length 1, and no less than {SHORTEST_AXIS:g}, for joint {joint.text('name')!r}"
+        element.fault(expected, f"{' '.join(f'{x:g}' for x in axis)}, whose direction rounding may have made")
+    return np.asarray(axis / length)
 
 
 def _limits(joint: Element, kind: str) -> tuple[float, float]:
