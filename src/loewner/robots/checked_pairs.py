@@ -298,7 +298,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
             if name not in all_names:
                 raise _validate.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
     for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
-        for name in (name for names in sorted(named) for name in names):
+        for name in sorted({name for names in named for name in names if name is not None}):
             if name not in all_names:
                 raise _validate.unknown_name(f"body or link in {place}", name, all_names)
     for name in scene.names:
@@ -357,16 +357,21 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
 
 
 def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
-    """What each pair keeps, metres, as `Scene.margin_of`; but the scene's own margin is none of two links."""
+    """What each pair keeps, metres, as `Scene.margin_of`."""
     a, b = pairs.T
-    of_scene = np.array([name in scene for name in names], dtype=bool)
-    margins = np.where(of_scene[a] | of_scene[b], scene.margin, 0.0)
-    rules = scene.margins
+    is_link = np.array([name not in scene for name in names], dtype=bool)
+    rules, lowered = scene.margins, scene.lowered
+    margins = np.where(is_link[a] & is_link[b], rules.get((None, None), 0.0), scene.margin)
     if not rules:
         return margins
-    own = np.array([rules.get((name,), np.nan) for name in names])
-    nearer = np.fmax(own[a], own[b])
-    margins = np.where(np.isnan(nearer), margins, nearer)
+    # Each one's own, those against links only for pairs with a link; one that is not there is as good as 0.
+    own = np.zeros(len(pairs))
+    lower = np.zeros(len(pairs), dtype=bool)
+    for one, holds in ((a, True), (b, True), (a, is_link[b]), (b, is_link[a])):
+        keys = [(name,) if holds is True else (name, None) for name in names]
+        own = np.fmax(own, np.where(holds, np.array([rules.get(key, 0.0) for key in keys])[one], 0.0))
+        lower |= holds & np.array([key in lowered for key in keys], dtype=bool)[one]
+    margins = np.fmax(own, np.where(lower, 0.0, margins))
     place = {name: k for k, name in enumerate(names)}
     number = a * len(names) + b  # ascending, as the pairs are
     for rule, margin in rules.items():
@@ -374,7 +379,7 @@ def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
         if len(rule) == 2 and len(at) == 2:
             found = np.searchsorted(number, at[0] * len(names) + at[1])
             if found < len(pairs) and pairs[found].tolist() == at:
-                margins[found] = margin
+                margins[found] = margin if rule in lowered else max(margin, margins[found])
     return margins
 
 
