@@ -838,7 +838,13 @@ CALLS: dict[str, Call] = {
     "Scene.forbid": Call(on(scene, "forbid"), {"a": arg("box"), "b": arg("post")}),
     "Scene.set_margin": Call(
         on(scene, "set_margin"),
-        {"margin": margin(0.5, NONE), "a": arg("post", TEXTS), "b": arg("can", TEXTS, NONE)},
+        {
+            "margin": margin(0.5, NONE),
+            "a": arg("post", TEXTS),
+            "b": arg("can", TEXTS, NONE),
+            "against": arg(None, NONE),
+            "lower": flag(),
+        },
     ),
     "Scene.widen": Call(on(scene, "widen"), {"least": margin(0.5)}),
     "Scene.margin_of": Call(on(scene, "margin_of"), {"a": arg("post", TEXTS), "b": arg("can", TEXTS)}),

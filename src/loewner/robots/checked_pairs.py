@@ -357,7 +357,7 @@ def _check_names(robot: Robot, scene: Scene) -> None:
         ("margins", scene.margins),
     )
     for place, named in rules:
-        for name in (name for names in sorted(named) for name in names):
+        for name in sorted({name for names in named for name in names if name is not None}):
             if name not in all_names:
                 raise _validate.unknown_name(f"body or link in {place}", name, all_names)
     for name in scene.names:
@@ -417,24 +417,28 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
 
 
 def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
-    """What each pair keeps, metres, as `Scene.margin_of`; but the scene's own margin is none of two links."""
+    """What each pair keeps, metres, as `Scene.margin_of`."""
     a, b = pairs.T
-    of_scene = np.array([name in scene for name in names], dtype=bool)
-    margins = np.where(of_scene[a] | of_scene[b], scene.margin, 0.0)
-    rules = scene.margins
+    is_link = np.array([name not in scene for name in names], dtype=bool)
+    rules, lowered = scene.margins, scene.lowered
+    margins = np.where(is_link[a] & is_link[b], rules.get((None, None), 0.0), scene.margin)
     if not rules:
         return margins
-    own = np.array([rules.get((name,), np.nan) for name in names])
-    nearer = np.fmax(own[a], own[b])
-    margins = np.where(np.isnan(nearer), margins, nearer)
-    of_pairs = [rule for rule in rules if len(rule) == 2]
-    for rule, found in zip(of_pairs, _numbers(of_pairs, names, pairs), strict=True):
+    # Each one's own, those against links only for pairs with a link; one that is not there is as good as 0.
+    own = np.zeros(len(pairs))
+    lower = np.zeros(len(pairs), dtype=bool)
+    for one, holds in ((a, True), (b, True), (a, is_link[b]), (b, is_link[a])):
+        keys = [(name,) if holds is True else (name, None) for name in names]
+        own = np.fmax(own, np.where(holds, np.array([rules.get(key, 0.0) for key in keys])[one], 0.0))
+        lower |= holds & np.array([key in lowered for key in keys], dtype=bool)[one]
+    margins = np.fmax(own, np.where(lower, 0.0, margins))
+    for rule, found in zip(rules, _numbers(rules, names, pairs), strict=True):
         if found >= 0:
-            margins[found] = rules[rule]
+            margins[found] = rules[rule] if rule in lowered else max(rules[rule], margins[found])
     return margins
 
 
-def _numbers(named: Iterable[tuple[str, ...]], names: tuple[str, ...], pairs: Ints) -> list[int]:
+def _numbers(named: Iterable[tuple[str | None, ...]], names: tuple[str, ...], pairs: Ints) -> list[int]:
     """Numbers of the checked pairs of two names each; -1 for those that are not checked."""
     place = {name: k for k, name in enumerate(names)}
     number = pairs[:, 0] * len(names) + pairs[:, 1]  # ascending, as the pairs are

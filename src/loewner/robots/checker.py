@@ -198,8 +198,8 @@ class CollisionChecker:
     the bodies of the scene, except for pairs that are allowed. What is rigidly joined is never checked against each
     other. Bodies of the scene are not checked against each other: see `Scene.pairs`.
 
-    The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if one of the two,
-    or the pair, was given one by `Scene.set_margin`.
+    The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if `Scene.set_margin`
+    gave one to all links, to one of the two, or to the pair (`Scene.margin_of`).
 
     Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
     `checked_pairs`.
