@@ -150,7 +150,9 @@ def judged(given: Slide) -> tuple[list[str], Counter[str]]:
         if verdict == Verdict.FREE:
             counts["near"] += min(gaps) < Fraction(1e-6 * given.size)
             if min(gaps) <= 0:
-                wrong.append(f"motion {k} is FREE, and meets the wall: it lacks {float(-min(gaps) / Fraction(given.size)):g}")
+                wrong.append(
+                    f"motion {k} is FREE, and meets the wall: it lacks {float(-min(gaps) / Fraction(given.size)):g}"
+                )
         elif verdict == Verdict.COLLIDING:
             excess = given.excess(given.at(k, float(found.fraction[k])), given.axis, given.side)
             counts["rounded"] += excess > 0

@@ -7,7 +7,10 @@ import pytest
 
 from sliding_motions import judged, slide
 
-pytestmark = [pytest.mark.verify, pytest.mark.filterwarnings("ignore:.*(is it in|all lengths being metres).*:UserWarning")]
+pytestmark = [
+    pytest.mark.verify,
+    pytest.mark.filterwarnings("ignore:.*(is it in|all lengths being metres).*:UserWarning"),
+]
 
 ROBOTS, MOTIONS = 1_500, 32
 
