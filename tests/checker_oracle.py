@@ -115,7 +115,7 @@ def margin_of(scene: Scene, a: str, b: str) -> float:
     def holds(key) -> bool:
         if key in ((), (None, None)):
             return (a in scene or b in scene) == (key == ())
-        x, y = (a, b) if key[0] in (a, *(() if key[0] is None else ())) else (b, a)
+        x, y = (a, b) if key[0] == a else (b, a)
         return key[0] == x and (len(key) == 1 or key[1] == y or (key[1] is None and y not in scene))
 
     def rank(key) -> int:
