@@ -129,7 +129,11 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
     with tempfile.TemporaryDirectory(dir=home, prefix=".build-") as folder:
         work = Path(folder)
         compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
-        groups = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
+        run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
+        # Of one level two processes compile half each, and both what the halves share; several levels keep processes
+        # busy enough, and each file is a ninth smaller.
+        halves = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
+        groups = halves if len(levels) == 1 else {"all": list(ENTRIES)}
         jobs = [(level, group) for level in levels for group in groups]
         emit_all([(level, groups[group], work / f"{level}-{group}.o") for level, group in jobs])
         emit_ptx(work / _ptx.NAME)
@@ -185,12 +189,16 @@ def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
 
 def emit_ptx(to: Path) -> None:
     """Write the threads' functions as PTX, which are the same for all processors."""
-    command = [sys.executable, "-m", "loewner._ptx", str(to)]
     paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache", "LOEWNER_QUIET": "1"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    run(["-m", "loewner._ptx", str(to)], environment, "the kernels of GPUs could not be compiled")
+
+
+def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
+    """Run Python in a process of its own, or stop with what it said."""
+    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise BuildError(f"the kernels of GPUs could not be compiled:\n{done.stderr.strip()[-4000:]}")
+        raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
 
 
 def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:

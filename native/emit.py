@@ -1,8 +1,9 @@
 """Kernels as one object file: what Numba makes of them, without Numba, Python or NumPy.
 
 Run by `build.py`, in a process of its own, for one level of processors: Numba reads the level from the environment when
-it is imported. All kernels of a file come from one process, since Numba numbers functions, and two processes give the
-same name to different ones.
+it is imported. What is compiled does not run there, since this machine's processor may be of a lower level; without
+arguments this file checks Numba itself, for this machine. All kernels of a file come from one process, since Numba
+numbers functions, and two processes give the same name to different ones.
 """
 
 import ctypes
@@ -186,7 +187,6 @@ def check_numba() -> None:
 
 def emit(entries: list[Entry]) -> bytes:
     """Object code of entries, position-independent, for the processor that the environment names."""
-    check_numba()
     codegen = cpu_target.target_context.codegen()
     library = codegen.create_library("loewner")
     shims = ir.Module("shims")
@@ -206,7 +206,7 @@ def emit(entries: list[Entry]) -> bytes:
             variable.linkage = "internal"
     module.verify()
     machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
-        cpu=codegen._get_host_cpu_name(), features=codegen._tm_features, opt=config.OPT, reloc="pic"
+        cpu=codegen._get_host_cpu_name(), features=codegen._tm_features, opt=config.OPT, reloc="pic", codemodel="small"
     )
     return machine.emit_object(module)
 
@@ -238,4 +238,4 @@ def main(to: str, names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    main(sys.argv[1], sys.argv[2:]) if sys.argv[1:] else check_numba()

@@ -471,7 +471,7 @@ def test_an_interrupt_leaves_nothing_broken(robot, checker):
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
         for delay in (0.05, 0.11, 0.17):
-            with pytest.raises(KeyboardInterrupt):  # noqa: PT012: the timer may go off at once
+            with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # the timer may go off at once
                 signal.setitimer(signal.ITIMER_REAL, delay)
                 planners.plan(endless, LEFT, RIGHT, joints="slide", timeout=1e6, max_iterations=10**12)
             np.testing.assert_array_equal(planners.plan(checker, LEFT, RIGHT, seed=1), expected)

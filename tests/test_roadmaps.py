@@ -662,7 +662,7 @@ def test_an_interrupt_leaves_no_thread_that_writes(made):
     near._nearest(values[:100], 2)  # starts the threads that stay
     before, handler = set(threading.enumerate()), signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt):  # noqa: PT012: the timer may go off at once
+        with pytest.raises(KeyboardInterrupt):  # noqa: PT012  # the timer may go off at once
             signal.setitimer(signal.ITIMER_REAL, 0.02)
             near._nearest(values[:2000], 20)
         assert set(threading.enumerate()) <= before

@@ -39,8 +39,8 @@ SIZES: dict[str, tuple[tuple[str, int], ...]] = {
     "capsule": (("radius", 1), ("length", 1)),
 }
 
-# An axis is meant as a unit vector. One that is far shorter has the direction of rounding errors, or is damaged; and the
-# squares of lengths below 1e-154 vanish, so that readers do not agree on it.
+# An axis is meant as a unit vector. One that is far shorter has the direction of rounding errors, or is damaged; and
+# the squares of lengths below 1e-154 vanish, so that readers do not agree on it.
 SHORTEST_AXIS = 1e-9
 
 # Pairs of links that the rules of an SRDF, or links without shapes, may make at most: far more than any robot has.
