@@ -44,13 +44,16 @@ def instrumented(to: Path) -> None:
 
 
 def runtime() -> str:
-    """The library of the sanitizer, which a program that was compiled without it has to load first."""
+    """The libraries that a program which was compiled without the sanitizer has to load first.
+
+    That of C++ is among them since the sanitizer looks for its functions at the start, and Python loads it later.
+    """
     compiler = shlex.split(os.environ.get("CC") or "cc")
-    found = subprocess.run([*compiler, "-print-file-name=libasan.so"], capture_output=True, text=True, check=False)
-    path = Path(found.stdout.strip())
-    if not path.is_absolute():
+    asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
+    found = [Path(subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()) for command in asked]
+    if not all(path.is_absolute() for path in found):
         raise BuildError(f"expected gcc with its libasan, found none with {compiler[0]}")
-    return str(path.resolve())
+    return " ".join(str(path.resolve()) for path in found)
 
 
 def environment(to: Path) -> dict[str, str]:

@@ -13,8 +13,8 @@ from surface_oracle import Mesh, collides
 
 # The whole of a depth does part two bodies; so much of it must not.
 SHARE = 0.999999
-# Relative to the lengths: what distances are computed to.
-TIGHT = 1e-12
+# Relative to the lengths: what distances are right to (docs/verification.md).
+TIGHT = 1e-9
 
 
 class Pair(NamedTuple):
