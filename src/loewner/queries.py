@@ -77,7 +77,8 @@ class Distance(Generic[Number, Exact, Vector]):
 
     Everything here is about the nearest, or else the deepest, two pieces. For bodies of several pieces a
     negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
-    other, and parting them can take more, since another pair may then be in the way.
+    other, and parting them can take more, since another pair may then be in the way. Of a surface that is a strict
+    lower bound; the depth of two convex pieces is theirs to the accuracy of an exact distance.
 
     Attributes
     ----------

@@ -10,13 +10,14 @@ SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 
 # The same for positions (translation, rotated center, dot product), in units of the lengths that
 # were added. Of gaps between ellipsoids, of support planes of vertices, of boxes of trees, and of support planes of
-# vertices at two poses; of curved pieces, and of those at two poses.
+# vertices at two poses; of curved pieces, and of those at two poses; of depths of surfaces.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 33, certified.md B14
 # derived 11, certified.md B19
 # derived 53, certified.md B30
 # derived 54, certified.md B33
 # derived 62, certified.md B34
+# derived 54, certified.md B49
 POSITION_ERROR = POSITION_ROUNDINGS / UNIT_ROUNDOFF  # derived 19, certified.md B6
 
 # How far RᵀR may be from the identity (largest entry). Wide enough for poses that went through

@@ -20,7 +20,7 @@ from numba.extending import intrinsic
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
-from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW
+from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW, plane_with_care
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
@@ -56,7 +56,8 @@ _CORNER_B = _CORNER_A + MAX_POINTS
 _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
-_INTEGERS = _RIM_FROM + 3 * MAX_FACES
+_LEFT = _RIM_FROM + 3 * MAX_FACES  # what `proven_depth` goes on with: faces, number of points, vectors of A and of B
+_INTEGERS = _LEFT + 4
 
 SIZE = 8 * (_FLOATS + _INTEGERS)  # bytes of both
 
@@ -426,6 +427,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         if height - lower <= tolerance:
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
+            K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3] = live, used, vectors_a, vectors_b
             return SETTLED, lower, height
         seen = _seen(W, live, _point(W, used), error) | (np.int64(1) << f)
         live, f, lower = _expand(W, K, live, seen, used)
@@ -462,6 +464,46 @@ def _witness(W, K, live, f, window, result):
         at = _B + MAX_CORNERS * m
         result[6 + m] = a * W[at + K[_CORNER_B + u]] + b * W[at + K[_CORNER_B + v]] + c * W[at + K[_CORNER_B + w]]
     return True
+
+
+@njit()
+def proven_depth(error, W, K, result):
+    """A lower bound, but for `error`, on the depth that `overlap_depth` has just settled; 0 if none is proven.
+
+    The faces are a closed surface of points of A - B. If it winds around the origin and keeps away from it, a ball
+    about the origin lies in A - B: certified.md B49. The search goes on until the ball touches a face of A - B itself,
+    whose normal and witnesses go to `result`.
+    """
+    live, first, vectors_a, vectors_b = K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3]
+    proven = 0.0
+    for used in range(first, MAX_POINTS):
+        sound, rest = True, live
+        while rest != 0:
+            sound &= _measure_face(W, K, _first_bit(rest), error)
+            rest &= rest - 1
+        if not sound:
+            break
+        f, lower = _nearest(W, live)
+        if lower > proven:
+            proven = lower
+            _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result)
+        if _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f)) - lower <= error:
+            break
+        seen = _seen(W, live, _point(W, used), error) | (np.int64(1) << f)
+        live, f, lower = _expand(W, K, live, seen, used)
+        if live == 0:
+            break
+    return proven
+
+
+@inline
+def _measure_face(W, K, f, error):
+    """Write a face's normal and offset once more, with care; True if the origin is behind it beyond rounding."""
+    u, v, w = _corners(K, f)
+    behind, nearest, n = plane_with_care(_point(W, u), _point(W, v), _point(W, w), error)
+    W[_NX + f], W[_NY + f], W[_NZ + f] = n
+    W[_OFFSET + f] = nearest
+    return behind
 
 
 @njit()

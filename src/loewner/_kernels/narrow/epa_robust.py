@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.linalg3 import cross, dot, minus
 from loewner._kernels.narrow.gjk_robust import minkowski_support, rounding_error
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
@@ -37,7 +38,10 @@ CONTACT_ACCURACY = 1e-13  # what it takes to tell a graze from a gap
 
 
 class Workspace(NamedTuple):
-    """Arrays that `penetration` writes to: support points, faces, and the lists of the face search."""
+    """Arrays that `penetration` writes to: support points, faces, and the lists of the face search.
+
+    `count` has one number: how many rows of the faces are in use; 0 if those alive are no closed surface.
+    """
 
     S: Any
     corners: Any
@@ -48,6 +52,7 @@ class Workspace(NamedTuple):
     free: Any
     horizon: Any
     stack: Any
+    count: Any
 
 
 @njit()
@@ -282,7 +287,8 @@ def penetration(A, B, shift, accuracy, work, result):
         Both `FLAT` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
-    S, corners, neighbors, normals, offsets, alive, free, horizon, stack = work
+    S, corners, neighbors, normals, offsets, alive, free, horizon, stack, count = work
+    count[0] = 0
     error = rounding_error(A, B, shift)
     tolerance = error * (accuracy / POSITION_ROUNDINGS)
     _first_tetrahedron(A, B, shift, S)
@@ -314,6 +320,7 @@ def penetration(A, B, shift, accuracy, work, result):
     upper = np.inf
     lower = -np.inf
     last = np.int64(-1)
+    closed = True
     while used < MAX_POINTS:
         nearest = -1
         least = np.inf
@@ -339,8 +346,10 @@ def penetration(A, B, shift, accuracy, work, result):
         if not _expand(
             S, corners, neighbors, normals, offsets, alive, free, counts, nearest, used, error, horizon, stack
         ):
+            closed = False
             break
         used += 1
+    count[0] = counts[0] if closed else 0
     if last < 0:
         return -np.inf, np.inf
     # If many directions tie, the faces are still coarse. Support points around the best normal, a hair's
@@ -360,6 +369,52 @@ def penetration(A, B, shift, accuracy, work, result):
                 last = f
     _witness(S, corners, normals, last, result)
     return lower, upper
+
+
+@njit()
+def proven_depth(error, work):
+    """A lower bound, but for `error`, on the depth that `penetration` has just found; 0 if none is proven.
+
+    The faces are a closed surface of points of A - B. If it winds around the origin and keeps away from it, a ball
+    about the origin lies in A - B: certified.md B49.
+    """
+    proven = np.inf if work.count[0] > 0 else 0.0
+    for f in range(work.count[0]):
+        if work.alive[f]:
+            a, b, c = work.corners[f, 0], work.corners[f, 1], work.corners[f, 2]
+            behind, nearest, _ = plane_with_care(_point(work.S, a), _point(work.S, b), _point(work.S, c), error)
+            if not behind:
+                return 0.0
+            proven = min(proven, nearest)
+    return proven
+
+
+@inline
+def plane_with_care(one, two, three, error):
+    """The plane of a face with the origin behind it, from the face's two shorter sides.
+
+    Returns
+    -------
+    behind : bool
+        Whether the origin is behind the face beyond rounding, so that the face winds around it the right way.
+    nearest : float
+        How far the nearest corner is along the normal: but for `error`, no point of the face is nearer to the origin.
+    n : tuple of 3 float
+        The unit normal.
+    """
+    a, b, c = minus(two, one), minus(three, two), minus(one, three)
+    x, y, z = dot(a, a), dot(b, b), dot(c, c)
+    longest = max(x, max(y, z))
+    n = cross(b, c) if x == longest else (cross(c, a) if y == longest else cross(a, b))
+    area = np.sqrt(dot(n, n))
+    n = n[0] / area, n[1] / area, n[2] / area
+    nearest = min(dot(n, one), min(dot(n, two), dot(n, three)))
+    return (nearest - error) * area > error * np.sqrt(x * y * z / longest), nearest, n
+
+
+@inline
+def _point(S, k):
+    return S[k, 0], S[k, 1], S[k, 2]
 
 
 @njit()
@@ -463,4 +518,5 @@ def workspace(wanted):
         free=np.empty(faces, np.int64),
         horizon=np.empty((faces, 2), np.int64),
         stack=np.empty((faces, 2), np.int64),
+        count=np.zeros(1, np.int64),
     )

@@ -26,10 +26,11 @@ from loewner._kernels.columns import (
     ROUNDING,
     SEGMENT,
 )
-from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus, scaled
+from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
-from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, FLAT, penetration
+from loewner._kernels.narrow.epa_fast import proven_depth as proven_of_polytopes
+from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, penetration, proven_depth
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
 from loewner._kernels.narrow.gjk_fast import NEAREST, begin, place_piece
@@ -88,7 +89,7 @@ from loewner._kernels.narrow.triangles import (
     squared_distances,
 )
 from loewner._kernels.pieces.pack import shift_between
-from loewner._kernels.pieces.shapes import placed_support, radius, reach, rotation_of
+from loewner._kernels.pieces.shapes import radius, reach, rotation_of
 from loewner._kernels.records import Placed
 from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import (
@@ -147,7 +148,8 @@ def surface_distance(A, B, n, limit, faces, edges, memory, result):
     Returns
     -------
     distance : float
-        inf if it is above the limit. If negative, the depth is at least that; it is that of a pair of convex parts.
+        inf if it is above the limit. If negative, the depth is at least that, but for rounding (certified.md B49);
+        it is that of a pair of convex parts.
     gap : float
         How far bounds on it are apart.
     """
@@ -550,7 +552,7 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
     """Depth of the deepest pair of triangles, if it is more than what was found."""
     a, b = surface_of(A), surface_of(B)
     size = lengths(A, B, shift)
-    error = CORNER_ERROR * size
+    error, rounding = CORNER_ERROR * size, rounding_error(A, B, shift)
     about = relation(A, B, shift, size, 0.0)
     stack, placed = integers_at(memory, (STACK,)), floats_at(memory + PLACED, (2 * BLOCK,))
     stack[0], stack[1] = 0, 0
@@ -583,7 +585,9 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                     T = triangle_piece(B, leaf_b * LEAF + other, 0.0, memory + _PIECES + PIECE)
                     n = minus(corners_at(placed, BLOCK, other)[0], corners[0])
                     status, _, deep = overlap_depth(S, T, n, faces, edges, own)
-                    if status == DEPTH_SETTLED and deep > found:
+                    settled = status == DEPTH_SETTLED and deep > found
+                    deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
+                    if deep > found:
                         found = deep
                         for c in range(9):
                             result[c] = own[c]
@@ -614,7 +618,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
     """Depth of the triangle of A that is deepest in the convex piece B; the result is turned round if sign is -1."""
     a = surface_of(A)
     middle, half, single, wide = box_in_frame(A, B, shift, 0.0, lengths(A, B, shift))
-    stack = integers_at(memory, (STACK,))
+    stack, rounding = integers_at(memory, (STACK,)), rounding_error(A, B, shift)
     curved = B.layout[B.piece, KIND] != POLYTOPE
     work = robust_workspace(curved)
     G, weights, v, d = np.empty((4, 9)), np.empty(4), np.empty(3), np.empty(3)
@@ -635,20 +639,18 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
         while bits != 0:
             S = triangle_piece(A, leaf * LEAF + lowest_bit(bits), 0.0, memory + _PIECES)
             bits &= bits - 1
-            deep = 0.0
-            if not curved:
-                status, _, deep = overlap_depth(S, B, (0.0, 0.0, 1.0), faces, edges, own)
-                if status != DEPTH_SETTLED:
-                    continue
-            else:
+            if curved:
                 _narrow(S)
                 status, _, above, k = run(S, B, shift, (0.0, 0.0, 1.0), 0.0, False, G, weights, v, d)
                 if k < 4 and above + radius(S) + radius(B) > 0.0:
                     continue
                 _, deep = penetration(S, B, shift, DEPTH_ACCURACY, work, own)
-                # Of a point or a segment in its plane a triangle is flat, and the search finds a way within the plane.
-                if deep == FLAT or deep > _along_normal(S, B, shift):
-                    continue
+                # Of a point or a segment in its plane a triangle is flat: then this proves nothing.
+                deep = proven_depth(rounding, work) if deep > found else 0.0
+            else:
+                status, _, deep = overlap_depth(S, B, (0.0, 0.0, 1.0), faces, edges, own)
+                settled = status == DEPTH_SETTLED and deep > found
+                deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
             if deep > found:
                 found = deep
                 _write_turned(own, shift, sign, result)
@@ -670,21 +672,6 @@ def _narrow(S):
     for k in range(3):
         table[0, FRAME_CENTER + k] = start[k] + 0.5 * way[k]
         table[0, FRAME_FACTOR + 3 * k + 2] = 0.5 * way[k]
-
-
-@njit()
-def _along_normal(S, B, shift):
-    """Upper bound on the depth of a triangle in a piece: how far it has to go along its normal."""
-    R, p = rotation_of(S), S.points
-    a, b, c = (p[0], p[8], p[16]), (p[1], p[9], p[17]), (p[2], p[10], p[18])
-    n = apply(R, cross(minus(b, a), minus(c, a)))
-    squared = dot(n, n)
-    if not squared > 0.0:
-        return np.inf
-    height, back = dot(n, apply(R, a)), (-n[0], -n[1], -n[2])
-    high = dot(n, plus(placed_support(B, n), shift)) - height
-    low = dot(n, plus(placed_support(B, back), shift)) - height
-    return max(min(high, -low), 0.0) / np.sqrt(squared) * (1.0 + 1e-9)
 
 
 @inline

@@ -306,7 +306,10 @@ def measure_near(count, queue, operands, S, searches, exact):
             if value == np.inf and not distance[k] <= above:
                 exact.status[k] = NOT_SETTLED  # the ellipsoids said that something is nearer
                 continue
-            _record(lane, queue, Ta, S, value - ra - rb, gap, SETTLED, ra, rb, result, exact)
+            value = value - ra - rb
+            if value < 0.0:  # a depth is a lower bound, whatever rounding did
+                value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
+            _record(lane, queue, Ta, S, value, gap, SETTLED, ra, rb, result, exact)
             continue
         if is_round(A) and is_round(B):
             value, gap = round_distance(A, B, n, size, result)
