@@ -51,6 +51,9 @@ FIRST = (
 )  # fmt: skip
 
 
+# What the C compiler is told of files that people get.
+RELEASE = ("-O2", "-s")
+
 EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
 
 # Names of `codes` that the extension knows.
@@ -198,7 +201,7 @@ def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:
         raise BuildError(f"{failed}:\n{done.stderr.strip()[-4000:]}")
 
 
-def compile_extension(to: Path) -> None:
+def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Compile the extension for this interpreter."""
     import numpy
 
@@ -208,7 +211,7 @@ def compile_extension(to: Path) -> None:
     numbers = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES]
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([*(HERE / name for name in EXTENSION), *numbers, *included, *undefined, "-ldl"], to)
+    compile_c([*(HERE / name for name in EXTENSION), *numbers, *included, *undefined, "-ldl"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:
@@ -217,10 +220,10 @@ def link(objects: list[Path], level: str, to: Path) -> None:
     compile_c([*objects, HERE / "runtime.c", f'-DLOEWNER_BUILD="{source_hash()} {level}"', *strict, "-lm"], to)
 
 
-def compile_c(what: list[Path | str], to: Path) -> None:
+def compile_c(what: list[Path | str], to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     """Call the C compiler: that of the environment, or `cc`."""
     compiler = shlex.split(os.environ.get("CC") or "cc")
-    command = [*compiler, "-O2", "-std=gnu11", "-Wall", "-fPIC", "-shared", "-s", "-o", str(to), *map(str, what)]
+    command = [*compiler, *flags, "-std=gnu11", "-Wall", "-fPIC", "-shared", "-o", str(to), *map(str, what)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

@@ -74,11 +74,14 @@ def random_scene(rng: np.random.Generator, robot: Robot, count: int, bodies: lis
         if rng.random() < 0.2:
             scene.attach(f"b{k}", str(rng.choice(robot.link_names)), pose(rng, 0.2), touch_links=robot.link_names[:1])
     names = [*scene.names, *robot.link_names]
-    for _ in range(rng.integers(0, 4)):
-        scene.set_margin(float(rng.choice([0.0, 1e-3, 0.05])), names[rng.integers(len(names))])
+    for _ in range(rng.integers(0, 6)):
+        against = "links" if rng.random() < 0.4 else None
+        name = None if against and rng.random() < 0.3 else names[rng.integers(len(names))]
+        lower = bool(rng.random() < 0.5)
+        scene.set_margin(float(rng.choice([0.0, 1e-3, 0.05])), name, against=against, lower=lower)
     for _ in range(rng.integers(0, 4) if len(names) > 1 else 0):
         a, b = (str(name) for name in rng.choice(names, 2, replace=False))
-        scene.set_margin(float(rng.choice([0.0, 1e-3, 0.05])), a, b)
+        scene.set_margin(float(rng.choice([0.0, 1e-3, 0.05])), a, b, lower=bool(rng.random() < 0.5))
         if rng.random() < 0.3:
             scene.allow(a, b)
     return scene
@@ -106,12 +109,21 @@ def expected_pairs(robot: Robot, scene: Scene, skip: frozenset = frozenset()) ->
 
 
 def margin_of(scene: Scene, a: str, b: str) -> float:
-    """The rule of the class: links among themselves do not keep the scene's margin."""
-    if a in scene or b in scene:
-        return scene.margin_of(a, b)
-    pair = tuple(sorted((a, b)))
-    single = max(scene.margins.get((a,), 0.0), scene.margins.get((b,), 0.0))
-    return scene.margins.get(pair, single)
+    """The largest that holds, but for those that a more specific one was set to lower; written from the documents."""
+    rules = {((), False): scene.margin, **{(key, key in scene.lowered): m for key, m in scene.margins.items()}}
+
+    def holds(key) -> bool:
+        if key in ((), (None, None)):
+            return (a in scene or b in scene) == (key == ())
+        x, y = (a, b) if key[0] == a else (b, a)
+        return key[0] == x and (len(key) == 1 or key[1] == y or (key[1] is None and y not in scene))
+
+    def rank(key) -> int:
+        return 0 if key in ((), (None, None)) else 1 if len(key) == 1 or None in key else 2
+
+    holding = [(rank(key), lower, margin) for (key, lower), margin in rules.items() if holds(key)]
+    least = max((rank for rank, lower, _ in holding if lower), default=0)
+    return max((margin for rank, _, margin in holding if rank >= least), default=0.0)
 
 
 def pairwise(checker: CollisionChecker, Q: np.ndarray, query, **options):
@@ -130,7 +142,9 @@ def pairwise(checker: CollisionChecker, Q: np.ndarray, query, **options):
 
     out = []
     for a, b in checker.checked_pairs:
-        margin = {} if query is queries.distance else {"margin": margin_of(scene, a, b)}
+        keep = margin_of(scene, a, b)
+        assert scene.margin_of(a, b) == keep
+        margin = {} if query is queries.distance else {"margin": keep}
         out.append(query(*placed(a), *placed(b), **margin, **options))
     return out
 

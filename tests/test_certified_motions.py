@@ -263,6 +263,8 @@ def test_margins(machine):
     scene.set_margin(0.1, "ball", "wall")
     assert (checker.certify_edges(start, end).verdict == COLLIDING).all()
     scene.set_margin(0.0, "ball", "wall")
+    assert (checker.certify_edges(start, end).verdict == FREE).tolist() == [True, True, True, False, False]
+    scene.set_margin(0.0, "ball", "wall", lower=True)
     assert (checker.certify_edges(start, end).verdict == FREE).all()
 
 

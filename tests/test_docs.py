@@ -197,6 +197,16 @@ def test_example_plan_with_grasped_object(tmp_path):
     assert min(apart) >= 10
 
 
+def test_example_pick_and_place(tmp_path):
+    """Every motion from the table to the shelf and back is proven; a millimetre into the table is a collision."""
+    out = example("pick_and_place.py", "--out", "carry.csv", cwd=tmp_path)
+    proven = re.findall(r"(\w+): (\d+) of (\d+) motions proven free", out)
+    assert [name for name, _, _ in proven] == ["approach", "close", "carry", "open", "retreat"]
+    assert all(0 < int(free) == int(motions) for _, free, motions in proven)
+    assert "a millimetre into the table: COLLIDING, can and table" in out
+    assert (tmp_path / "carry.csv").stat().st_size > 0
+
+
 @pytest.mark.parametrize(
     ("name", "package"), [("bend_a_path.py", "scipy"), ("bend_a_path_jax.py", "jax"), ("bend_a_path_torch.py", "torch")]
 )

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -78,6 +79,22 @@ def test_scipy_waits_for_a_hull(tmp_path):
     assert "loewner" in modules_after(f"exec({blocked!r}); del sys.modules['scipy']")
     loaded = modules_after(f"exec({code!r})")
     assert "numba" in loaded or "scipy" not in loaded
+
+
+def test_the_first_example_loads_qhull_alone():
+    """What the README's first example loads of SciPy is what SciPy's Qhull needs, and nothing of it before the hull."""
+    example = (Path(__file__).parent.parent / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    before, hull, _ = example.partition("a = loewner.Body.from_points")
+    assert hull
+
+    def of_scipy(code: str) -> set[str]:
+        ask = f"{code}\nimport sys\nprint(*(name for name in sys.modules if name.split('.')[0] == 'scipy'))"
+        done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+        return set(done.stdout.splitlines()[-1].split())
+
+    started = of_scipy(before)
+    assert not started or "numba" in modules_after("import loewner")  # which imports it by itself
+    assert of_scipy(example) - started <= of_scipy("import numpy, scipy.spatial")
 
 
 # Of loewner itself: for one purpose each, or for files only.

@@ -1,5 +1,6 @@
 """MJCF: robots and scenes as MuJoCo has them; what cannot be read is refused."""
 
+import os
 from pathlib import Path
 
 import mujoco
@@ -316,3 +317,58 @@ def test_a_viewer_shows_what_stands_on_a_plane(tmp_path):
     with viewer.show_robot(CollisionChecker(robot), robot.configuration()) as page:
         assert np.linalg.norm(page.server.initial_camera.position) < 10
         assert len(page._sliders) == 4
+
+
+# -- files that MuJoCo would never be done with -----------------------------------------------------
+
+
+def model_file(folder, body, name="model.xml"):
+    path = folder / name
+    path.write_text(f"<mujoco>{body}</mujoco>")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('<worldbody><replicate count="1000000000"><geom size="1"/></replicate></worldbody>', "at most 4096 copies"),
+        (
+            '<worldbody><replicate count="1000"><replicate count="1000"><replicate count="1000"><geom size="1"/>'
+            "</replicate></replicate></replicate></worldbody>",
+            "at most 4096 copies",
+        ),
+        ("<worldbody>" + '<replicate count="1000"><geom size="1"/></replicate>' * 5 + "</worldbody>", "4096 copies"),
+        ('<asset><hfield name="h" nrow="1000000" ncol="1000000" size="1 1 1 1"/></asset>', "height field of 10{12}"),
+        ('<worldbody><geom size="1"></worldbody>', "expected XML, found a fault in it"),
+    ],
+)
+def test_models_that_take_for_ever_are_refused_before_they_are_compiled(tmp_path, body, message):
+    """MuJoCo's compiler heeds no interrupt: what would keep it busy or fill the memory does not reach it."""
+    with pytest.raises(loewner.LoewnerError, match=message):
+        Robot.from_mjcf(model_file(tmp_path, body))
+
+
+def test_copies_in_included_files_count(tmp_path):
+    """An include in a replica is copied with it; a file that includes itself ends."""
+    model_file(tmp_path, '<worldbody><replicate count="100"><geom size="1"/></replicate></worldbody>', "many.xml")
+    path = model_file(tmp_path, '<worldbody><replicate count="100"><include file="many.xml"/></replicate></worldbody>')
+    with pytest.raises(FileError, match=r"many.xml, line 1: expected at most 4096 copies"):
+        Robot.from_mjcf(path)
+    with pytest.raises(FileError, match="at most 100 included files"):
+        Robot.from_mjcf(model_file(tmp_path, '<include file="self.xml"/>', "self.xml"))
+
+
+def test_pipes_that_a_model_names_are_refused(tmp_path):
+    """A pipe would block the compiler for ever, wherever <compiler> says that files are."""
+    (tmp_path / "meshes").mkdir()
+    os.mkfifo(tmp_path / "meshes" / "a.stl")
+    os.mkfifo(tmp_path / "b.xml")
+    for body in ('<compiler meshdir="meshes"/><asset><mesh file="a.stl"/></asset>', '<include file="b.xml"/>'):
+        with pytest.raises(FileError, match="regular file|which is none"):
+            Robot.from_mjcf(model_file(tmp_path, body))
+
+
+def test_replicas_within_the_limits_are_read(tmp_path):
+    """A row of twenty balls is twenty bodies."""
+    replica = '<replicate count="20" offset="1 0 0"><body><joint/><geom size="0.1"/></body></replicate>'
+    assert Robot.from_mjcf(model_file(tmp_path, f"<worldbody>{replica}</worldbody>")).dof == 20

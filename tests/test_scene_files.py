@@ -34,7 +34,15 @@ bodies:
   1: {mesh: parts/part.stl, scale: [1, -2, 0.5], position: [0, 0, 10]}
   kept: {saved: kept.npz, position: [0, 0, 12]}
 allow: [[table, panda_link0], [egg, ball]]
-margins: [[table, egg, 0.05], [panda_hand, 0.02]]
+margins:
+- [table, egg, 0.05]
+- [panda_hand, 0.02]
+- {of: [rock, ball], margin: 0.0, lower: true}
+- {of: [egg], margin: 0.001, lower: true}
+- {of: [hat], margin: 0.03, lower: false}
+- {of: [panda_hand], margin: 0.002, against: links}
+- {margin: 0.004, against: links}
+- {of: [panda_link5], margin: 0.0, against: links, lower: true}
 """
 
 
@@ -59,7 +67,7 @@ def same_bodies(a: Body, b: Body) -> bool:
 
 def same_scenes(a: Scene, b: Scene) -> None:
     assert a.names == b.names
-    assert (a.margin, a.margins, a.allowed) == (b.margin, b.margins, b.allowed)
+    assert (a.margin, a.margins, a.lowered, a.allowed) == (b.margin, b.margins, b.lowered, b.allowed)
     for name in a:
         assert same_bodies(a[name], b[name]), name
     assert a.attachments.keys() == b.attachments.keys()
@@ -98,7 +106,18 @@ def test_every_key_is_read(folder):
     np.testing.assert_allclose(can.T_link_body, [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0.1], [0, 0, 0, 1]], atol=1e-15)
 
     assert scene.margin == 0.01
-    assert scene.margins == {("ball",): 0.2, ("egg", "table"): 0.05, ("panda_hand",): 0.02}
+    assert scene.margins == {
+        ("ball",): 0.2,
+        ("egg", "table"): 0.05,
+        ("panda_hand",): 0.02,
+        ("ball", "rock"): 0.0,
+        ("egg",): 0.001,
+        ("hat",): 0.03,
+        ("panda_hand", None): 0.002,
+        (None, None): 0.004,
+        ("panda_link5", None): 0.0,
+    }
+    assert scene.lowered == {("ball", "rock"), ("egg",), ("panda_link5", None)}
     assert scene.allowed == {("panda_link0", "table"), ("ball", "egg")}
 
 
@@ -209,7 +228,7 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
             "bodies: expected each key once, found 'a' again",
         ),
         ("bodies: {}\nbodies: {}", 2, "expected each key once, found 'bodies'"),
-        ("bodies: {}\nbody: {}", 2, "expected keys among margin, bodies, allow, margins, found 'body'"),
+        ("bodies: {}\nbody: {}", 2, "expected keys among margin, bodies, allow, leave, reach, margins, found 'body'"),
         ("bodies:\nmargin: 1", 1, "bodies: expected a mapping, found nothing"),
         ("margin: 1", 1, "expected the key bodies, found margin"),
         ("- 1", 1, "expected a mapping, found a sequence of 1"),
@@ -220,6 +239,11 @@ def test_failed_save_leaves_the_old_file(folder, monkeypatch):
         ("bodies: {}\nallow:\n- [a, b]\n- [a, {}]", 4, r"allow\[1\]\[1\]: expected a name, found a mapping of 0"),
         ("bodies: {}\nmargins: [[a, b, -1]]", 2, r"margins\[0\]\[2\]: expected a number of metres"),
         ("bodies: {}\nmargins: [[a]]", 2, "expected a sequence of 2 or 3"),
+        ("bodies: {}\nmargins: [{margin: 1}]", 2, "expected the key of, or against: links, found neither"),
+        ("bodies: {}\nmargins: [{of: [a]}]", 2, "expected the key margin"),
+        ("bodies: {}\nmargins: [{of: [a], margin: 1, against: bodies}]", 2, "against: expected links, found 'bodies'"),
+        ("bodies: {}\nmargins: [{of: [a, b], margin: 1, against: links}]", 2, "against: expected none with a pair"),
+        ("bodies: {}\nmargins: [{of: [a], margin: 1, lower: perhaps}]", 2, "expected true or false"),
         ("bodies:\n  a: {box: [1, 1, 1], rpy: [0, 0, 0], quaternion_wxyz: [1, 0, 0, 0]}", 2, "expected one rotation"),
         ("bodies:\n  a: {box: [1, 1, 1], pose: [], position: []}", 2, "found position and pose"),
         ("bodies:\n  a: {box: [1, 1, 1],\n    quaternion_wxyz: [1, 1, 0, 0]}", 3, "unit quaternion qw qx qy qz, found"),

@@ -99,41 +99,119 @@ def test_touching_is_a_contact():
     assert abs(scene.pairs()[0].distance) < 1e-12
 
 
-def test_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
-    """The margin of a pair precedes the larger one of its bodies, and that precedes the scene's."""
+def test_lowered_margins_from_the_pair_then_the_bodies_then_the_scene(scene):
+    """A lowered margin of a pair precedes the larger one of its bodies, and that, if lowered, precedes the scene's."""
     assert met(scene) == []
     scene.set_margin(0.2)
     assert met(scene) == [("box", "near")]
     scene.set_margin(0.5, "far")
     assert scene.margin_of("far", "box") == 0.5
     assert met(scene) == [("box", "near"), ("box", "far")]
-    scene.set_margin(0.05, "box")
+    scene.set_margin(0.05, "box", lower=True)
     assert (scene.margin_of("box", "near"), scene.margin_of("box", "far")) == (0.05, 0.5)
     assert met(scene) == [("box", "far")]
     scene.set_margin(0.15, "near", "box")
     assert met(scene) == [("box", "near"), ("box", "far")]
+    scene.set_margin(0.01, "near", "box", lower=True)
+    scene.set_margin(0.3, "near")
+    assert scene.margin_of("near", "box") == 0.01
+    assert met(scene) == [("box", "far")]
+    scene.set_margin(None, "near")
     scene.set_margin(None, "box", "near")
     scene.set_margin(None, "far")
-    assert scene.margins == {("box",): 0.05}
+    assert (scene.margins, scene.lowered) == ({("box",): 0.05}, {("box",)})
     assert met(scene) == []
+
+
+def test_a_margin_is_not_lowered_by_accident():
+    """The larger margin holds, whichever was set last, be it the scene's, a body's, a link's or a pair's."""
+    scene = Scene(margin=0.05)
+    scene.add("p", Body.sphere(1.0))
+    scene.add("q", Body.sphere(1.0), translation(5), margin=0.01)
+    scene.set_margin(0.001, "panda_hand")
+    scene.set_margin(0.002, "p", "q")
+    assert [scene.margin_of("p", other) for other in ("panda_hand", "q")] == [0.05, 0.05]
+    scene.set_margin(0.001, "panda_hand", lower=True)
+    assert scene.margin_of("p", "panda_hand") == 0.001
+    assert scene.margin_of("q", "panda_hand") == 0.01  # what q keeps is not lowered by another's
+    scene.set_margin(0.001, "panda_hand")
+    assert scene.margin_of("p", "panda_hand") == 0.05
+
+
+def test_links_have_margins_of_their_own(scene):
+    """Margins against links hold for no two bodies, those among links for no body, and the scene's for no two links."""
+    scene.set_margin(0.05)
+    assert scene.margin_of("hand", "arm") == 0.0
+    scene.set_margin(0.01, against="links")
+    scene.set_margin(0.2, "hand", against="links")
+    scene.set_margin(0.3, "near", against="links")
+    pairs = ("hand", "arm"), ("tip", "arm"), ("box", "hand"), ("near", "hand"), ("near", "box")
+    assert [scene.margin_of(*pair) for pair in pairs] == [0.2, 0.01, 0.05, 0.3, 0.05]
+    scene.set_margin(0.0, "tip", against="links", lower=True)
+    assert [scene.margin_of("tip", other) for other in ("arm", "hand", "box")] == [0.0, 0.2, 0.05]
+    assert scene.margins == {(None, None): 0.01, ("hand", None): 0.2, ("near", None): 0.3, ("tip", None): 0.0}
+    scene.remove("near")
+    scene.set_margin(None, against="links")
+    assert scene.margins == {("hand", None): 0.2, ("tip", None): 0.0}
+
+
+NAMES = st.sampled_from(("a", "b", "c", "l", "m"))
+# A margin and what it is for, as arguments of `set_margin`; a, b and c are bodies.
+SETTINGS = st.tuples(
+    st.sampled_from((0.0, 0.01, 0.02, 0.05)),
+    st.one_of(
+        st.just(((), {})),
+        st.just(((), {"against": "links"})),
+        NAMES.map(lambda name: ((name,), {})),
+        NAMES.map(lambda name: ((name,), {"against": "links"})),
+        st.lists(NAMES, min_size=2, max_size=2, unique=True).map(lambda pair: (sorted(pair), {})),
+    ),
+)
+
+
+@given(st.lists(st.tuples(SETTINGS, st.booleans())), SETTINGS)
+def test_only_lowering_lowers(settings, last):
+    """One more margin, or a larger one for the same, makes no pair's smaller and, unless lowered, is what they keep."""
+    scene = Scene(margin=0.02)
+    for name in "abc":
+        scene.add(name, Body.sphere(1.0))
+    for (margin, (names, options)), lower in settings:
+        scene.set_margin(margin, *names, **options, lower=lower)
+    margin, (names, options) = last
+    key = (None,) * (2 - len(names)) + tuple(names) if options else tuple(names)
+    replaced = scene.margins.get(key[::-1] if options else key, 0.0) if key else scene.margin
+    before = {(x, y): scene.margin_of(x, y) for x in "abclm" for y in "abclm" if x != y}
+    lowered = scene.lowered
+    scene.set_margin(max(margin, replaced), *names, **options)
+    after = {pair: scene.margin_of(*pair) for pair in before}
+    assert all(after[pair] >= kept for pair, kept in before.items())
+    assert lowered - scene.lowered <= {key[::-1] if options else key}
+    if len(names) == 2:
+        assert after[tuple(names)] >= margin
 
 
 def test_widening_raises_margins_of_bodies_only(scene):
     """After `widen`, a pair with a body keeps the larger of its old margin and the least one; two links keep theirs."""
     scene.set_margin(0.01)
-    for margin, *names in (
-        (0.05, "box"),
-        (0.3, "far"),
-        (0.0, "near", "far"),
-        (0.02, "wrist"),
-        (0.4, "hand"),
-        (0.0, "tip", "box"),
+    for lower, margin, *names in (
+        (True, 0.05, "box"),
+        (False, 0.3, "far"),
+        (True, 0.0, "near", "far"),
+        (True, 0.002, "wrist"),
+        (False, 0.4, "hand"),
+        (False, 0.02, "base"),
+        (True, 0.0, "tip", "box"),
+        (False, 0.07, "tip", "near"),
+        (True, 0.03, "wrist", "near"),
     ):
-        scene.set_margin(margin, *names)
+        scene.set_margin(margin, *names, lower=lower)
+    scene.set_margin(0.0, "far", against="links", lower=True)
+    scene.set_margin(0.005, "base", against="links", lower=True)
+    scene.set_margin(0.004, against="links")
     links = ("wrist", "hand", "tip", "base")
     with_bodies = [(a, b) for a in scene for b in (*scene, *links) if a != b]
     before = {pair: scene.margin_of(*pair) for pair in with_bodies}
-    of_links = {pair: scene.margin_of(*pair) for pair in (("wrist", "hand"), ("wrist", "tip"))}
+    of_links = {pair: scene.margin_of(*pair) for pair in (("wrist", "hand"), ("wrist", "tip"), ("base", "tip"))}
     version = scene.structure_version
     scene.widen(0.1)
     assert {pair: scene.margin_of(*pair) for pair in with_bodies} == {p: max(m, 0.1) for p, m in before.items()}
@@ -360,6 +438,9 @@ def test_empty_scenes_answer():
         (lambda s: s.set_margin("wide"), InputError, "margin: expected a number, found 'wide'"),
         (lambda s: s.set_margin(None), InputError, "whole scene, found None"),
         (lambda s: s.set_margin(1.0, b="box"), InputError, "with b = 'box'"),
+        (lambda s: s.set_margin(1.0, "box", "near", against="links"), InputError, "against: expected none with a pair"),
+        (lambda s: s.set_margin(1.0, "box", against="link"), UnknownNameError, "against: expected one of links"),
+        (lambda s: s.set_margin(1.0, "box", lower="yes"), InputError, "lower: expected True or False"),
         (lambda s: s.distance("box", "nir"), UnknownNameError, "found 'nir'"),
     ],
 )

@@ -387,11 +387,50 @@ def test_octrees_are_the_boxes_of_their_leaves(rng: np.random.Generator, tmp_pat
     assert loewner.collide(body, None, Body.sphere(1e-9), T).mean() > 0.95  # rays to others pass through some
     edges = np.array([np.ptp(piece.vertices, axis=0) for piece in body.pieces])
     np.testing.assert_allclose(edges / 0.1, np.round(edges / 0.1), atol=1e-6)
-    data = file.read_bytes()
-    for broken, message in ((b"# Octo", "begins with"), (data[: len(data) // 2], "cut off or altered")):
-        (tmp_path / "broken.bt").write_bytes(broken)
-        with pytest.raises(FileError, match=message):
-            Body.from_octree(tmp_path / "broken.bt")
+    # OctoMap's own library gives single precision.
+    again = octomap.OcTree(0.1)
+    assert again.readBinary(str(file).encode())
+    centers = [leaf.getCoordinate() for leaf in again.begin_leafs() if again.isNodeOccupied(leaf)]
+    np.testing.assert_allclose(
+        sorted(tuple(piece.vertices.mean(axis=0).round(4) + 0.0) for piece in body.pieces),
+        sorted(tuple(np.round(center, 4) + 0.0) for center in centers),
+        atol=1e-6,
+    )
+
+
+OCTREE = b"# Octomap OcTree binary file\nid OcTree\nsize %d\nres 0.1\ndata\n"
+
+
+def test_octrees_of_known_cells(tmp_path: Path) -> None:
+    """An occupied child of the root is an eighth of the world; sixteen levels down it has the resolution as edge."""
+    (tmp_path / "root.bt").write_bytes(OCTREE % 2 + b"\x02\x00")  # child 0: below the origin along all axes
+    (piece,) = Body.from_octree(tmp_path / "root.bt").pieces
+    np.testing.assert_allclose([piece.vertices.min(axis=0), piece.vertices.max(axis=0)], [[-3276.8] * 3, [0.0] * 3])
+    chain = b"\x00\xc0" + b"\x03\x00" * 14 + b"\x00\x80"  # the last child, fourteen first ones, a last leaf
+    (tmp_path / "deep.bt").write_bytes(OCTREE % 17 + chain)
+    (piece,) = Body.from_octree(tmp_path / "deep.bt").pieces
+    np.testing.assert_allclose([piece.vertices.min(axis=0), piece.vertices.max(axis=0)], [[0.1] * 3, [0.2] * 3])
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"# Octo", "begins with"),
+        (OCTREE.replace(b"0.1", b"-1") % 2 + b"\x02\x00", "expected res, a length in metres, found '-1'"),
+        (OCTREE % 2, "cut off"),
+        (OCTREE % 2 + b"\x02", "cut off"),
+        (OCTREE % 3 + b"\x02\x00", "with 3 nodes in 2 bytes, found 2 in 2"),
+        (OCTREE % 2 + b"\x02\x00\x00", "with 2 nodes in 2 bytes, found 2 in 3"),
+        (OCTREE % 100_010 + b"\x03\x00" * 100_000 + b"\xaa\xaa", "octree of 16 levels, found one that is deeper"),
+        (OCTREE % 18 + b"\x03\x00" * 16 + b"\x02\x00", "octree of 16 levels, found one that is deeper"),
+    ],
+)
+def test_damaged_octrees_are_refused(tmp_path: Path, capfd, data: bytes, message: str) -> None:
+    """Whatever is altered, cut off or too deep gives an error with the file's name, and nothing besides."""
+    (tmp_path / "broken.bt").write_bytes(data)
+    with pytest.raises(FileError, match=rf"broken.bt: .*{message}"):
+        Body.from_octree(tmp_path / "broken.bt")
+    assert capfd.readouterr() == ("", "")
 
 
 def test_scene_files_know_sensor_data(rng: np.random.Generator, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +26,7 @@ from loewner import _validate, mesh_files
 from loewner._archives import LARGEST_CONTENT
 from loewner._files import read_regular, replacing, shown
 from loewner._guard import guarded
+from loewner._outcomes import TETRAHEDRON, Outcome, outcome_of
 from loewner._plausible import told_to
 from loewner._threads import at_most
 from loewner._validate import Bools, Floats, Progress
@@ -51,12 +52,6 @@ LARGEST_RECORD = 2**16
 LINKING = (".gltf", ".glb")
 
 HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker ADDRESS --nworkers auto`"
-
-# A small body to try options on.
-TETRAHEDRON = (
-    np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
-    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
-)
 
 
 # -- corpora of meshes ----------------------------------------------------------------------------
@@ -271,26 +266,13 @@ def _make_folder(folder: Path) -> None:
 # -- what a worker does ---------------------------------------------------------------------------
 
 
-class _Outcome(NamedTuple):
-    """What became of a mesh: done, skipped or failed; why, if it failed; and what there was to warn of."""
-
-    status: str
-    message: str = ""
-    warnings: tuple[str, ...] = ()
-
-
-def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> _Outcome:
+def _fit_one(mesh: str, target: str, options: dict[str, Any], run: str) -> Outcome:
     """Make the body of a mesh, unless it is there: the task of a worker. A file's errors are its result."""
-    try:
-        with at_most(1):
-            return _body_of(Path(mesh), Path(target), options, run)
-    except LoewnerError as error:
-        return _Outcome("failed", str(error))
-    except Exception as error:
-        return _Outcome("failed", f"{mesh}: {type(error).__name__}: {error}")
+    with at_most(1):
+        return outcome_of(Path(mesh), lambda: _body_of(Path(mesh), Path(target), options, run))
 
 
-def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> _Outcome:
+def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> Outcome:
     from loewner import __version__
 
     data = read_regular(mesh, "a mesh file", mesh_files.LIMIT)
@@ -301,7 +283,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> _Ou
     if record is not None and (alone or record.get("run") == run) and wanted.items() <= record.items():
         # Another worker may have made it for this same call, and died before it could say so.
         status = "done" if record.get("run") == run else "skipped"
-        return _Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
+        return Outcome(status, warnings=tuple(map(str, record.get("warnings", ()))))
     warnings: list[str] = []
     with told_to(warnings):
         body = Body.from_mesh(mesh, **options)
@@ -310,7 +292,7 @@ def _body_of(mesh: Path, target: Path, options: dict[str, Any], run: str) -> _Ou
     made = {**wanted, "mesh": str(mesh), "warnings": warnings, "run": run, "body_sha256": _checksum_of_body(target)}
     with replacing(_record_path(target)) as temporary:
         temporary.write_text(json.dumps(made, indent=1), encoding="utf-8")
-    return _Outcome("done", warnings=tuple(warnings))
+    return Outcome("done", warnings=tuple(warnings))
 
 
 def _record(target: Path) -> dict[str, Any] | None:
@@ -341,7 +323,7 @@ def _checksum(data: bytes) -> str:
 
 def _outcomes(
     client: Any, targets: Mapping[Path, Path], options: dict[str, Any], progress: Progress | None
-) -> dict[Path, _Outcome]:
+) -> dict[Path, Outcome]:
     """Have the workers make all bodies, and wait for them; what is cancelled meanwhile is requested again.
 
     Raises
@@ -349,10 +331,10 @@ def _outcomes(
     LoewnerError
         If the scheduler has gone, or the work was cancelled as often as it was requested.
     """
-    found: dict[Path, _Outcome] = {}
+    found: dict[Path, Outcome] = {}
     run = os.urandom(8).hex()
 
-    def report(mesh: Path, outcome: _Outcome) -> None:
+    def report(mesh: Path, outcome: Outcome) -> None:
         found[mesh] = outcome
         if progress is not None:
             progress(len(found), len(targets))
@@ -375,7 +357,7 @@ def _request(
     targets: Mapping[Path, Path],
     options: dict[str, Any],
     run: str,
-    report: Callable[[Path, _Outcome], None],
+    report: Callable[[Path, Outcome], None],
 ) -> None:
     """Report the outcomes of meshes, but for what is cancelled; whatever ends the wait ends the work."""
     futures = client.map(
@@ -403,18 +385,18 @@ def _request(
         raise
 
 
-def _outcome(future: Any, mesh: Path) -> _Outcome | None:
+def _outcome(future: Any, mesh: Path) -> Outcome | None:
     """What a worker returned, or why none could; None if that was cancelled, or the scheduler cannot be reached."""
     try:
-        outcome: _Outcome = future.result()  # that of a worker that died meanwhile is made again, and waited for
+        outcome: Outcome = future.result()  # that of a worker that died meanwhile is made again, and waited for
     except _distributed().KilledWorker:
-        return _Outcome(
+        return Outcome(
             "failed", f"{shown(mesh)}: the workers that fitted it died, one by one; it may take too much memory"
         )
     except Exception as error:
         if future.status != "error" and (future.status == "cancelled" or isinstance(error, OSError)):
             return None
-        return _Outcome("failed", f"{shown(mesh)}: {type(error).__name__}: {error}")
+        return Outcome("failed", f"{shown(mesh)}: {type(error).__name__}: {error}")
     return outcome._replace(
         message=_as_called(outcome.message, mesh), warnings=tuple(_as_called(text, mesh) for text in outcome.warnings)
     )
@@ -433,7 +415,7 @@ def _as_called(text: str, mesh: Path) -> str:
     return f"{shown(mesh)}: {text.removeprefix(there)}" if text.startswith(there) else text
 
 
-def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, _Outcome]) -> Fitted:
+def _told(targets: Mapping[Path, Path], outcomes: Mapping[Path, Outcome]) -> Fitted:
     """All outcomes, in the order of the meshes."""
 
     def those(status: str) -> dict[Path, Path]:

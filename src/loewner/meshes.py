@@ -24,7 +24,7 @@ from loewner.closed_parts import ClosedPart, closed_parts, volume
 from loewner.coverage import Covering, covered
 from loewner.errors import GeometryError, InputError, MissingExtraError, installing
 from loewner.mesh_files.parts import Triangles as Triangles
-from loewner.plane_cuts import pieces_within
+from loewner.plane_cuts import WORK, pieces_within
 from loewner.polytopes import Polytope
 from loewner.protrusion import Solid, protrusion_of_hulls, protrusions
 
@@ -71,6 +71,9 @@ CONVEX_VOLUME_TOLERANCE = 1e-3
 # A mesh smaller or larger than that across [m] is asked about: hardly any body is, except one in another unit. Meshes
 # of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
+
+# The tolerance of a mesh with holes where none is given, as a share of the diagonal of its box.
+OPEN_TOLERANCE = 0.02
 
 # CoACD takes numbers of pieces and seeds of 31 bits.
 LARGEST_NUMBER = 2**31 - 1
@@ -328,25 +331,29 @@ def convex_polytopes(
             excess = _excess_volume(pieces, mesh_volume)
             return _told(name, pieces, Covering(kind, True, 0.0, excess, len(vertices), reached), within)
 
+    chosen = within
     if _has_holes(triangles):
         warn(
             f"{name}: has holes, so that its inside is not known to be solid and what is in there may be FREE; close "
-            "them, or take its convex hull (decompose=False). Decomposing may take minutes"
+            "them, take its triangles as they are, exact and in milliseconds (Body.from_surface, --model surface), or "
+            "take its convex hull (decompose=False, --hull)"
         )
+        if within is None:  # CoACD would first make it solid, which takes minutes, and sticks out farther
+            within = OPEN_TOLERANCE * _size(vertices)
     if within is None:
         pieces = _coacd_by_parts(vertices, triangles, parts, hulls, threshold, most, seed, progress)
         pieces, covering = covered(vertices[triangles], pieces, _size(vertices), grow=cover)
         reached = _protrusion(pieces, solid)
     else:
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
-        cells = pieces_within(surfaces, solid, within, most, progress)
+        cells = pieces_within(surfaces, solid, within, most, progress, np.inf if chosen is not None else WORK)
         pieces = [cell.hull for cell in cells]
         # Each cell lies in its hull as it stands; there is nothing to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
     excess = _excess_volume(pieces, mesh_volume)
-    return _told(name, pieces, replace(covering, excess_volume=excess, max_protrusion=reached), within)
+    return _told(name, pieces, replace(covering, excess_volume=excess, max_protrusion=reached), chosen)
 
 
 def _told(

@@ -20,6 +20,7 @@ from loewner._rotations import from_quaternion
 from loewner._validate import Floats, Ints, Pair
 from loewner.bodies import Body
 from loewner.errors import ConvergenceError, FileError, InputError, MissingExtraError, installing
+from loewner.mjcf_limits import check_limits
 
 # A plane of MuJoCo is a half-space. It becomes a cube of this edge [m] below the plane, about the plane's center: the
 # largest that the doubts about units let pass.
@@ -180,11 +181,10 @@ def _compiled(file: Path) -> tuple[Any, Any]:
         import mujoco
     except ImportError:
         raise MissingExtraError(f"MJCF files need MuJoCo: {installing('mujoco')}") from None
-    if not os.path.isfile(file):
-        raise FileError(f"{file}: expected an MJCF file, found no such file")
+    check_limits(file)
     try:
         return mujoco, mujoco.MjModel.from_xml_path(os.fspath(file))
-    except ValueError as error:
+    except Exception as error:  # a ValueError as a rule; of its own code, and of memory, anything
         found = " ".join(str(error).split())
         raise FileError(f"{file}: expected an MJCF file, found what MuJoCo refuses ({found})") from None
 

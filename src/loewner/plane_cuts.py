@@ -7,7 +7,6 @@ section lie on its surface. So the pieces hold the mesh without being grown, and
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -24,6 +23,9 @@ ACCURACY = 0.25
 # mesh, and across the axes.
 FACES, TURNS = 6, 4
 
+# Of more triangles than these, so many random ones stand for a cell while planes are compared.
+MANY = 4096
+
 # Random points of a hull's surface that stand for it while planes and merges are compared.
 SAMPLES = 48
 
@@ -37,6 +39,10 @@ PLATE = 0.25
 # Pieces in all, where the caller sets no limit: a tolerance that needs more is one below the mesh's own accuracy.
 MOST = 2000
 
+
+# What a cut takes, in triangles that one plane cuts; OVERHEAD is what hulls and distances of a few take. With a limit
+# on work, cells are cut as long as WORK lasts: some ten seconds of one core.
+OVERHEAD, WORK = 1000, 5_000_000
 
 # Cells that stick out by less than this share of the largest bound wait until the others are cut.
 FARTHEST = 0.5
@@ -73,8 +79,9 @@ class Cell:
 
 
 def pieces_within(
-    parts: list[Floats], solid: Solid, tolerance: float, most: int | None, progress: Progress | None
-) -> list[Cell]:
+    parts: list[Floats], solid: Solid, tolerance: float, most: int | None, progress: Progress | None,
+    work: float = np.inf,
+) -> list[Cell]:  # fmt: skip
     """Cut parts of a mesh until no hull sticks out of the mesh by more than a tolerance, as far as it can be done.
 
     Parameters
@@ -88,7 +95,9 @@ def pieces_within(
     most : int, optional
         Limit on the number of cells; those that stick out most are cut first.
     progress : callable, optional
-        Called as ``progress(done, total)``, in pieces that are there.
+        Called as ``progress(done, total)``: how much of the surface is in pieces that need no more cuts.
+    work : float
+        Limit on what is spent on cuts; see `WORK`.
     """
     limit = MOST if most is None else most
     if len(parts) > limit:
@@ -96,29 +105,56 @@ def pieces_within(
     rng = np.random.default_rng(0)
     plate = PLATE * tolerance
     cells = [_cell(part, plate) for part in parts]
+    far = _Progress(progress)
     for _ in range(PASSES):
-        cells = _merged(_cut_up(cells, solid, tolerance, limit, plate, progress, rng), solid, tolerance, rng)
+        cells, work = _cut_up(cells, solid, tolerance, limit, plate, far, rng, work)
+        cells = _merged(cells, solid, tolerance, rng)
         # Joining makes room for more cuts.
-        if len(cells) >= limit or not any(cell.is_out(tolerance) for cell in cells):
+        if work <= 0 or len(cells) >= limit or not any(cell.is_out(tolerance) for cell in cells):
             break
+    far.end()
     return cells
 
 
+@dataclass
+class _Progress:
+    """How much of the surface is done, told in hundredths and never less than before."""
+
+    tell: Progress | None
+    told: int = 0
+
+    def look(self, cells: list[Cell], tolerance: float) -> None:
+        """Tell how much of the surface is in cells that are not to be cut any more."""
+        if self.tell is None:
+            return
+        areas = [float(np.linalg.norm(_normals(cell.triangles), axis=1).sum()) for cell in cells]
+        done = sum(area for cell, area in zip(cells, areas, strict=True) if not cell.is_out(tolerance))
+        self.told = max(self.told, int(99 * done / max(sum(areas), np.finfo(float).tiny)))
+        self.tell(self.told, 100)
+
+    def end(self) -> None:
+        """Tell that all is done, whatever is left as it is."""
+        if self.tell is not None:
+            self.tell(100, 100)
+
+
 def _cut_up(
-    cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: Progress | None,
-    rng: np.random.Generator,
-) -> list[Cell]:  # fmt: skip
-    """Cut cells that stick out too far until none does, or there are as many as the limit allows."""
+    cells: list[Cell], solid: Solid, tolerance: float, limit: int, plate: float, progress: _Progress,
+    rng: np.random.Generator, work: float,
+) -> tuple[list[Cell], float]:  # fmt: skip
+    """Cut cells that stick out too far until none does, or a limit is reached; and how much work is left."""
     while True:
         cells = _measured(cells, solid, tolerance)
+        progress.look(cells, tolerance)
         out = sorted((cell for cell in cells if cell.is_out(tolerance)), key=lambda cell: -cell.bound)
-        room = limit - len(cells)
-        farthest = [cell for cell in out if cell.bound >= FARTHEST * out[0].bound]
-        if progress is not None:
-            progress(len(cells) - len(out), len(cells))
-        if not out or room <= 0:
-            return cells
-        chosen = {id(cell) for cell in farthest[:room]}
+        chosen = set[int]()
+        for cell in out[: max(0, limit - len(cells))]:
+            if work <= 0 or cell.bound < FARTHEST * out[0].bound:
+                break
+            chosen.add(id(cell))
+            work -= _work(cell)
+        if not chosen:
+            return cells, work
         cells = [
             part
             for cell in cells
@@ -126,6 +162,11 @@ def _cut_up(
                 (_cut(cell, solid, plate, rng) or [replace(cell, whole=True)]) if id(cell) in chosen else [cell]
             )
         ]
+
+
+def _work(cell: Cell) -> int:
+    planes, count = 2 * FACES + TURNS + 8, len(cell.triangles)
+    return planes * (OVERHEAD + min(count, MANY)) + count
 
 
 def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
@@ -143,29 +184,48 @@ def _measured(cells: list[Cell], solid: Solid, tolerance: float) -> list[Cell]:
 
 def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> list[Cell] | None:
     """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
-    whole = _volume(cell.hull)
-    ones = np.ones(len(cell.triangles))
-    options, shares, samples = [], [], []
-    for normal, offset in _planes(cell, solid, plate):
-        below, _, above, _ = cut(cell.triangles, ones[:, None] * normal, ones * offset, solid.rounding)
+    some = cell
+    if len(cell.triangles) > MANY:
         try:
-            halves = [_cell(half, plate) for half in (below, above)]
+            some = _cell(cell.triangles[rng.choice(len(cell.triangles), MANY, replace=False)], plate)
         except GeometryError:
-            continue  # nothing on one side, or a line
+            pass
+    whole = _volume(some.hull)
+    planes, options, shares = [], [], []
+    for plane in _planes(cell, solid, plate):
+        halves = _halves(some.triangles, plane, solid, plate)
+        if halves is None:
+            continue
         volumes = [_volume(half.hull) for half in halves]
         if solid.closed and min(volumes) < LEAST_SHARE * whole:
             continue
+        planes.append(plane)
         options.append(halves)
         shares.append(sum(volumes) / whole)
-        samples += [_samples(half.hull, rng) for half in halves]
     if not options:
         return None
-    out = solid.signed_distances(np.concatenate(samples))[0].reshape(len(options), -1).max(axis=1)
-    return options[int((np.array(shares) + np.maximum(out, 0.0) / cell.bound).argmin())]
+    samples = _samples([half.hull for halves in options for half in halves], rng)
+    out = solid.signed_distances(samples)[0].reshape(len(options), -1).max(axis=1)
+    best = int((np.array(shares) + np.maximum(out, 0.0) / cell.bound).argmin())
+    return options[best] if some is cell else _halves(cell.triangles, planes[best], solid, plate)
+
+
+def _halves(triangles: Floats, plane: tuple[Floats, float], solid: Solid, plate: float) -> list[Cell] | None:
+    """What is on either side of a plane; None if that is nothing, or a line."""
+    ones = np.ones(len(triangles))
+    below, _, above, _ = cut(triangles, ones[:, None] * plane[0], ones * plane[1], solid.rounding)
+    try:
+        return [_cell(half, plate) for half in (below, above)]
+    except GeometryError:
+        return None
 
 
 def _cell(triangles: Floats, plate: float) -> Cell:
-    return Cell(triangles, _hull(np.unique(triangles.reshape(-1, 3), axis=0), plate))
+    points = triangles.reshape(-1, 3)
+    points = points[np.lexsort(points.T)]  # np.unique along an axis takes several times as long
+    new = np.ones(len(points), dtype=bool)
+    new[1:] = (points[1:] != points[:-1]).any(axis=1)
+    return Cell(triangles, _hull(points[new], plate))
 
 
 def _hull(points: Floats, plate: float) -> Polytope:
@@ -223,62 +283,89 @@ def _foot(point: Floats, triangle: Floats) -> Floats:
     return nearest
 
 
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The common hull of two cells, and by how much its volume exceeds theirs."""
+
+    hull: Polytope
+    gain: float
+
+
 def _merged(cells: list[Cell], solid: Solid, tolerance: float, rng: np.random.Generator) -> list[Cell]:
     """Join cells as long as their common hull sticks out by no more than the tolerance."""
-    cells, alive, apart = list(cells), set(range(len(cells))), set[tuple[int, int]]()
+    cells, alive, new = list(cells), list[int](), list(range(len(cells)))
+    possible = dict[tuple[int, int], Joined]()
     while True:
-        pairs = [
-            (a, b)
-            for a, b in combinations(sorted(alive), 2)
-            if (a, b) not in apart
-            and max(cells[a].bound, cells[b].bound) <= tolerance
-            and _touch(cells[a].hull, cells[b].hull, tolerance)
-        ]
-        if not pairs:
-            break
-        hulls = [
-            Polytope.from_points(np.concatenate([cells[a].hull.vertices, cells[b].hull.vertices])) for a, b in pairs
-        ]
-        samples = np.concatenate([_samples(hull, rng) for hull in hulls])
-        height = solid.signed_distances(samples)[0].reshape(len(hulls), -1).max(axis=1)
-        apart |= {pair for pair, out in zip(pairs, height, strict=True) if out > tolerance}
-        gain = [
-            _volume(hull) - sum(_volume(cells[k].hull) for k in pair) for hull, pair in zip(hulls, pairs, strict=True)
-        ]
-        taken: set[int] = set()
-        chosen = []
-        for k in np.argsort(gain, kind="stable"):
-            if height[k] <= tolerance and not taken & {*pairs[k]}:
-                taken |= {*pairs[k]}
-                chosen.append(k)
+        possible |= _joinable(cells, alive, new, solid, tolerance, rng)
+        alive += new
+        taken, chosen = set[int](), list[tuple[int, int]]()
+        for pair in sorted(possible, key=lambda pair: possible[pair].gain):
+            if not taken & {*pair}:
+                taken |= {*pair}
+                chosen.append(pair)
         if not chosen:
-            break
-        bounds = protrusions([hulls[k] for k in chosen], solid, floor=tolerance, relative=ACCURACY).bounds
-        for k, bound in zip(chosen, bounds, strict=True):
-            if bound > tolerance:
-                apart.add(pairs[k])
-                continue
-            joined = np.concatenate([cells[i].triangles for i in pairs[k]])
-            alive -= {*pairs[k]}
-            alive.add(len(cells))
-            cells.append(Cell(joined, hulls[k], float(bound)))
-    return [cells[k] for k in sorted(alive)]
+            return [cells[k] for k in alive]
+        hulls = [possible.pop(pair).hull for pair in chosen]
+        bounds = protrusions(hulls, solid, floor=tolerance, relative=ACCURACY).bounds
+        new, gone = [], set[int]()
+        for pair, hull, bound in zip(chosen, hulls, bounds, strict=True):
+            if bound <= tolerance:
+                gone |= {*pair}
+                new.append(len(cells))
+                cells.append(Cell(np.concatenate([cells[k].triangles for k in pair]), hull, float(bound)))
+        alive = [k for k in alive if k not in gone]
+        possible = {pair: joined for pair, joined in possible.items() if not gone & {*pair}}
 
 
-def _touch(first: Polytope, second: Polytope, reach: float) -> bool:
-    """Whether the boxes of two pieces are within reach of each other."""
-    a, b = first.vertices, second.vertices
-    return bool((np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0)) <= reach).all())
+def _joinable(
+    cells: list[Cell], old: list[int], new: list[int], solid: Solid, tolerance: float, rng: np.random.Generator
+) -> dict[tuple[int, int], Joined]:
+    """Pairs with a new cell whose common hull is not found to stick out too far."""
+    found = dict[tuple[int, int], Joined]()
+    within = np.array([k for k in (*old, *new) if cells[k].bound <= tolerance], dtype=np.int64)
+    if len(within) == 0:
+        return found
+    low, high = (np.array([f(cells[k].hull.vertices, axis=0) for k in within]) for f in (np.min, np.max))
+    for at in np.flatnonzero(np.isin(within, new)):
+        apart = np.maximum(low[:at] - high[at], low[at] - high[:at]).max(axis=1, initial=-np.inf)
+        for other in within[:at][apart <= tolerance]:
+            pair = int(other), int(within[at])
+            hulls = [cells[k].hull for k in pair]
+            try:
+                hull = Polytope.from_points(np.concatenate([hull.vertices for hull in hulls]))
+            except GeometryError:
+                continue  # two plates in one plane, say, whose thickness is all rounding
+            found[pair] = Joined(hull, _volume(hull) - sum(map(_volume, hulls)))
+    if found:
+        samples = _samples([joined.hull for joined in found.values()], rng)
+        height = solid.signed_distances(samples)[0].reshape(len(found), -1).max(axis=1)
+        found = {pair: joined for (pair, joined), out in zip(found.items(), height, strict=True) if out <= tolerance}
+    return found
 
 
-def _samples(hull: Polytope, rng: np.random.Generator) -> Floats:
-    """Random points of a hull's surface."""
-    corners = hull.vertices[hull.simplices]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    chosen = corners[rng.choice(len(corners), SAMPLES, p=area / area.sum())]
-    return np.asarray(np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), SAMPLES), chosen))
+def _samples(hulls: list[Polytope], rng: np.random.Generator) -> Floats:
+    """Random points of the hulls' surfaces, as many of each."""
+    chosen = np.empty((len(hulls), SAMPLES, 3, 3))
+    for k, hull in enumerate(hulls):
+        corners, normals = _faces(hull)
+        area = np.cumsum(np.linalg.norm(normals, axis=1))
+        chosen[k] = corners[np.searchsorted(area, area[-1] * rng.random(SAMPLES))]
+    shares = rng.dirichlet(np.ones(3), (len(hulls), SAMPLES))
+    return np.asarray(np.einsum("hsi,hsij->hsj", shares, chosen).reshape(-1, 3))
 
 
 def _volume(hull: Polytope) -> float:
-    a, b, c = (hull.vertices - hull.vertices.mean(axis=0))[hull.simplices].transpose(1, 0, 2)
-    return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6))
+    corners, normals = _faces(hull)
+    return abs(float(np.einsum("ij,ij->", corners[:, 0] - hull.vertices.mean(axis=0), normals) / 6))
+
+
+def _faces(hull: Polytope) -> tuple[Floats, Floats]:
+    """Corners of a hull's triangles, and their normals."""
+    corners = hull.vertices[hull.simplices]
+    return corners, _normals(corners)
+
+
+def _normals(triangles: Floats) -> Floats:
+    """Normals of triangles, twice as long as these are large; np.cross takes ten times as long for a few."""
+    (ax, ay, az), (bx, by, bz) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

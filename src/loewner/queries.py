@@ -311,7 +311,8 @@ def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_worl
         Ta, Tb = _validate.one_pose(T_world_a), _validate.one_pose(T_world_b)
         if Ta is not None and Tb is not None:
             out = np.empty(1, dtype=np.int8)
-            operands = ONE_PAIR, NO_ROWS, a._packed.handle, Ta[None], b._packed.handle, Tb[None]
+            packs = a._packed, b._packed  # held meanwhile
+            operands = ONE_PAIR, NO_ROWS, packs[0].handle, Ta[None], packs[1].handle, Tb[None]
             try:  # a guard of its own: one around the whole query takes a tenth as long as this
                 if settle(mode, margin, 0, 1, operands, out) is not None:
                     return int(out[0])

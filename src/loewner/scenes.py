@@ -25,6 +25,9 @@ from loewner.bodies import Bodies, Body
 from loewner.errors import InputError
 from loewner.queries import Bounds, Distance, Measured
 
+# One name, a pair, or in the place of a name None for any link.
+MarginKey = tuple[str | None, ...]
+
 # Held while a scene changes or is copied, for microseconds each. One for all scenes: none has to be kept out of copies
 # and pickles, and a process that forks meanwhile has one to see to.
 _CHANGING = threading.RLock()
@@ -127,7 +130,7 @@ class Scene:
     Parameters
     ----------
     margin : float
-        Metres that all pairs keep that have no margin of their own (see `margin_of`).
+        Metres that all pairs with a body of the scene keep (see `margin_of`).
 
     Notes
     -----
@@ -159,7 +162,10 @@ class Scene:
         self._poses: dict[str, Floats] = {}
         self._attachments: dict[str, Attachment] = {}
         self._allowed: set[Pair] = set()
-        self._margins: dict[tuple[str, ...], float] = {}
+        self._leaving: set[Pair] = set()
+        self._reaching: set[Pair] = set()
+        self._margins: dict[MarginKey, float] = {}
+        self._lowered: set[MarginKey] = set()
         self._version = self._structure_version = 0
         self._packed: tuple[int, Bodies] | None = None
         self._doubted = False
@@ -275,7 +281,9 @@ class Scene:
             other._poses = dict(self._poses)
             other._attachments = dict(self._attachments)
             other._allowed = set(self._allowed)
+            other._leaving, other._reaching = set(self._leaving), set(self._reaching)
             other._margins = dict(self._margins)
+            other._lowered = set(self._lowered)
         return other
 
     # -- changes ------------------------------------------------------------------------------
@@ -291,7 +299,7 @@ class Scene:
         T_world_body : array_like, shape (4, 4), or None
             Translation in metres. None is the identity.
         margin : float, optional
-            Metres that this body keeps (see `margin_of`).
+            Metres that this body keeps, if no larger margin holds (see `margin_of`).
 
         Raises
         ------
@@ -350,7 +358,9 @@ class Scene:
             self._attachments.pop(name, None)
             # A body that later comes under the same name must not inherit leave to touch.
             self._allowed = {pair for pair in self._allowed if name not in pair}
-            self._margins = {names: margin for names, margin in self._margins.items() if name not in names}
+            self._end_contacts(name)
+            self._margins = {key: margin for key, margin in self._margins.items() if name not in key}
+            self._lowered.intersection_update(self._margins)
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
@@ -413,9 +423,16 @@ class Scene:
             self._version += 1
 
     def attach(
-        self, name: str, link: str, T_link_body: ArrayLike | None = None, *, touch_links: Iterable[str] = ()
+        self,
+        name: str,
+        link: str,
+        T_link_body: ArrayLike | None = None,
+        *,
+        touch_links: Iterable[str] = (),
+        leave: Iterable[str] = (),
+        reach: Iterable[str] = (),
     ) -> None:
-        """Hang a body on a link, with which it moves from now on: a grasped object.
+        """Attach a body to a link, with which it moves from now on: a grasped object.
 
         Parameters
         ----------
@@ -427,30 +444,51 @@ class Scene:
             Where the body sits in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+        leave : iterable of str
+            Bodies or links that it touches now and has to leave, such as the table that it stands on: see `leave`.
+        reach : iterable of str
+            Bodies or links that it may touch where a motion ends, such as the shelf that it is put on: see `reach`.
+
+        Warns
+        -----
+        UserWarning
+            If a pair with this body stays allowed by `allow`: motions are then proven without that pair.
+
+        Notes
+        -----
+        Rules of `leave` and `reach` that named the body before end here, and at `detach`.
 
         Examples
         --------
         >>> scene = Scene()
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
         >>> scene.add("can", Body.cylinder(radius=0.03, length=0.14))
-        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"])
-        >>> scene.static_names
-        ()
+        >>> scene.attach("can", "hand", touch_links=["left_finger", "right_finger"], leave=["table"])
+        >>> scene.static_names, scene.leaving
+        (('table',), frozenset({('can', 'table')}))
         """
         self._known(name)
         _check_name(link, "link")
-        touching = {
-            link,
-            *(
-                _check_name(touched, "touch_links")
-                for touched in _validate.listed(touch_links, "touch_links", wanted="several names of links")
-            ),
-        }
+        touching = {link, *_names(touch_links, "touch_links")}
+        leaving = {_pair(name, other) for other in _names(leave, "leave")}
+        reaching = {_pair(name, other) for other in _names(reach, "reach")}
         T = _validate.pose(T_link_body, f"T_link_body of {name!r}")
         T.setflags(write=False)
         with _CHANGING:
             self._attachments[self._known(name)] = Attachment(link, T, tuple(sorted(touching)))
             self._poses.pop(name, None)
+            self._end_contacts(name)
+            self._leaving |= leaving
+            self._reaching |= reaching
+            unseen = sorted(
+                pair for pair in self._allowed - leaving - reaching if name in pair and not touching.intersection(pair)
+            )
             self._changed()
+        if unseen:
+            warn(
+                f"attach of {name!r}: {', '.join(map(_text, unseen))} stay allowed to touch by Scene.allow, so that "
+                "motions are proven without them; name in leave=[...] what the body stands on, or forbid the pair"
+            )
 
     def detach(self, name: str, T_world_body: ArrayLike | None) -> None:
         """Put an attached body back into the world.
@@ -473,6 +511,7 @@ class Scene:
                 raise InputError(f"{name!r}: expected an attached body, found one that stands in the world")
             self._poses[name] = T
             del self._attachments[name]
+            self._end_contacts(name)
             self._changed()
 
     # -- rules --------------------------------------------------------------------------------
@@ -519,18 +558,113 @@ class Scene:
             self._changed()
 
     @property
+    def leaving(self) -> frozenset[Pair]:
+        """Pairs whose contact at the start of a motion has to end, each sorted by name; see `leave`."""
+        with _CHANGING:
+            return frozenset(self._leaving)
+
+    @property
+    def reaching(self) -> frozenset[Pair]:
+        """Pairs that may come into contact at the end of a motion, each sorted by name; see `reach`."""
+        with _CHANGING:
+            return frozenset(self._reaching)
+
+    def leave(self, a: str, b: str) -> None:
+        """Let two that touch at the start of a motion part: the contact may end, but not get deeper or come back.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces: a can and the table that it stands on, a finger and the
+            can that it let go.
+
+        See Also
+        --------
+        reach : The mirror image, at the end of a motion.
+        allow : Contact at any time, however deep.
+
+        Notes
+        -----
+        The rule is about motions, see `CollisionChecker.certify_edges`: one that starts with the two in contact is
+        FREE if it is proven that, on a first stretch, no two of their pieces get deeper into each other than at the
+        start, or nearer while they are within their margin, and that the two keep their margin on the rest. It goes
+        before `allow`. At a single configuration contact is a collision, as for all pairs.
+
+        The rule ends when one of the two is attached, detached or removed.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.leave("can", "left_finger")
+        >>> scene.leaving
+        frozenset({('can', 'left_finger')})
+        """
+        self._begin_contact(self._leaving, _pair(a, b))
+
+    def reach(self, a: str, b: str) -> None:
+        """Let two come into contact at the end of a motion, as `leave` lets them part at the start of one.
+
+        There they touch, or are within their margin; they are no deeper in each other than the tolerance of the proof.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of bodies or links, made of convex pieces.
+
+        See Also
+        --------
+        leave : What the rule says, with start and end of the motion exchanged.
+
+        Examples
+        --------
+        >>> scene = Scene()
+        >>> scene.reach("can", "shelf")
+        >>> scene.reaching
+        frozenset({('can', 'shelf')})
+        """
+        self._begin_contact(self._reaching, _pair(a, b))
+
+    def _begin_contact(self, rules: set[Pair], pair: Pair) -> None:
+        with _CHANGING:
+            rules.add(pair)
+            self._changed()
+
+    def _end_contacts(self, name: str) -> None:
+        """Forget what `leave` and `reach` said about a body: its contacts are no longer the same."""
+        for rules in (self._leaving, self._reaching):
+            rules.difference_update([pair for pair in rules if name in pair])
+
+    @property
     def margin(self) -> float:
-        """Metres that all pairs keep that have no margin of their own."""
+        """Metres that all pairs with a body of the scene keep."""
         return self._margin
 
     @property
-    def margins(self) -> dict[tuple[str, ...], float]:
-        """The margins of single bodies or links, under ``(name,)``, and of pairs, under sorted ``(a, b)``."""
+    def margins(self) -> dict[MarginKey, float]:
+        """All other margins: of one under ``(name,)``, of pairs under sorted ``(a, b)``, of one against any link under
+        ``(name, None)``, and of links among themselves under ``(None, None)``."""
         with _CHANGING:
             return dict(self._margins)
 
-    def set_margin(self, margin: float | None, a: str | None = None, b: str | None = None) -> None:
-        """Set the margin of a pair, of one body or link, or of the whole scene.
+    @property
+    def lowered(self) -> frozenset[MarginKey]:
+        """Keys of the `margins` that were set with ``lower=True``."""
+        with _CHANGING:
+            return frozenset(self._lowered)
+
+    def set_margin(
+        self,
+        margin: float | None,
+        a: str | None = None,
+        b: str | None = None,
+        *,
+        against: Literal["links"] | None = None,
+        lower: bool = False,
+    ) -> None:
+        """Set the margin of a pair, of one body or link, of the whole scene, or of links among themselves.
+
+        It takes the place of the margin that was set for the same before. It never makes smaller what another margin
+        demands, unless `lower` says so (see `margin_of`).
 
         Parameters
         ----------
@@ -538,30 +672,43 @@ class Scene:
             Metres. None takes the margin of the pair, body or link away again.
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
+        against : "links", optional
+            The margin holds against links only: that of `a`, or without it that of all links among themselves, which do
+            not keep the scene's.
+        lower : bool
+            Whether this margin goes before more general ones, and lets two come closer together than those demand.
+
+        Raises
+        ------
+        InputError
+            If the margin is negative or not finite, a name no text, or `against` given with a pair.
 
         Examples
         --------
-        >>> scene = Scene(margin=0.01)
-        >>> scene.set_margin(0.05, "person")
-        >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
-        (0.05, 0.01)
+        >>> scene = Scene(margin=0.05)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
+        >>> scene.set_margin(0.001, "hand", against="links")
+        >>> scene.margin_of("table", "hand"), scene.margin_of("forearm", "hand")
+        (0.05, 0.001)
+        >>> scene.set_margin(0.002, "hand", "table", lower=True)
+        >>> scene.margin_of("table", "hand")
+        0.002
         """
         keep = None if margin is None else _validate.positive_scalar(margin, "margin", zero=True)
-        if a is None:
-            if b is not None:
-                raise InputError(f"a: expected a name with b = {b!r}, found None")
-            if keep is None:
-                raise InputError("margin: expected a number of metres for the whole scene, found None")
-            with _CHANGING:
-                self._margin = keep
-                self._changed()
-            return
-        names = (_check_name(a, "a"),) if b is None else _pair(a, b)
+        lower = _validate.flag(lower, "lower")
+        key = _margin_key(a, b, against)
+        if not key and keep is None:
+            raise InputError("margin: expected a number of metres for the whole scene, found None")
         with _CHANGING:
+            self._lowered.discard(key)
             if keep is None:
-                self._margins.pop(names, None)
+                self._margins.pop(key, None)
+            elif not key:
+                self._margin = keep
             else:
-                self._margins[names] = keep
+                self._margins[key] = keep
+                if lower:
+                    self._lowered.add(key)
             self._changed()
 
     def widen(self, least: float) -> None:
@@ -580,6 +727,7 @@ class Scene:
         Examples
         --------
         >>> scene = Scene(margin=0.01)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]))
         >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.05)
         >>> scene.widen(0.02)
         >>> scene.margin_of("person", "arm"), scene.margin_of("table", "arm")
@@ -587,40 +735,54 @@ class Scene:
         """
         least = _validate.positive_scalar(least, "least", zero=True)
         with _CHANGING:
-            before = self.margins
-            for names, margin in before.items():
-                if margin >= least:
-                    continue
-                if any(name in self._bodies for name in names):
-                    self._margins[names] = least
-                elif len(names) == 1:  # a link's own goes before the scene's, but holds for other links as well
-                    for body in self._bodies:
-                        pair = _pair(body, *names)
-                        if (body,) not in before and pair not in before:
-                            self._margins[pair] = least
             self._margin = max(least, self._margin)
+            # All pairs with bodies keep that now, but for what was lowered.
+            for key in [key for key in self._lowered if self._margins[key] < least]:
+                if any(name in self._bodies for name in key):
+                    self._margins[key] = least
+                elif len(key) == 1:  # of a link: it holds for other links as well
+                    for body in self._bodies:
+                        pair = _pair(body, key[0])
+                        self._margins[pair] = max(least, self._margins.get(pair, 0.0))
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """Metres that two bodies or links keep.
+        """Metres that two bodies or links keep: the largest margin that holds for them.
 
-        The pair's own margin if it has one; else the larger of those that the two have; else the scene's.
+        The scene's margin holds for every pair with a body of the scene, that of links (``against="links"``) for two
+        links; then each one's own, and the pair's. Only one set with ``lower=True`` goes before more general ones: each
+        one's own before the scene's and that of links, the pair's before all others.
 
         Parameters
         ----------
         a, b : str
-            Names of bodies or links, known or not.
+            Names of bodies of the scene; all others are taken for links.
 
         Returns
         -------
         float
             Metres.
+
+        Examples
+        --------
+        >>> scene = Scene(margin=0.05)
+        >>> scene.add("person", Body.capsule(radius=0.3, length=1.2), margin=0.5)
+        >>> scene.add("table", Body.box([1.0, 1.0, 0.1]), margin=0.01)
+        >>> scene.margin_of("person", "table"), scene.margin_of("table", "arm"), scene.margin_of("hand", "arm")
+        (0.5, 0.05, 0.0)
         """
         pair = _pair(a, b)
         with _CHANGING:
-            if pair in self._margins:
-                return self._margins[pair]
-            return max((self._margins[(name,)] for name in pair if (name,) in self._margins), default=self._margin)
+            links = [name not in self._bodies for name in pair]
+            kept = self._margins.get((None, None), 0.0) if all(links) else self._margin
+            own: list[MarginKey] = [(name,) for name in pair]
+            own += [(name, None) for name, other_is_link in zip(pair, reversed(links), strict=True) if other_is_link]
+            for keys in (own, [pair]):
+                found = [key for key in keys if key in self._margins]
+                if not self._lowered.isdisjoint(found):
+                    kept = 0.0
+                kept = max([kept, *(self._margins[key] for key in found)])
+            return kept
 
     # -- queries ------------------------------------------------------------------------------
 
@@ -743,6 +905,10 @@ def _check_name(name: Any, what: str) -> str:
     return name
 
 
+def _names(given: Any, what: str) -> list[str]:
+    return [_check_name(name, what) for name in _validate.listed(given, what, wanted="several names")]
+
+
 def _pair_as_given(pair: Any) -> Pair:
     try:
         a, b = pair
@@ -758,6 +924,20 @@ def _pair(a: Any, b: Any) -> Pair:
     if a == b:
         raise InputError(f"a, b: expected two names, found {a!r} twice")
     return (a, b) if a < b else (b, a)
+
+
+def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
+    """What a margin is kept under; () is that of the whole scene."""
+    if a is None and b is not None:
+        raise InputError(f"a: expected a name with b = {b!r}, found None")
+    if against is not None:
+        _validate.choice(against, "against", ("links",))
+        if b is not None:
+            raise InputError(f"against: expected none with a pair, found {against!r} with b = {b!r}")
+        return (None if a is None else _check_name(a, "a"), None)
+    if a is None:
+        return ()
+    return (_check_name(a, "a"),) if b is None else _pair(a, b)
 
 
 def _text(pair: Pair) -> str:

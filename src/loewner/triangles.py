@@ -57,12 +57,13 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
     height[np.abs(height) <= rounding] = 0.0
     lower, upper = (height < 0).sum(axis=1), (height > 0).sum(axis=1)
     crossed = np.flatnonzero((lower > 0) & (upper > 0))
-    facing = np.einsum(
-        "tj,tj->t", np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), normals
-    )
-    in_plane = (lower == 0) & (upper == 0)
-    whole_below = np.flatnonzero((lower > 0) & (upper == 0) | in_plane & (facing > 0))
-    whole_above = np.flatnonzero((upper > 0) & (lower == 0) | in_plane & (facing <= 0))
+    in_plane = np.flatnonzero((lower == 0) & (upper == 0))
+    a, b, c = triangles[in_plane].transpose(1, 0, 2)
+    facing = np.einsum("tj,tj->t", np.cross(b - a, c - a), normals[in_plane]) > 0
+    # Those in the plane go with those that are on one side.
+    lower[in_plane[facing]] = upper[in_plane[~facing]] = 1
+    whole_below = np.flatnonzero((lower > 0) & (upper == 0))
+    whole_above = np.flatnonzero((upper > 0) & (lower == 0))
 
     # The corner `a` that is alone on its side, and the two that are not, or that lie in the plane.
     single_below = lower[crossed] == 1

@@ -592,8 +592,6 @@ class Body(_Bodies):
             If the file is missing, or no whole octree.
         GeometryError
             If nothing in it is occupied.
-        MissingExtraError
-            If octomap-python is not installed.
 
         Examples
         --------

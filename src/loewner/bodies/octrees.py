@@ -1,19 +1,35 @@
-"""Octrees of OctoMap: the boxes of occupied leaves, read by its own library."""
+"""Octrees of OctoMap: the boxes of the occupied leaves of a binary file.
+
+OctoMap's own reader recurses as deep as a file says, so that a damaged one can end the process. The format is short: a
+header in text, then two bytes for each inner node in depth-first order, two bits for each of its children.
+"""
 
 from __future__ import annotations
 
+import math
 import os
+import re
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner import _validate
-from loewner._files import read_regular
-from loewner._validate import Floats
-from loewner.errors import FileError, GeometryError, MissingExtraError, installing
+from loewner._files import read_regular, shown
+from loewner._validate import Floats, Ints
+from loewner.errors import FileError, GeometryError
 
 # Bytes of a file: a building at a centimetre has a tenth of it.
 MOST_BYTES = 2**30
-HEADER = b"# Octomap OcTree binary file"
+
+HEADER = re.compile(
+    rb"# Octomap OcTree binary file\s*\n(?:#[^\n]*\n)*id OcTree\s*\nsize (\d+)\s*\nres ([-+.\deE]+)\s*\ndata\s*\n"
+)
+
+LEVELS = 16  # of a tree of OctoMap: keys have 16 bits an axis
+
+# What the two bits of a child say; 1 is free, and 0 not there.
+OCCUPIED, INNER = 2, 3
 
 
 def occupied_leaves(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
@@ -22,25 +38,78 @@ def occupied_leaves(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
     Raises
     ------
     FileError
-        If the file is missing, or no whole octree.
+        If the file is missing, or no whole octree of at most 16 levels.
     GeometryError
         If nothing in it is occupied.
-    MissingExtraError
-        If octomap-python is not installed.
     """
-    try:
-        import octomap
-    except ImportError:
-        raise MissingExtraError(f"octrees need octomap-python: {installing('octrees')}") from None
     file = _validate.path(path, "path")
-    if not read_regular(file, "an octree in .bt", MOST_BYTES).startswith(HEADER):
-        raise FileError(f"{file}: expected an octree of OctoMap in .bt, which begins with {HEADER.decode()!r}")
-    tree = octomap.OcTree(0.1)
-    if not tree.readBinary(os.fsencode(file)):
-        raise FileError(f"{file}: expected a whole octree of OctoMap, found one that is cut off or altered")
-    leaves = [(*leaf.getCoordinate(), leaf.getSize()) for leaf in tree.begin_leafs() if tree.isNodeOccupied(leaf)]
-    if not leaves:
-        raise GeometryError(f"{file}: expected at least one occupied leaf, found none")
-    rows = np.array(leaves)
-    half = rows[:, 3:] / 2
-    return rows[:, :3] - half, rows[:, :3] + half
+    data = read_regular(file, "an octree in .bt", MOST_BYTES)
+    header = HEADER.match(data)
+    if header is None:
+        raise FileError(
+            f"{shown(file)}: expected an octree of OctoMap in .bt, which begins with '# Octomap OcTree binary file' "
+            "and lines with id, size, res and data; found another beginning"
+        )
+    count, resolution = int(header[1]), _resolution(header[2], file)
+    nodes = np.frombuffer(data, dtype="<u2", offset=header.end(), count=(len(data) - header.end()) // 2)
+    keys, depths = _leaves(nodes, count, len(data) - header.end(), file)
+    if len(keys) == 0:
+        raise GeometryError(f"{shown(file)}: expected at least one occupied leaf, found none")
+    levels = np.arange(LEVELS)
+    cell = np.stack([((keys[:, None] >> (3 * levels + axis) & 1) << levels).sum(axis=1) for axis in range(3)], axis=1)
+    edge = resolution * 2.0 ** (LEVELS - depths)[:, None]
+    center = ((cell - 2 ** (LEVELS - 1)) * 2.0 ** (depths - LEVELS)[:, None] + 0.5) * edge
+    return center - edge / 2, center + edge / 2
+
+
+def _resolution(text: bytes, file: Path) -> float:
+    """Edge of the smallest cells, in metres."""
+    try:
+        resolution = float(text)
+    except ValueError:
+        resolution = math.nan
+    if not 0 < resolution < math.inf:
+        raise FileError(f"{shown(file)}: expected res, a length in metres, found {text.decode()!r}")
+    return resolution
+
+
+def _leaves(nodes: NDArray[np.uint16], count: int, size: int, file: Path) -> tuple[Ints, Ints]:
+    """Keys of the lower corners of all occupied leaves, three bits a level, and their depths.
+
+    Raises
+    ------
+    FileError
+        If the nodes end too early or too late, are not as many as the header says, or go deeper than 16 levels.
+    """
+    found: list[tuple[int, int]] = []
+    known: dict[int, tuple[int, list[int], list[int]]] = {}
+    stack, used, seen = [(0, 0)], 0, 1 if count else 0
+    words = nodes.tolist()
+    while stack and count:
+        key, depth = stack.pop()
+        if used == len(words):
+            raise FileError(f"{shown(file)}: expected a whole octree of OctoMap, found one that is cut off")
+        if depth == LEVELS:
+            raise FileError(f"{shown(file)}: expected an octree of {LEVELS} levels, found one that is deeper")
+        word, used = words[used], used + 1
+        step = 3 * (LEVELS - 1 - depth)
+        if word not in known:
+            known[word] = _children(word)
+        children, occupied, inner = known[word]
+        seen += children
+        found += [(key | child << step, depth + 1) for child in occupied]
+        stack += [(key | child << step, depth + 1) for child in inner]
+    if seen != count or 2 * used != size:
+        raise FileError(
+            f"{shown(file)}: expected an octree of OctoMap with {count} nodes in {2 * used} bytes, found {seen} in "
+            f"{size}: it is cut off or altered"
+        )
+    rows = np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
+
+
+def _children(word: int) -> tuple[int, list[int], list[int]]:
+    """How many children a node has, which are occupied leaves, and which are inner nodes, the last one first."""
+    kinds = [word >> 2 * child & 3 for child in range(8)]
+    occupied = [child for child, kind in enumerate(kinds) if kind == OCCUPIED]
+    return 8 - kinds.count(0), occupied, [child for child in range(7, -1, -1) if kinds[child] == INNER]

@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
+import tempfile
 import warnings
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner._files import shown
-from loewner.cli import inputs
+from loewner._files import replacing, shown
+from loewner._outcomes import TETRAHEDRON, Outcome, outcome_of
+from loewner._plausible import told_to
+from loewner._threads import MOST_THREADS
+from loewner._validate import Progress
+from loewner.cli import inputs, jobs
 from loewner.cli.output import ERROR, model_text, new_table, print_table, progress_bar
-from loewner.errors import FileError, InputError
+from loewner.errors import FileError, GeometryError, InputError
 from loewner.fits import DEFAULT_TOLERANCE
 
 EXAMPLES = """examples:
   loewner fit upper_arm.stl forearm.dae -o bodies
+  loewner fit parts/*.stl -o bodies -j 8                eight at a time
   loewner fit gripper.obj -o bodies --threshold 0.02    more pieces, a closer fit
   loewner fit mug.stl -o bodies --tolerance 0.002       pieces that stick out by at most 2 mm
   loewner fit table.glb -o bodies --hull                one piece: the convex hull
-  loewner fit cup.stl -o bodies --model surface         the triangles as they are, no fit of pieces
+  loewner fit cup.stl -o bodies --model surface         the triangles as they are, exact, in milliseconds
   loewner fit parts/*.stl -o bodies --scheduler tcp://host:8786    on the workers of a Dask cluster
+
+A mesh that cannot be fitted is reported, and the others are fitted all the same. In the end, those that failed are listed.
+
+exit status: 0 all are fitted, 2 one or more failed, or another error
 """
+
+# Options that decide what a mesh becomes.
+MAKING = ("model", "hull", "usual_model", "scale", "tol", *inputs.OF_PIECES, *inputs.OF_SURFACES)
 
 
 def add(commands: Any) -> None:
@@ -34,11 +51,11 @@ def add(commands: Any) -> None:
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
     fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
+    fit.add_argument("-j", "--jobs", type=int, metavar="N", help="meshes at a time, each in a process of its own (1)")
     fit.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="of a Dask cluster whose workers do it; what they did before with the same options is not done again, and "
-        "meshes that fail are listed in the end",
+        help="of a Dask cluster whose workers do it; what they did before with the same options is not done again",
     )
     fit.set_defaults(run=_run)
 
@@ -50,34 +67,94 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError(f"MESH: expected meshes with different names, found two for {', '.join(sorted(twice))}")
     if options.tol is not None and inputs.model(options) == "surface":
         raise InputError("--tol: expected it with pieces or hulls only, found it with --model surface")
-    tol = DEFAULT_TOLERANCE if options.tol is None else options.tol
-    return _on_this_machine(options, targets, tol) if options.scheduler is None else _on_a_cluster(options, tol)
+    if options.tol is None:
+        options.tol = DEFAULT_TOLERANCE
+    if options.scheduler is None:
+        return _on_this_machine(options, targets)
+    if options.jobs is not None:
+        raise InputError("--jobs: expected it without --scheduler, whose workers are as many as there are; found both")
+    return _on_a_cluster(options)
 
 
-def _on_this_machine(options: argparse.Namespace, targets: list[Path], tol: float) -> int:
-    """One mesh after the other, up to the first that fails."""
-    table = new_table(
-        "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
-    )
-    with progress_bar() as progress:
-        task = progress.add_task("meshes", total=len(targets))
-        part = progress.add_task("", total=None)
+def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
+    """Each mesh in one of several processes; a table of what was made, and one of what failed."""
+    count = 1 if options.jobs is None else _validate.whole_number(options.jobs, "--jobs", 1, MOST_THREADS)
+    with told_to([]), suppress(GeometryError):  # what options are refused for need not be told of each mesh
+        _body(TETRAHEDRON, options, lambda *_: None)
+    _make_folder(options.out)
+    rows, failed = dict[int, list[str]](), dict[int, str]()
+    # A process that is ended while it writes leaves a part of a file: in a folder that does not stay.
+    with tempfile.TemporaryDirectory(prefix=".fit-", dir=options.out) as unfinished, progress_bar() as progress:
+        made = [Path(unfinished) / target.name for target in targets]
+        making = {name: getattr(options, name) for name in MAKING}
+        tasks = [
+            {"mesh": os.fspath(mesh), "target": os.fspath(target), "options": making}
+            for mesh, target in zip(options.meshes, made, strict=True)
+        ]
+        whole, bars = progress.add_task("meshes", total=len(tasks)), dict[int, Any]()
+        for kind, at, value in jobs.answers(__name__, tasks, count):
+            mesh, target = options.meshes[at], targets[at]
+            if kind == "begun":
+                bars[at] = progress.add_task(mesh.name, total=None)
+            elif kind == "progress":
+                progress.update(bars[at], completed=value[0], total=value[1])
+            else:
+                progress.update(bars.pop(at), visible=False)
+                progress.update(whole, advance=1)
+                outcome, row = _outcome(mesh, value)
+                for text in outcome.warnings:
+                    warnings.warn(text, stacklevel=1)
+                if outcome.status == "done":
+                    outcome = outcome_of(mesh, lambda made=made[at], target=target: _moved(made, target))
+                if outcome.status == "done":
+                    rows[at] = [str(target), *row]
+                else:
+                    failed[at] = outcome.message
+                    print(f"loewner: error: {outcome.message}", file=sys.stderr, flush=True)
+    if rows:
+        table = new_table(
+            "body", "pieces", "vertices", "inner, litres", "outer, litres", "gap", "model", title="loewner fit"
+        )
+        for at in sorted(rows):
+            table.add_row(*rows[at])
+        print_table(table)
+    return _summary(f"{len(rows)} done", {options.meshes[at]: failed[at] for at in sorted(failed)})
 
-        def report(done: int, total: int) -> None:
-            progress.update(part, completed=done, total=total)
 
-        for mesh, target in zip(options.meshes, targets, strict=True):
-            progress.update(part, description=mesh.name, completed=0, total=None)
-            body = inputs.from_mesh(mesh, options, tol=tol, progress=report)
-            _make_folder(options.out)
-            body.save(target)
-            table.add_row(*_fit_row(target, body))
-            progress.advance(task)
-    print_table(table)
-    return 0
+def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
+    """Make the body of a mesh and save it, in a process of its own; what became of it, and its row of the table."""
+    row: list[str] = []
+
+    def fit() -> Outcome:
+        body = _body(Path(task["mesh"]), argparse.Namespace(**task["options"]), progress)
+        body.save(task["target"])
+        row.extend(_fit_row(body))
+        return Outcome("done")
+
+    return [*outcome_of(Path(task["mesh"]), fit), row]
 
 
-def _on_a_cluster(options: argparse.Namespace, tol: float) -> int:
+def _body(source: Any, options: argparse.Namespace, progress: Progress) -> loewner.Body:
+    return inputs.from_mesh(source, options, tol=options.tol, progress=progress)
+
+
+def _outcome(mesh: Path, answer: list[Any] | None) -> tuple[Outcome, list[str]]:
+    """What a process answered, and the row of the table; if it died, that."""
+    if answer is None:
+        text = f"{shown(mesh)}: the process that fitted it died; it may take more memory than there is"
+        return Outcome("failed", text), []
+    status, message, told, row = answer
+    return Outcome(status, message, tuple(told)), row
+
+
+def _moved(made: Path, target: Path) -> Outcome:
+    """Give a body that is whole its name."""
+    with replacing(target) as temporary:
+        os.replace(made, temporary)
+    return Outcome("done")
+
+
+def _on_a_cluster(options: argparse.Namespace) -> int:
     """All meshes on the workers of a cluster; what failed is a table."""
     from loewner import cluster
 
@@ -92,27 +169,31 @@ def _on_a_cluster(options: argparse.Namespace, tol: float) -> int:
             options.out,
             decompose=model == "pieces",
             scale=options.scale,
-            tol=tol,
+            tol=options.tol,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
             **inputs.given(options, inputs.OF_PIECES),
         )
     for text in (text for texts in fitted.warned.values() for text in texts):
         warnings.warn(text, stacklevel=1)
-    print(f"{len(fitted.done)} done, {len(fitted.skipped)} done before, {len(fitted.failed)} failed")
-    if fitted.failed:
+    return _summary(f"{len(fitted.done)} done, {len(fitted.skipped)} done before", fitted.failed)
+
+
+def _summary(done: str, failed: Mapping[Path, str]) -> int:
+    """Print how many are done and which failed; the exit status."""
+    print(f"{done}, {len(failed)} failed")
+    if failed:
         table = new_table("mesh", "what is wrong", title="loewner fit: failed")
-        for mesh, text in fitted.failed.items():
+        for mesh, text in failed.items():
             table.add_row(str(mesh), text.removeprefix(f"{shown(mesh)}: "))
         print_table(table)
-    return ERROR if fitted.failed else 0
+    return ERROR if failed else 0
 
 
-def _fit_row(target: Path, body: loewner.Body) -> tuple[str, ...]:
+def _fit_row(body: loewner.Body) -> tuple[str, ...]:
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
     inner, outer = body.inner.volume.sum() * 1e3, body.outer.volume.sum() * 1e3
     return (
-        str(target), str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
-        f"{body.gaps.max():.1e}", model_text(body),
+        str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}", f"{body.gaps.max():.1e}", model_text(body),
     )  # fmt: skip
 
 

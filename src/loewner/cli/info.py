@@ -23,7 +23,6 @@ EXTRAS = {
     "robots": ("pyyaml",),
     "planners": ("ompl",),
     "plots": ("matplotlib",),
-    "octrees": ("octomap-python",),
     "viewer": ("viser",),
     "screenshots": ("playwright",),
     "mujoco": ("mujoco",),

@@ -1,6 +1,6 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding (of many configurations, one or more); 2 error; 3 ambiguous (only for
+Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more); 2 error, or one or more of many meshes failed; 3 ambiguous (only for
 ``loewner check --method certified`` and ``loewner plan``).
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import check, compile, fit, info, paper, plan, robot, view
+from loewner.cli import check, clearance, compile, fit, info, paper, plan, robot, view
 from loewner.cli.output import ERROR
 from loewner.errors import InputError, LoewnerError
 
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, robot, plan, view, compile, info, paper):
+    for command in (fit, check, clearance, robot, plan, view, compile, info, paper):
         command.add(commands)
     return parser
 

@@ -42,6 +42,15 @@ def add(commands: Any) -> None:
     plan = inputs.command(commands, "plan", "a path from start to goal, its motions proven free", EXAMPLES)
     inputs.add_robot_options(plan)
     plan.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    for rule, where in (("leave", "start"), ("reach", "goal")):
+        plan.add_argument(
+            f"--{rule}",
+            nargs=2,
+            metavar=("A", "B"),
+            action="append",
+            default=[],
+            help=f"two bodies or links that may be in contact at the {where} only; repeatable",
+        )
     plan.add_argument("--start", required=True, metavar="Q", help="where to start: a state, a file, or numbers")
     plan.add_argument("--goal", required=True, metavar="Q", help="where to go, likewise")
     plan.add_argument(
@@ -73,7 +82,10 @@ def add(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     _refuse_unused(options)
-    scene = None if options.scene is None else loewner.load_scene(options.scene)
+    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    for rule, pairs in ((scene.leave, options.leave), (scene.reach, options.reach)):
+        for pair in pairs:
+            rule(*pair)
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
     start = robot.checked_one(_configurations(options.start, "--start", options, robot, None), "--start")

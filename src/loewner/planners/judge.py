@@ -158,6 +158,10 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
         If one is not. The message names it and the pair of bodies.
     """
     free = judge.free(path[:-1], path[1:])
+    if not free.all() and len(judge.ready.ruled):
+        touching = np.flatnonzero(~free)  # in the order of the path, which is what the rules are about
+        receding = judge.checker._certified(judge.ready, path[touching], path[touching + 1], TOLERANCE)
+        free[touching] = receding.verdicts == Verdict.FREE
     if free.all():
         return
     k = int(free.argmin())

@@ -11,6 +11,7 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._validate import Floats
 from loewner.planners import compiled, ompl_planners
+from loewner.planners.departures import Departures
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
@@ -72,8 +73,9 @@ def plan(
     ------
     PlanningError
         If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if no
-        path was found within the iterations or in time (the message says how far the search came); or if OMPL's path
-        does not pass the last check (the message names the motion).
+        short motion along its normal ends a contact at the start or begins one at the goal; if no path was found within
+        the iterations or in time (the message says how far the search came); or if OMPL's path does not pass the last
+        check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within.
@@ -89,6 +91,9 @@ def plan(
 
     Notes
     -----
+    A start in contact by `Scene.leave`, or a goal by `Scene.reach`, is left or reached along the contact normals: the
+    first motion, or the last one, moves what touches straight away from the other body, or towards it.
+
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
     Yershova et al. (ICRA 2005). A tree's motion is at most a twelfth of the diagonal of the limits long.
 
@@ -107,13 +112,13 @@ def plan(
     step = 0.0 if _validate.flag(certified, "certified") else resolution
     make = None if planner is None else ompl_planners.named(planner)
     q, goals = checked_ends(checker, start, goal)
-    space = Space.of(checker, joints, q, goals)
-    goals = space.checked_goals(q, goals)
+    space, judge = Space.of(checker, joints, q, goals), Judge.of(checker, step)
+    ends = Departures.of(space, judge.ready, q, goals)
+    q, goals = ends.free_start, space.checked_goals(ends.free_start, ends.free_goals)
     if make is not None:
-        return ompl_planners.search(space, make, q, goals, timeout, resolution, step, simplify, seed)
-    judge = Judge.of(checker, step)
+        return ends.joined(ompl_planners.search(space, make, q, goals, timeout, resolution, step, simplify, seed))
     found = compiled.connect(space, judge, q, goals, max_iterations=max_iterations, timeout=timeout, seed=seed)
-    return compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed) if simplify else found
+    return ends.joined(compiled.shortened(judge, found, max_iterations=compiled.CUTS, seed=seed) if simplify else found)
 
 
 @guarded

@@ -74,6 +74,8 @@ class CheckedPairs:
         The same, packed; what moves in the frame of its link.
     link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
         See `pack.problem_of`.
+    leaving, reaching : ndarray of bool, shape (pairs,)
+        Pairs that may be in contact where a motion starts, or ends: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
         Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
     handle : int
@@ -95,6 +97,8 @@ class CheckedPairs:
     balls: Floats
     pairs: Ints
     margins: Floats
+    leaving: Bools
+    reaching: Bools
     order: Ints
     standing: NDArray[np.float32]
     standing_rows: NDArray[np.float32]
@@ -129,6 +133,16 @@ class CheckedPairs:
         if number not in self.taken:
             self.taken[number] = self.bodies[number]
         return self.taken[number]
+
+    def only(self, pairs: Ints) -> CheckedPairs:
+        """Some of the pairs, by their numbers, with the same bodies."""
+        chosen = replace(
+            self, pairs=self.pairs[pairs], margins=self.margins[pairs], leaving=self.leaving[pairs],
+            reaching=self.reaching[pairs], order=np.arange(len(pairs)), hits=np.zeros(len(pairs), dtype=np.int64),
+        )  # fmt: skip
+        if self.in_parts is not self:  # surfaces are cut once
+            vars(chosen)["in_parts"] = self.in_parts.only(pairs)
+        return chosen
 
     def ordered(self) -> CheckedPairs:
         """The same with the pairs that hit most often first."""
@@ -205,6 +219,16 @@ class CheckedPairs:
         solid = packed.layout[:, columns.KIND] == columns.SOLID
         return self.in_parts is not self and bool((solid & np.repeat(self._stand, np.diff(packed.piece_start))).any())
 
+    @kept
+    def ruled(self) -> Ints:
+        """Numbers of the pairs that may be in contact where a motion starts or ends."""
+        return np.flatnonzero(self.leaving | self.reaching)
+
+    @kept
+    def unruled(self) -> CheckedPairs:
+        """The same without these."""
+        return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
+
     @property
     def _stand(self) -> Bools:
         """Which bodies are at one pose, whatever the configuration is."""
@@ -270,20 +294,49 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     _check_names(robot, scene)
     names, bodies, link = _bodies(robot, scene)
     pairs = _pairs(robot, names, link, _allowed_pairs(scene, skipped))
+    leaving, reaching = (_of_rules(rules, names, pairs) for rules in (scene.leaving, scene.reaching))
+    _check_convex(names, bodies, pairs[leaving | reaching])
+    margins = _margins(scene, names, pairs)
+    unplaced = arranged(robot, (version, structure_version), names, bodies, link, pairs, margins, leaving, reaching)
+    return unplaced.placed(scene, version)
+
+
+def arranged(
+    robot: Robot,
+    versions: tuple[int, int],
+    names: tuple[str, ...],
+    bodies: Bodies,
+    link: Ints,
+    pairs: Ints,
+    margins: Floats,
+    leaving: Bools,
+    reaching: Bools,
+) -> CheckedPairs:
+    """Pairs of bodies, those that move first; those that stand are not placed yet.
+
+    Parameters
+    ----------
+    robot : Robot
+    versions : tuple of 2 int
+        The scene's version and its structure's.
+    names, bodies, link, pairs, margins, leaving, reaching
+        As of `CheckedPairs`.
+    """
     start = bodies._packed.piece_start[len(link) :]
     count = len(start) - 1
-    unplaced = CheckedPairs(
-        robot, version, structure_version, names, bodies, link,
+    return CheckedPairs(
+        robot, *versions, names, bodies, link,
         balls=np.array([_ball(bodies._packed, k) for k in range(len(link))]).reshape(-1, 5),
         pairs=pairs,
-        margins=_margins(scene, names, pairs),
+        margins=margins,
+        leaving=leaving,
+        reaching=reaching,
         order=np.arange(len(pairs)),
         standing=np.zeros((count, columns.BOUNDS), dtype=np.float32),
         standing_rows=np.zeros((start[-1] - start[0], columns.HOT), dtype=np.float32),
         standing_poses=np.full((count, 16), np.nan),  # differs from every pose
         hits=np.zeros(len(pairs), dtype=np.int64),
     )  # fmt: skip
-    return unplaced.placed(scene, version)
 
 
 # -- names and pairs --------------------------------------------------------------------------
@@ -297,8 +350,14 @@ def _check_names(robot: Robot, scene: Scene) -> None:
         for name in held.touch_links:
             if name not in all_names:
                 raise _validate.unknown_name(f"touch link in attach of {body!r}", name, robot.link_names)
-    for place, named in (("an allowed pair", scene.allowed), ("margins", scene.margins)):
-        for name in (name for names in sorted(named) for name in names):
+    rules = (
+        ("an allowed pair", scene.allowed),
+        ("a pair of leave", scene.leaving),
+        ("a pair of reach", scene.reaching),
+        ("margins", scene.margins),
+    )
+    for place, named in rules:
+        for name in sorted({name for names in named for name in names if name is not None}):
             if name not in all_names:
                 raise _validate.unknown_name(f"body or link in {place}", name, all_names)
     for name in scene.names:
@@ -322,7 +381,8 @@ def _bodies(robot: Robot, scene: Scene) -> tuple[tuple[str, ...], Bodies, Ints]:
 
 def _allowed_pairs(scene: Scene, skipped: Iterable[Pair]) -> set[frozenset[str]]:
     touching = {frozenset((name, link)) for name, held in scene.attachments.items() for link in held.touch_links}
-    return {frozenset(pair) for pair in (*skipped, *scene.allowed)} | touching
+    always = scene.allowed - scene.leaving - scene.reaching
+    return {frozenset(pair) for pair in (*skipped, *always)} | touching
 
 
 def _rigid_with(robot: Robot) -> Ints:
@@ -357,25 +417,58 @@ def _pairs(robot: Robot, names: tuple[str, ...], link: Ints, may_touch: set[froz
 
 
 def _margins(scene: Scene, names: tuple[str, ...], pairs: Ints) -> Floats:
-    """What each pair keeps, metres, as `Scene.margin_of`; but the scene's own margin is none of two links."""
+    """What each pair keeps, metres, as `Scene.margin_of`."""
     a, b = pairs.T
-    of_scene = np.array([name in scene for name in names], dtype=bool)
-    margins = np.where(of_scene[a] | of_scene[b], scene.margin, 0.0)
-    rules = scene.margins
+    is_link = np.array([name not in scene for name in names], dtype=bool)
+    rules, lowered = scene.margins, scene.lowered
+    margins = np.where(is_link[a] & is_link[b], rules.get((None, None), 0.0), scene.margin)
     if not rules:
         return margins
-    own = np.array([rules.get((name,), np.nan) for name in names])
-    nearer = np.fmax(own[a], own[b])
-    margins = np.where(np.isnan(nearer), margins, nearer)
-    place = {name: k for k, name in enumerate(names)}
-    number = a * len(names) + b  # ascending, as the pairs are
-    for rule, margin in rules.items():
-        at = sorted(place[name] for name in rule if name in place)
-        if len(rule) == 2 and len(at) == 2:
-            found = np.searchsorted(number, at[0] * len(names) + at[1])
-            if found < len(pairs) and pairs[found].tolist() == at:
-                margins[found] = margin
+    # Each one's own, those against links only for pairs with a link; one that is not there is as good as 0.
+    own = np.zeros(len(pairs))
+    lower = np.zeros(len(pairs), dtype=bool)
+    for one, holds in ((a, True), (b, True), (a, is_link[b]), (b, is_link[a])):
+        keys = [(name,) if holds is True else (name, None) for name in names]
+        own = np.fmax(own, np.where(holds, np.array([rules.get(key, 0.0) for key in keys])[one], 0.0))
+        lower |= holds & np.array([key in lowered for key in keys], dtype=bool)[one]
+    margins = np.fmax(own, np.where(lower, 0.0, margins))
+    for rule, found in zip(rules, _numbers(rules, names, pairs), strict=True):
+        if found >= 0:
+            margins[found] = rules[rule] if rule in lowered else max(rules[rule], margins[found])
     return margins
+
+
+def _numbers(named: Iterable[tuple[str | None, ...]], names: tuple[str, ...], pairs: Ints) -> list[int]:
+    """Numbers of the checked pairs of two names each; -1 for those that are not checked."""
+    place = {name: k for k, name in enumerate(names)}
+    number = pairs[:, 0] * len(names) + pairs[:, 1]  # ascending, as the pairs are
+    numbers = []
+    for pair in named:
+        at = sorted(place[name] for name in pair if name in place)
+        found = int(np.searchsorted(number, at[0] * len(names) + at[1])) if len(at) == 2 else len(pairs)
+        numbers.append(found if found < len(pairs) and pairs[found].tolist() == at else -1)
+    return numbers
+
+
+def _of_rules(rules: Iterable[Pair], names: tuple[str, ...], pairs: Ints) -> Bools:
+    """Which of the pairs a rule names."""
+    ruled = np.zeros(len(pairs) + 1, dtype=bool)
+    ruled[_numbers(rules, names, pairs)] = True  # -1 is behind the last
+    return ruled[:-1]
+
+
+def _check_convex(names: tuple[str, ...], bodies: Bodies, pairs: Ints) -> None:
+    """Refuse rules about the contact of surfaces: their depth is not that of convex pieces."""
+    packed = bodies._packed
+    for pair in pairs:
+        for k in pair:
+            first, last = packed.piece_start[k], packed.piece_start[k + 1]
+            if (packed.layout[first:last, columns.KIND] <= columns.SURFACE).any():
+                a, b = (names[n] for n in pair)
+                raise InputError(
+                    f"leave or reach of {a} and {b}: expected bodies of convex pieces, found {names[k]!r}, which is a "
+                    "surface or a cloud; take a box, pieces or voxels for what is touched"
+                )
 
 
 # -- bounds and rows --------------------------------------------------------------------------

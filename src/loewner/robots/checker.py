@@ -24,7 +24,7 @@ from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import NOTHING, VERDICTS, Exact, Vector, Verdict
-from loewner.robots import edges, motions
+from loewner.robots import contacts, edges, motions
 from loewner.robots.checked_pairs import CheckedPairs, prepared
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
@@ -198,8 +198,8 @@ class CollisionChecker:
     the bodies of the scene, except for pairs that are allowed. What is rigidly joined is never checked against each
     other. Bodies of the scene are not checked against each other: see `Scene.pairs`.
 
-    The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if one of the two,
-    or the pair, was given one by `Scene.set_margin`.
+    The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if `Scene.set_margin`
+    gave one to all links, to one of the two, or to the pair (`Scene.margin_of`).
 
     Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
     `checked_pairs`.
@@ -459,6 +459,10 @@ class CollisionChecker:
         there is none the interval is halved. docs/certified.md derives it. Surfaces and clouds that stand are seen as
         boxes around up to 128 parts of them: what comes nearer than these boxes allow is AMBIGUOUS. The first call with
         a new surface takes longer, since the parts are made then.
+
+        Pairs named by `Scene.leave` may be in contact at the start of a motion, pairs named by `Scene.reach` at its
+        end. On its way the contact gets deeper by no more than the tolerance, and at such an end it is no deeper than
+        that.
 
         Examples
         --------
@@ -807,6 +811,26 @@ class CollisionChecker:
 
     def _certified(self, ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> motions.Found:
         """`certify_edges` for motions of shape (N, dof), in the scene as it was at one moment."""
+        found = self._without_contact(ready, a, b, tolerance)
+        at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
+        if len(at) == 0:
+            return found
+        rest = self._without_contact(ready.unruled, a[at], b[at], tolerance)
+        numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
+        found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
+        found.work[at] += rest.work
+        for k in at[rest.verdicts == Verdict.FREE]:
+            end = self.robot._on_the_way(a[k], b[k])
+            for pair in ready.ruled.tolist():
+                verdict, fraction = contacts.settle(ready, pair, a[k], end, tolerance)
+                if verdict != Verdict.FREE:
+                    found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
+                    if verdict == Verdict.COLLIDING:
+                        break
+        return found
+
+    def _without_contact(self, ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> motions.Found:
+        """The same where every contact is a collision, also at the ends of motions."""
         found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
         self._confirm(ready, a, b, found.verdicts, found.fractions)
         free = np.flatnonzero(found.verdicts == Verdict.FREE)

@@ -23,7 +23,7 @@ from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
 from loewner.scene_files.sensor_shapes import SENSOR_SHAPES
-from loewner.scenes import Scene
+from loewner.scenes import MarginKey, Scene
 
 Maker = Callable[..., Body]
 
@@ -32,9 +32,10 @@ Maker = Callable[..., Body]
 MOST_BYTES = 2**24
 MOST_ENTRIES = 2_000_000
 
-TOP_KEYS = ("margin", "bodies", "allow", "margins")
+TOP_KEYS = ("margin", "bodies", "allow", "leave", "reach", "margins")
 POSE_KEYS = ("position", "rpy", "quaternion_wxyz", "pose")
 BODY_KEYS = (*POSE_KEYS, "attach", "margin")
+MARGIN_KEYS = ("of", "margin", "against", "lower")
 SURFACE_KEYS = ("radius", "solid")
 MESH_KEYS = ("scale", "decompose", "model", *SURFACE_KEYS)
 MODELS = ("hull", "pieces", "surface")
@@ -101,16 +102,35 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     made: dict[Any, Body] = {}
     for name, entry in top["bodies"].mapping(None).items():
         _add(scene, name, entry, made)
-    for entry in top["allow"].items() if "allow" in top else []:
-        a, b = (item.text() for item in entry.items(2))
-        with entry.blamed():
-            scene.allow(a, b)
+    for key, rule in (("allow", scene.allow), ("leave", scene.leave), ("reach", scene.reach)):
+        for entry in top[key].items() if key in top else []:
+            a, b = (item.text() for item in entry.items(2))
+            with entry.blamed():
+                rule(a, b)
     for entry in top["margins"].items() if "margins" in top else []:
-        *items, last = entry.items(2, 3)
-        margin, names = last.length(), [item.text() for item in items]
-        with entry.blamed():
-            scene.set_margin(margin, *names)
+        _set_margin(scene, entry)
     return scene
+
+
+def _set_margin(scene: Scene, entry: YamlNode) -> None:
+    """What one entry says: ``[a, 0.02]``, ``[a, b, 0.02]``, or a mapping, which can say all that `set_margin` can."""
+    options: dict[str, Any] = {}
+    if entry.raw.id != "mapping":
+        *items, last = entry.items(2, 3)
+    else:
+        keys = entry.mapping(MARGIN_KEYS, required=("margin",))
+        items, last = keys["of"].items(1, 2) if "of" in keys else [], keys["margin"]
+        if "against" in keys:
+            options["against"] = keys["against"].text()
+            if options["against"] != "links":
+                raise keys["against"].error(f"expected links, found {keys['against'].described()}")
+        elif not items:
+            raise entry.error("expected the key of, or against: links, found neither")
+        if "lower" in keys:
+            options["lower"] = keys["lower"].flag()
+    margin, names = last.length(), [item.text() for item in items]
+    with entry.blamed():
+        scene.set_margin(margin, *names, **options)
 
 
 @guarded
@@ -159,15 +179,29 @@ def _document(scene: Scene, file: Path) -> dict[str, Any]:
     bodies = {}
     for name in scene:
         bodies[name] = {**_shape_of(scene[name], name, file, saved), **_place_of(scene, name)}
-        if (name,) in scene.margins:
+        if (name,) in scene.margins and (name,) not in scene.lowered:
             bodies[name]["margin"] = scene.margins[(name,)]
     document: dict[str, Any] = {"margin": scene.margin, "bodies": bodies}
-    if scene.allowed:
-        document["allow"] = [list(pair) for pair in sorted(scene.allowed)]
-    margins = [[*names, margin] for names, margin in scene.margins.items() if names[0] not in scene or len(names) == 2]
+    for key, pairs in (("allow", scene.allowed), ("leave", scene.leaving), ("reach", scene.reaching)):
+        if pairs:
+            document[key] = [list(pair) for pair in sorted(pairs)]
+    margins = [
+        _margin_entry(key, margin, key in scene.lowered)
+        for key, margin in scene.margins.items()
+        if len(key) == 2 or key[0] not in scene or key in scene.lowered
+    ]
     if margins:
         document["margins"] = margins
     return document
+
+
+def _margin_entry(key: MarginKey, margin: float, lower: bool) -> list[Any] | dict[str, Any]:
+    """What `_set_margin` reads."""
+    names = [name for name in key if name is not None]
+    if len(names) == len(key) and not lower:
+        return [*names, margin]
+    against = {"against": "links"} if len(names) < len(key) else {}
+    return {**({"of": names} if names else {}), "margin": margin, **against, **({"lower": True} if lower else {})}
 
 
 # -- reading YAML -----------------------------------------------------------------------------
@@ -306,11 +340,14 @@ def _add(scene: Scene, name: str, entry: YamlNode, made: dict[Any, Body]) -> Non
         with entry.blamed():
             scene.add(name, made[recipe], T, margin=margin)
         return
-    attach = keys["attach"].mapping(("link", "touch"), required=("link",))
-    link, touch = attach["link"].text(), [item.text() for item in attach["touch"].items()] if "touch" in attach else []
+    attach = keys["attach"].mapping(("link", "touch", "leave", "reach"), required=("link",))
+    link = attach["link"].text()
+    touch, leave, reach = (
+        [item.text() for item in attach[key].items()] if key in attach else [] for key in ("touch", "leave", "reach")
+    )
     with entry.blamed():
         scene.add(name, made[recipe], margin=margin)
-        scene.attach(name, link, T, touch_links=touch)
+        scene.attach(name, link, T, touch_links=touch, leave=leave, reach=reach)
 
 
 def _recipe(shape: str, keys: dict[str, YamlNode]) -> tuple[Any, Callable[[], Body]]:

@@ -1,0 +1,96 @@
+"""Run the tests that drive the extension with the sanitizers of addresses and of undefined behaviour in its C files.
+
+    python native/sanitize.py
+
+The extension is compiled into `build/sanitize`, a copy of the package, beside the kernels that were built already, which are
+not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its libasan, on Linux.
+"""
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+from build import HERE, SOURCES, BuildError, _sum, compile_extension
+
+from loewner._native import library
+
+TO = HERE.parent / "build" / "sanitize"
+FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
+
+# What drives the extension. Left out is what measures the resident memory, in which the sanitizer keeps what was freed.
+TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/fuzz/test_border.py",
+         "tests/fuzz/test_hostile_calls.py")  # fmt: skip
+LEFT_OUT = "tests/test_native.py::test_results_leave_no_memory_behind"
+
+
+def instrumented(to: Path) -> None:
+    """Copy the package with its kernels, and compile the extension anew."""
+    if library.level() is None:
+        raise BuildError(f"expected a native library that is built, found none ({library.why_not()})")
+    shutil.rmtree(to, ignore_errors=True)
+    name = f"_call{EXTENSION_SUFFIXES[0]}"
+    package = to / "loewner"
+    shutil.copytree(SOURCES / "loewner", package, ignore=shutil.ignore_patterns("__pycache__", ".build-*", name))
+    home = package / library.HOME.relative_to(SOURCES / "loewner")
+    compile_extension(home / name, FLAGS)
+    built = json.loads((home / library.LIST).read_text(encoding="utf-8"))
+    built["files"][name] = _sum(home / name)
+    (home / library.LIST).write_text(json.dumps(built), encoding="utf-8")
+
+
+def runtime() -> str:
+    """The libraries that a program which was compiled without the sanitizer has to load first.
+
+    That of C++ is among them since the sanitizer looks for its functions at the start, and Python loads it later.
+    """
+    compiler = shlex.split(os.environ.get("CC") or "cc")
+    asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
+    found = [Path(subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()) for command in asked]
+    if not all(path.is_absolute() for path in found):
+        raise BuildError(f"expected gcc with its libasan, found none with {compiler[0]}")
+    return " ".join(str(path.resolve()) for path in found)
+
+
+def environment(to: Path) -> dict[str, str]:
+    """Variables for an interpreter that uses the copy, and whose objects the sanitizer sees one by one."""
+    # Python and NumPy keep what they hold until the end. Tests ask for more memory than there is.
+    options = f"halt_on_error=1:detect_leaks=0:allocator_may_return_null=1:log_path={to / 'report'}"
+    return os.environ | {
+        "LD_PRELOAD": runtime(),
+        "ASAN_OPTIONS": options,
+        "UBSAN_OPTIONS": f"{options}:print_stacktrace=1",
+        "PYTHONMALLOC": "malloc",
+        "PYTHONPATH": str(to),
+        "LOEWNER_NATIVE": "required",
+    }
+
+
+def main() -> int:
+    """Compile, run the tests, show what was reported."""
+    try:
+        instrumented(TO)
+        around = environment(TO)
+    except BuildError as error:
+        print(f"sanitize: {error}", file=sys.stderr)
+        return 1
+    ask = "from loewner._native import library; print(library.extension().__file__)"
+    used = subprocess.run([sys.executable, "-c", ask], env=around, capture_output=True, text=True, check=False).stdout
+    if not used.startswith(str(TO)):
+        print(f"sanitize: expected an extension in {TO} to be used, found {used.strip() or 'none'}", file=sys.stderr)
+        return 1
+    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not verify"]
+    tests += ["--deselect", LEFT_OUT, *TESTS, *sys.argv[1:]]
+    done = subprocess.run(tests, env=around, cwd=HERE.parent, check=False)
+    reports = sorted(TO.glob("report*"))
+    for report in reports:
+        print(report.read_text(encoding="utf-8", errors="replace"), file=sys.stderr)
+    return 1 if reports or done.returncode else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

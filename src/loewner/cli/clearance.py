@@ -1,0 +1,119 @@
+"""``loewner clearance``: all pairs of many bodies, how far apart they are."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import loewner
+from loewner import _validate
+from loewner._files import replacing
+from loewner._validate import Bools, Floats, Ints
+from loewner.cli import inputs
+from loewner.cli.output import COLLIDING, FREE, is_surface, new_table, print_table, progress_bar
+from loewner.errors import ConvergenceError, InputError
+
+EXAMPLES = """examples:
+  loewner clearance base.npz arm.npz cover.stl
+  loewner clearance bodies/*.npz --within 0.005              pairs that are at most 5 mm apart
+  loewner clearance bodies/*.npz --csv pairs.csv             all pairs, in a file
+
+Each body is where its file puts it, as the parts of an assembly are. Distances are exact, in metres, and negative where
+two bodies overlap; of a pair that cannot be settled, only the bounds are told, and it counts as colliding.
+
+exit status: 0 all pairs are free, 1 one or more collide (touching is colliding), 2 error
+"""
+
+COLUMNS = ("a", "b", "verdict", "distance, m", "lower, m", "upper, m")
+
+
+class _Found(NamedTuple):
+    """What is known of the pairs that are told of; the distance of one that could not be settled is NaN."""
+
+    pairs: Ints
+    colliding: Bools
+    distance: Floats
+    lower: Floats
+    upper: Floats
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    clearance = inputs.command(commands, "clearance", "all pairs of many bodies: how far apart?", EXAMPLES)
+    clearance.add_argument("bodies", nargs="+", type=Path, metavar="BODY", help="saved bodies (.npz) or meshes")
+    clearance.add_argument("--within", type=float, metavar="M", help="leave out pairs that are farther apart [m]")
+    clearance.add_argument("--csv", type=Path, metavar="FILE", help="write the pairs to a file, not to a table")
+    inputs.add_mesh_options(clearance, "surface")
+    clearance.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if len(options.bodies) < 2:
+        raise InputError(f"BODY: expected two bodies or more, found {len(options.bodies)}")
+    within = None if options.within is None else _validate.positive_scalar(options.within, "--within", zero=True)
+    with progress_bar() as progress:
+        task = progress.add_task("bodies", total=len(options.bodies))
+        bodies = []
+        for path in options.bodies:
+            progress.update(task, description=path.name)
+            bodies.append(inputs.body(path, options))
+            progress.update(task, advance=1)
+    found = _measured(loewner.Bodies(bodies), np.inf if within is None else within)
+    _tell([str(path) for path in options.bodies], found, options.csv)
+    many = len(bodies) * (len(bodies) - 1) // 2
+    near = "" if within is None else f", {len(found.pairs)} at most {within:g} m apart"
+    print(f"{many} pairs{near}, {int(found.colliding.sum())} colliding")
+    if (found.distance < 0).any() and any(map(is_surface, bodies)):
+        print("note: a depth of surfaces is at least what is told; the way apart may be longer")
+    return COLLIDING if found.colliding.any() else FREE
+
+
+def _measured(bodies: loewner.Bodies, within: float) -> _Found:
+    """Bounds of all pairs, and exact distances of those that may be near."""
+    pairs = np.stack(np.triu_indices(len(bodies), 1), axis=1)
+    bounds = loewner.distance(bodies, None, bodies, None, pairs=pairs)
+    near = np.flatnonzero(bounds.lower <= within)
+    pairs, lower, upper = pairs[near], bounds.lower[near], bounds.upper[near]
+    try:
+        colliding = loewner.collide(bodies, None, bodies, None, pairs=pairs)
+    except ConvergenceError as error:
+        colliding = error.partial  # which says True of those
+    try:
+        distance = loewner.distance(bodies, None, bodies, None, pairs=pairs, exact=True).distance
+    except ConvergenceError as error:
+        distance = error.partial.distance  # and NaN
+    left = ~(distance > within) | colliding
+    return _Found(*(np.asarray(array)[left] for array in (pairs, colliding, distance, lower, upper)))
+
+
+def _tell(names: list[str], found: _Found, path: Path | None) -> None:
+    """Write the pairs to a file, or print them."""
+    if path is None:
+        table = new_table(*COLUMNS, title="loewner clearance")
+        for row in _rows(names, found, "{:.6g}"):
+            table.add_row(*row)
+        print_table(table)
+        return
+    with (
+        replacing(path) as temporary,
+        temporary.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(_rows(names, found, "{!r}"))
+
+
+def _rows(names: list[str], found: _Found, shown: str) -> list[list[str]]:
+    """The cells of each pair."""
+    columns = (array.tolist() for array in found)
+    return [
+        [
+            names[a], names[b], "COLLIDING" if hit else "FREE",
+            *("" if np.isnan(value) else shown.format(value) for value in values),
+        ]
+        for (a, b), hit, *values in zip(*columns, strict=True)
+    ]  # fmt: skip

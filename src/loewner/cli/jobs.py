@@ -1,0 +1,159 @@
+"""Files, one at a time to each of several processes: one that dies costs its file, not the others.
+
+A process is a new interpreter that reads tasks from its input and answers on its output, a line of JSON each. It ends as
+soon as its input does: when there is no more work, and when the program that started it is gone, however that ended.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
+
+import loewner
+
+
+class Event(NamedTuple):
+    """What a process says of a task: that it begins, how far it is, its answer, or None as the answer if it died."""
+
+    kind: str
+    place: int
+    value: Any = None
+
+
+def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[Event]:
+    """Have processes do tasks, and tell what they say: ``begun``, ``progress`` (done, total) and ``answer`` of each.
+
+    Parameters
+    ----------
+    entry : str
+        Module that has a function ``serve_task``, which takes a task and a progress callback and returns the answer.
+    tasks : sequence of dict
+        Of what JSON can hold.
+    jobs : int
+        How many processes there are at a time, at most; they share the threads that this one may use.
+    """
+    jobs = min(jobs, len(tasks))
+    waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()
+    for place in range(len(tasks)):
+        waiting.put(place)
+    pool = _Pool(entry, max(1, loewner.get_num_threads() // max(1, jobs)))
+    threads = [threading.Thread(target=_attend, args=(pool, tasks, waiting, said), daemon=True) for _ in range(jobs)]
+    try:
+        for thread in threads:
+            thread.start()
+        ended = 0
+        while ended < jobs:
+            event = said.get()
+            if event is None:
+                ended += 1
+            else:
+                yield event
+    finally:
+        pool.end()
+
+
+class _Pool:
+    """The processes that there are, so that all of them can be ended."""
+
+    def __init__(self, entry: str, threads: int) -> None:
+        home = str(Path(loewner.__file__).parent.parent)
+        # An interrupt reaches all processes of a terminal; what it means for these, the one that started them says.
+        self._command = [
+            sys.executable, "-P", "-c",
+            "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; "
+            f"sys.path.insert(0, {home!r}); from loewner.cli.jobs import _serve; _serve({entry!r})",
+        ]  # fmt: skip
+        self._environment = {**os.environ, "LOEWNER_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
+        self._lock, self._running, self._ended = threading.Lock(), set[subprocess.Popen[str]](), False
+
+    def start(self) -> subprocess.Popen[str] | None:
+        """One more process; None when all have been ended."""
+        with self._lock:
+            if self._ended:
+                return None
+            process = subprocess.Popen(
+                self._command, env=self._environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, encoding="utf-8"
+            )
+            self._running.add(process)
+            return process
+
+    def end(self) -> None:
+        """End all processes at once."""
+        with self._lock:
+            self._ended = True
+            for process in self._running:
+                process.kill()
+            for process in self._running:
+                process.wait()
+
+
+def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[int], said: SimpleQueue[Any]) -> None:
+    """Give one process task after task, and another one the rest if it dies."""
+    process = None
+    try:
+        while True:
+            place = waiting.get_nowait()
+            process = process or pool.start()
+            if process is None:
+                return
+            said.put(Event("begun", place))
+            answer = _answer(
+                process, tasks[place], lambda value, place=place: said.put(Event("progress", place, value))
+            )
+            said.put(Event("answer", place, answer))
+            if answer is None:
+                process = None
+    except Empty:
+        pass
+    finally:
+        said.put(None)
+
+
+def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:
+    """What a process answers to a task; None if it dies, and is out of the way."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(json.dumps(task) + "\n")
+        process.stdin.flush()
+        for line in process.stdout:
+            said = json.loads(line)
+            if "answer" in said:
+                return said["answer"]
+            tell(said["progress"])
+    except (OSError, ValueError):  # its input is closed, or it died in the middle of a line
+        pass
+    process.kill()
+    process.wait()
+    return None
+
+
+def _serve(entry: str) -> None:
+    """Do the tasks that come in: what a process does. What is printed meanwhile is no answer."""
+    from importlib import import_module
+
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    tasks = SimpleQueue[str]()
+
+    def read() -> None:
+        for line in sys.stdin.buffer:
+            tasks.put(line.decode())
+        os._exit(0)
+
+    def say(**what: Any) -> None:
+        print(json.dumps(what), file=out, flush=True)
+
+    threading.Thread(target=read, daemon=True).start()
+    serve_task = import_module(entry).serve_task
+    while True:
+        task = json.loads(tasks.get())
+        say(answer=serve_task(task, lambda done, total: say(progress=[done, total])))

@@ -1,0 +1,119 @@
+"""What an MJCF file may ask of MuJoCo: looked at before MuJoCo compiles it, which no signal can interrupt."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from loewner import _validate
+from loewner._files import read_regular, shown
+from loewner.errors import FileError
+
+# What a model may have at most: bytes of each file, files that it includes, and copies that its replicas make. The time
+# of compiling grows with the square of the copies: so many take some seconds, and have more pairs than a checker takes.
+MOST_BYTES = 2**26
+MOST_INCLUDES = 100
+MOST_COPIES = 4096
+
+# Samples of a height field, and bytes that MuJoCo takes for each of them while it compiles.
+BYTES_A_SAMPLE = 64
+
+# Elements that name files, and the attributes in which <compiler> names folders for them.
+FILE_ELEMENTS = ("mesh", "hfield", "skin", "texture", "model", "include", "plugin", "flexcomp")
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+
+
+@dataclass
+class _Model:
+    """What was seen of a model so far.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the main file.
+    copies : int
+        That replicas and composites make, nested ones multiplied.
+    folders : set of str
+        In which <compiler> says that files are.
+    files : list of tuple of Path and str
+        What names a file, and how.
+    included : int
+    """
+
+    folder: Path
+    copies: int = 0
+    folders: set[str] = field(default_factory=lambda: {""})
+    files: list[tuple[Path, str]] = field(default_factory=list)
+    included: int = 0
+
+
+def check_limits(file: Path) -> None:
+    """Refuse a model that MuJoCo would compile for ever, or that would block it.
+
+    Raises
+    ------
+    FileError
+        If a file is missing or no regular one, or includes, replicas or height fields ask for too much.
+    """
+    model = _Model(file.parent)
+    _look(file, model, 1)
+    for source, name in model.files:
+        for folder in sorted(model.folders):
+            for start in (model.folder, source.parent):
+                path = start / folder / name
+                if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+                    raise FileError(f"{shown(source)}: expected regular files, found {shown(path)}, which is none")
+
+
+def _look(file: Path, model: _Model, copies: int) -> None:
+    """Look at one file; it is included in a place that is copied so many times."""
+    data = read_regular(file, "an MJCF file", MOST_BYTES)
+    parser = expat.ParserCreate()
+    within = [copies]
+
+    def fault(wanted: str, found: str) -> FileError:
+        return FileError(f"{shown(file)}, line {parser.CurrentLineNumber}: expected {wanted}, found {found}")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        count = _product(attributes.get("count", "")) if tag in ("replicate", "composite", "flexcomp") else 1
+        within.append(within[-1] * count)
+        if count > 1:
+            model.copies += within[-1]
+        if model.copies > MOST_COPIES:
+            raise fault(f"at most {MOST_COPIES} copies in all of <replicate> and its like", f"{model.copies} or more")
+        if tag == "hfield":
+            samples = _product(attributes.get("nrow", "")) * _product(attributes.get("ncol", ""))
+            _validate.fits_memory(BYTES_A_SAMPLE * samples, f"{shown(file)}: a height field of {samples} samples")
+        if tag == "compiler":
+            model.folders.update(attributes[name] for name in FOLDERS if name in attributes)
+        name = attributes.get("file", "")
+        if tag in FILE_ELEMENTS and name:
+            model.files.append((file, name))
+        if tag in ("include", "model") and name:
+            model.included += 1
+            if model.included > MOST_INCLUDES:
+                raise fault(f"at most {MOST_INCLUDES} included files", "more")
+            for folder in dict.fromkeys((model.folder, file.parent)):  # MuJoCo looks beside the main file
+                if os.path.lexists(folder / name):
+                    _look(folder / name, model, within[-1])
+                    break
+
+    def end(_: str) -> None:
+        within.pop()
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise FileError(f"{shown(file)}, line {error.lineno}: expected XML, found a fault in it ({error})") from None
+
+
+def _product(text: str) -> int:
+    """Product of whole numbers; 1 if there is none."""
+    try:
+        return math.prod(max(int(float(word)), 1) for word in text.split())
+    except (ValueError, OverflowError):
+        return 1

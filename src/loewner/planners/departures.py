@@ -1,0 +1,125 @@
+"""Paths that begin or end in contact: the way out of it, along the contact normals, and into it the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loewner._validate import Floats
+from loewner.errors import ConvergenceError, PlanningError
+from loewner.planners.judge import TOLERANCE
+from loewner.planners.space import Space
+from loewner.queries import Verdict
+from loewner.robots.checked_pairs import CheckedPairs
+from loewner.scenes import Contact
+
+# Metres beyond the margin to move apart by; the first that is proven is taken. Joints do not move along lines, and
+# short motions are straighter.
+RISES = (0.02, 0.01, 0.005, 0.002)
+
+
+@dataclass(frozen=True, eq=False)
+class Departures:
+    """Start and goals of a path, and free configurations near those that are in contact.
+
+    Attributes
+    ----------
+    space : Space
+    start, goals : ndarray, shapes (dof,) and (goals, dof)
+        As the user gave them.
+    free_start, free_goals : ndarray, of the same shapes
+        The same where there is no contact that may end or begin.
+    """
+
+    space: Space
+    start: Floats
+    goals: Floats
+    free_start: Floats
+    free_goals: Floats
+
+    @classmethod
+    def of(cls, space: Space, ready: CheckedPairs, start: Floats, goals: Floats) -> Departures:
+        """Find them, in the scene as it was at one moment.
+
+        Raises
+        ------
+        PlanningError
+            If a contact at the start, or at the only goal, may end by the rules, but no motion that ends it was found.
+        """
+        free_start, free_goals = start, goals
+        if ready.leaving.any():
+            free_start, fault = _apart(space, ready, start, at_start=True)
+            if fault:
+                raise PlanningError(f"start: {fault}")
+        if ready.reaching.any():
+            found = [_apart(space, ready, goal, at_start=False) for goal in goals]
+            if all(fault for _, fault in found):
+                raise PlanningError(f"goal: {found[0][1]}")
+            free_goals = np.array([q for q, _ in found])
+        return cls(space, start, goals, free_start, free_goals)
+
+    def joined(self, path: Floats) -> Floats:
+        """A path between the free configurations, with the motions out of contact and into it."""
+        ends = self.space.unwound(path[-1], self.free_goals)
+        k = int(np.abs(ends - path[-1]).max(axis=1).argmin())
+        rows = [path]
+        if self.free_start is not self.start and (self.free_start != self.start).any():
+            rows.insert(0, self.start[None])
+        if (self.free_goals[k] != self.goals[k]).any():
+            rows.append(self.space.unwound(path[-1], self.goals[k])[None])
+        return np.concatenate(rows)
+
+
+def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
+    """A free configuration near one in contact, with a proven motion between; or itself, and what is at fault."""
+    checker = space.checker
+    ruled = {
+        frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
+    }
+    try:
+        touching = checker.pairs(q)
+    except ConvergenceError:
+        return q, ""  # which the check of all starts and goals says in full
+    if not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):
+        return q, ""
+    way = _way(space, ready, q, touching)
+    for rise in RISES:
+        far = max(
+            rise + checker.scene.margin_of(contact.name_a, contact.name_b) - contact.distance for contact in touching
+        )
+        near = q + far * way
+        if space.outside(near) or not space.free(near):
+            continue
+        first, last = (q, near) if at_start else (near, q)
+        if checker._certified(ready, first[None], last[None], TOLERANCE).verdicts[0] == Verdict.FREE:
+            return near, ""
+    a, b = touching[0].name_a, touching[0].name_b
+    return q, (
+        f"expected a contact of {a} and {b} that a straight motion of up to {1e3 * RISES[0]:g} mm along the normal "
+        f"{'ends' if at_start else 'begins'}, found none that is proven free; move there by motions of your own, "
+        "proven by certify_edges, and plan between them"
+    )
+
+
+def _way(space: Space, ready: CheckedPairs, q: Floats, touching: tuple[Contact, ...]) -> Floats:
+    """The change of configuration, for each metre, that moves what touches apart along the normals without turning it.
+
+    As nearly as the joints can, in the sense of least squares.
+    """
+    robot = space.checker.robot
+    poses = robot.forward_kinematics(q)
+    rows, wanted = [], []
+    for contact in touching:
+        J = np.zeros((6, robot.dof))
+        for name, x, sign in ((contact.name_a, contact.witness_a, 1.0), (contact.name_b, contact.witness_b, -1.0)):
+            body = ready.names.index(name)
+            if body < len(ready.link):
+                link = int(ready.link[body])
+                R, t = poses[link, :3, :3], poses[link, :3, 3]
+                J += sign * robot.jacobian(q, robot.link_names[link], R.T @ (x - t))
+        rows.append(J[:, space.columns])
+        wanted.append(np.concatenate([-contact.normal, np.zeros(3)]))
+    way: Floats = np.zeros(robot.dof)
+    way[space.columns] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(wanted), rcond=1e-6)[0]
+    return way

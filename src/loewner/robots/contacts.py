@@ -1,0 +1,157 @@
+"""Motions that begin or end in contact, by the rules of `Scene.leave` and `Scene.reach`.
+
+Two convex pieces that touch have a plane between them, or nearly so: the one across their contact normal. Moved back by
+their depth and by the tolerance it leaves one of them in front, and while that piece stays in front the two are no
+deeper in each other than at the start. What lies behind the plane is a body like any other, so that the proof of
+motions itself settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner import queries
+from loewner._validate import Floats, Ints
+from loewner.bodies import Bodies, Body
+from loewner.bodies.layout import starts
+from loewner.bodies.pack import some
+from loewner.queries import Verdict
+from loewner.robots import motions
+from loewner.robots.checked_pairs import CheckedPairs, arranged
+
+# First stretches that are tried, shares of the motion: the longest of them on which the contact recedes.
+STRETCHES = 2.0 ** -np.arange(16)
+
+# Values that a stretch ends with are off those of the motion by less than this share: `motion_path` rounds by 7 units.
+OFF = 32 * 2.0**-53
+
+# Distances below this share of what the robot reaches have no reliable normal.
+LEAST_SHARE = 1e-9
+
+# Share of the tolerance that is left for the proof; the rest is how far the plane is moved back.
+FOR_PROOF = 0.25
+
+
+def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
+    """Settle a motion for one pair that may be in contact at its start, or at its end.
+
+    Parameters
+    ----------
+    ready : CheckedPairs
+    pair : int
+        Its number. It is in `ready.leaving` or `ready.reaching`.
+    a, b : ndarray, shape (dof,)
+        The motion, as `motions.settle` takes it.
+    tolerance : float
+        Metres by which the contact may get deeper.
+
+    Returns
+    -------
+    verdict : int
+        FREE, COLLIDING where the two are deeper in each other than at the start, else AMBIGUOUS.
+    fraction : float
+        Of the way; NaN where FREE.
+    """
+    middle = ready.robot.between(a, b, 0.5)
+    # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. How
+    # deep a contact is from which a motion starts is a fact; where a motion ends it is a choice.
+    stretches = {
+        (True, False): [(a, b, 0.0, 1.0, np.inf)],
+        (False, True): [(b, a, 1.0, 0.0, tolerance)],
+        (True, True): [(a, middle, 0.0, 0.5, np.inf), (b, middle, 1.0, 0.5, tolerance)],
+    }
+    for first, last, low, high, deepest in stretches[bool(ready.leaving[pair]), bool(ready.reaching[pair])]:
+        doubtful, least = _leaves(ready, pair, first, last, tolerance, deepest)
+        if doubtful:
+            fractions = [low + (high - low) * share for share in doubtful]
+            distances = [_distance(ready, pair, ready.robot.between(a, b, fraction)) for fraction in fractions]
+            worst = int(np.argmin(distances))
+            verdict = Verdict.COLLIDING if distances[worst] <= least else Verdict.AMBIGUOUS
+            return int(verdict), fractions[worst]
+    return int(Verdict.FREE), np.nan
+
+
+def _leaves(
+    ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
+) -> tuple[list[float], float]:
+    """Where a motion may not be free for one pair that may be in contact at its start; nowhere if it is proven free.
+
+    And the signed distance from which on the two collide there: their margin, or what they have at the start.
+    """
+    off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
+    alone = ready.only(np.array([pair]))
+    margin, at_start = float(ready.margins[pair]), _distance(ready, pair, a)
+    found = motions.settle(alone, a[None], b[None], FOR_PROOF * tolerance, off)
+    if found.verdicts[0] == Verdict.FREE:
+        return [], margin
+    if at_start > margin + tolerance:  # no contact that could end
+        return [float(found.fractions[0])], margin
+    if at_start < -deepest:
+        return [0.0], -deepest
+    beside, doubtful = _beside_planes(ready, pair, a, b, tolerance), []
+    for share in STRETCHES.tolist():
+        middle = b if share == 1.0 else ready.robot.between(a, b, share)
+        found = motions.settle(beside, a[None], middle[None], FOR_PROOF * tolerance, off)
+        if found.verdicts[0] == Verdict.FREE:
+            break
+        doubtful.append(share * float(found.fractions[0]))
+    else:
+        return doubtful, at_start - tolerance
+    if share < 1.0:
+        found = motions.settle(alone, middle[None], b[None], FOR_PROOF * tolerance, off)
+    if found.verdicts[0] == Verdict.FREE:
+        return [], margin
+    return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], at_start - tolerance
+
+
+def _distance(ready: CheckedPairs, pair: int, q: Floats) -> float:
+    """Signed distance of the two bodies at a configuration."""
+    i, j = (int(k) for k in ready.pairs[pair])
+    T = ready.poses(q[None])[0]
+    return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
+
+
+def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float) -> CheckedPairs:
+    """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch."""
+    i, j = (int(k) for k in ready.pairs[pair])
+    shares = np.append(0.0, STRETCHES[::-1])
+    margin, T = float(ready.margins[pair]), ready.poses(ready.robot.between(a, b, shares))
+    ours, theirs = _pieces(ready, i), _pieces(ready, j)
+    every = np.moveaxis(np.indices((len(ours), len(theirs))), 0, -1).reshape(-1, 2)
+    at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
+    touching = at_start <= margin + tolerance
+    apart, planes = every[~touching], every[touching]
+    reach = float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[0, j, :3, 3]).sum())
+    # Two that just touch have no normal that could be computed; a little later on the way they have. Any will do,
+    # since the proof fails with a bad one.
+    u, v = planes.T
+    found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
+    when = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0)
+    nth = np.arange(len(planes))
+    # In the frame of the second body, which carries the planes. A cube stands for what is behind one of them: it
+    # reaches farther than the robot does.
+    R, t = T[when, j, :3, :3], T[when, j, :3, 3]
+    normals = -np.einsum("kri,kr->ki", R, found.normal[when, nth])
+    points = np.einsum("kri,kr->ki", R, found.witness_b[when, nth] - t)
+    offsets = np.einsum("ki,ki->k", normals, points) + at_start[touching] - (1 - FOR_PROOF) * tolerance
+    behind = [Body.half_space(n, offset, extent=8 * reach) for n, offset in zip(normals, offsets, strict=True)]
+    bodies = [*(ours[k] for k in range(len(ours))), *(theirs[k] for k in range(len(theirs))), *behind]
+    first = len(ours)
+    second = np.concatenate([first + apart[:, 1], first + len(theirs) + np.arange(len(planes))])
+    pairs = np.column_stack([np.concatenate([apart[:, 0], planes[:, 0]]), second]).astype(np.int64)
+    count = len(bodies) - first
+    moves = j < len(ready.link)
+    link = np.concatenate([np.full(first, ready.link[i]), np.full(count * moves, ready.link[j if moves else i])])
+    no_rule = np.zeros(len(pairs), dtype=bool)
+    made = arranged(
+        ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))), Bodies(bodies),
+        link.astype(np.int64), pairs, np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
+    )  # fmt: skip
+    return made._placed(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version)
+
+
+def _pieces(ready: CheckedPairs, body: int) -> Bodies:
+    """The pieces of a body as bodies of one piece each."""
+    packed = ready.bodies._packed
+    at: Ints = np.arange(packed.piece_start[body], packed.piece_start[body + 1])
+    return Bodies._wrap(some(packed, at, starts(np.ones(len(at), dtype=np.int64))).packed())

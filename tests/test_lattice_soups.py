@@ -1,0 +1,21 @@
+"""Surfaces at contact on a lattice: what whole numbers say of them."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from lattice_soups import judged, pair
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*all lengths being metres.*:UserWarning")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_surfaces_at_contact(seed: int):
+    """Verdicts are those of whole numbers, alone, swapped and in a batch; distances are right to the last digits."""
+    rng, counts = np.random.default_rng(seed), Counter[str]()
+    wrong = [text for _ in range(25) if (text := judged(pair(rng), counts))]
+    assert not wrong
+    assert counts["colliding"] > 0
+    assert counts["free"] > 0
+    assert counts["whole"] > 0, "or floating point settled all of them"
