@@ -654,7 +654,7 @@ def test_only_regular_files(tmp_path: Path) -> None:
     """A pipe that nobody writes to, a device and a folder are refused at once; so are paths that no system has."""
     os.mkfifo(tmp_path / "pipe.npz")
     paths: list[Any] = [tmp_path / "pipe.npz", "/dev/zero", tmp_path, "a\0b.npz", "a\ud800.npz", "x" * 5000 + ".npz"]
-    outcomes = driver.run(lambda path: Body.load(path) and None, paths, limit=3)
+    outcomes = driver.run(lambda path: Body.load(path) and None, paths)
     assert [o.kind for o in outcomes] == [driver.REFUSED] * len(paths), outcomes
     assert all(o.text.startswith("FileError") for o in outcomes), outcomes
     for path in ("a\0b.npz", "a\ud800.npz"):
