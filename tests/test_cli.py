@@ -1,10 +1,14 @@
 """The command line: exit status, what it prints, one clear line for every error."""
 
+import csv
+import itertools
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,11 @@ import pytest
 import trimesh
 
 import loewner
+import made_parts
 from gantry import LEFT, RADIUS, RIGHT, clearance, gantry
 from loewner import cli, planners
 from loewner._native import library
+from loewner.cli import jobs
 from loewner.cli.info import MISSING
 from loewner.cli.output import covering_text
 
@@ -200,18 +206,165 @@ def test_fit_refuses_two_meshes_of_one_name(saved, capsys):
     assert not Path("out").exists()
 
 
-def test_fit_stops_at_a_bad_mesh(saved, capsys):
-    """What came before it is whole; nothing is left of it."""
+@pytest.mark.parametrize("options", [(), ("-j", "2")])
+def test_fit_goes_on_after_a_bad_mesh(saved, capsys, options):
+    """The meshes before and after it are whole, it is listed with what is wrong, and nothing is left of it."""
     Path("bad.stl").write_bytes(Path("cube.stl").read_bytes()[:-10])
-    status, _, err = run(capsys, "fit", "cube.stl", "bad.stl", "-o", "out")
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]).export("flat.stl")
+    status, out, err = run(capsys, "fit", "cube.stl", "bad.stl", "flat.stl", "ball.obj", "-o", "out", *options)
     assert status == 2
-    assert "bad.stl" in err
-    assert [p.name for p in Path("out").iterdir()] == ["cube.npz"]
+    assert "2 done, 2 failed" in out
+    assert row(out.split("failed", 1)[1], "bad.stl", "expected")
+    assert row(out.split("failed", 1)[1], "flat.stl", "points")
+    assert "loewner: error: bad.stl: " in err
+    assert "loewner: error: flat.stl: " in err
+    assert sorted(p.name for p in Path("out").iterdir()) == ["ball.npz", "cube.npz"]
+    loewner.Body.load("out/ball.npz")
+
+
+def test_fit_loses_one_file_with_a_process(saved, capsys, monkeypatch):
+    """A process that is killed over a mesh costs that mesh, and another one does the rest."""
+    answers = jobs.answers
+    monkeypatch.setattr(jobs, "answers", lambda _, *more: answers("dying", *more))
+    folders = [Path(__file__).parent, *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, folders)))
+    trimesh.creation.box((1, 1, 1)).export("deadly.stl")
+    status, out, err = run(capsys, "fit", "cube.stl", "deadly.stl", "ball.obj", "-o", "out")
+    assert status == 2
+    assert "2 done, 1 failed" in out
+    assert "deadly.stl: the process that fitted it died" in err
+    assert sorted(p.name for p in Path("out").iterdir()) == ["ball.npz", "cube.npz"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes there have no such signal")
+def test_an_interrupted_fit_leaves_whole_files(saved):
+    """Ctrl+C ends all processes: there are bodies that load, and nothing else."""
+    ring = trimesh.creation.annulus(0.5, 1.0, 1.0, sections=24)
+    names = [f"ring{k}.stl" for k in range(40)]
+    for name in names:
+        ring.export(name)
+    arguments = [sys.executable, "-m", "loewner", "fit", *names, "-o", "out", "-j", "2", "--tolerance", "0.05"]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not list(Path("out").glob("*.npz")) and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        err = process.communicate()[1]
+    assert process.returncode == 2
+    assert "loewner: interrupted" in err
+    assert "Traceback" not in err
+    made = list(Path("out").iterdir())
+    assert 0 < len(made) < len(names)
+    for path in made:
+        loewner.Body.load(path)
+
+
+def test_fit_refuses_options_once(saved, capsys):
+    """What is wrong with an option is told once, before any mesh; processes are at least one, and not for a cluster."""
+    for wrong, told in (
+        (["--threshold", "7"], "threshold: expected"),
+        (["-j", "0"], "--jobs: expected an integer >= 1, found 0"),
+        (["-j", "2", "--scheduler", "tcp://localhost:1"], "--jobs: expected it without --scheduler"),
+    ):
+        status, out, err = run(capsys, "fit", "cube.stl", "ball.obj", "-o", "out", *wrong)
+        assert (status, out) == (2, "")
+        assert err.count("error") == 1
+        assert told in err
+
+
+def test_parts_of_every_kind_are_fitted(saved, capsys):
+    """Of twelve parts, one of them open and one cut short, all that can be are fitted, and the other one is listed."""
+    meshes, damaged = made_parts.write(saved / "parts", 12)
+    status, out, err = run(capsys, "fit", *meshes, "-o", "out", "-j", "2", "--tolerance", "0.002")
+    assert status == 2
+    assert f"{len(meshes) - len(damaged)} done, {len(damaged)} failed" in out
+    assert {p.stem for p in Path("out").glob("*.npz")} == {p.stem for p in meshes} - {p.stem for p in damaged}
+    assert "--model surface" in err
 
 
 def test_fit_into_a_file_is_an_error(saved, capsys):
     """The output folder cannot be a file."""
     assert run(capsys, "fit", "cube.stl", "-o", "a.npz")[0] == 2
+
+
+# -- clearance ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def row_of_boxes(tmp_path, monkeypatch):
+    """Unit boxes at x = 0, 1.25 and 5 as bodies, and one at 5.5 as a mesh."""
+    monkeypatch.chdir(tmp_path)
+    for name, x in (("a", 0.0), ("b", 1.25), ("c", 5.0)):
+        T = np.eye(4)
+        T[0, 3] = x
+        loewner.Body.box([1, 1, 1]).transformed(T).save(f"{name}.npz")
+    trimesh.creation.box((1, 1, 1)).apply_translation([5.5, 0, 0]).export("d.stl")
+    return "a.npz", "b.npz", "c.npz", "d.stl"
+
+
+def test_clearance_of_all_pairs(row_of_boxes, capsys):
+    """Each pair has one row, with its exact distance between its bounds; a pair that collides makes the status 1."""
+    status, out, _ = run(capsys, "clearance", *row_of_boxes, "--csv", "pairs.csv")
+    assert status == 1
+    assert "6 pairs, 1 colliding" in out
+    head, *rows = csv.reader(Path("pairs.csv").read_text().splitlines())
+    assert head == ["a", "b", "verdict", "distance, m", "lower, m", "upper, m"]
+    assert [(a, b) for a, b, *_ in rows] == list(itertools.combinations(row_of_boxes, 2))
+    found = {(a, b): (verdict, *map(float, numbers)) for a, b, verdict, *numbers in rows}
+    for _, distance, lower, upper in found.values():
+        assert lower <= distance <= upper
+    assert found["a.npz", "b.npz"][0] == "FREE"
+    assert found["a.npz", "b.npz"][1] == pytest.approx(0.25)
+    assert found["a.npz", "d.stl"][1] == pytest.approx(4.5)
+    assert found["c.npz", "d.stl"][0] == "COLLIDING"
+    assert run(capsys, "clearance", *row_of_boxes[:3])[0] == 0
+
+
+def test_clearance_within(row_of_boxes, capsys):
+    """Pairs that are farther apart are left out, and no others."""
+    status, out, _ = run(capsys, "clearance", *row_of_boxes[:3], "--within", "0.3")
+    assert status == 0
+    assert "3 pairs, 1 at most 0.3 m apart, 0 colliding" in out
+    assert row(out, "a.npz", "b.npz", "FREE", "0.25")
+    assert not row(out, "a.npz", "c.npz")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.npz"], "BODY: expected two bodies or more, found 1"),
+        (["a.npz", "none.npz"], "none.npz: expected"),
+        (["a.npz", "b.npz", "--within", "-1"], "--within: expected"),
+        (["a.npz", "b.npz", "--csv", "none/pairs.csv"], "none/pairs.csv: could not be written"),
+    ],
+)
+def test_clearance_errors(row_of_boxes, capsys, arguments, message):
+    """Errors are one line with status 2."""
+    status, out, err = run(capsys, "clearance", *arguments)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_clearance_of_what_cannot_be_settled(row_of_boxes, capsys, monkeypatch):
+    """Such a pair counts as colliding, and has bounds but no distance."""
+
+    def distance(*arguments, exact=False, **options):
+        found = measured(*arguments, exact=exact, **options)
+        if exact:
+            found.distance[0] = np.nan
+            raise loewner.ConvergenceError("not settled", [0], found)
+        return found
+
+    def collide(*arguments, **options):
+        raise loewner.ConvergenceError("not settled", [0], np.array([True]))
+
+    measured = loewner.distance
+    monkeypatch.setattr(loewner, "distance", distance)
+    monkeypatch.setattr(loewner, "collide", collide)
+    assert run(capsys, "clearance", "a.npz", "b.npz", "--within", "1", "--csv", "pairs.csv")[0] == 1
+    cells = Path("pairs.csv").read_text().splitlines()[1].split(",")
+    assert cells[:4] == ["a.npz", "b.npz", "COLLIDING", ""]
+    assert float(cells[4]) <= 0.25 <= float(cells[5])
 
 
 # -- robot --------------------------------------------------------------------------------------
@@ -714,7 +867,8 @@ def test_paper_refuses(saved, capsys, arguments):
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["fit"], ["check"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"], ["plan"]]
+    "command",
+    [[], ["fit"], ["check"], ["clearance"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"], ["plan"]],
 )
 def test_help_has_examples(command, capsys):
     """--help works everywhere; each command shows examples, and `check` its exit status."""

@@ -10,7 +10,7 @@ import trimesh
 
 import loewner
 from families import translation
-from loewner import InputError, meshes
+from loewner import InputError, meshes, plane_cuts
 from loewner.closed_parts import closed_parts
 from loewner.polytopes import Polytope
 from loewner.protrusion import Solid, _smaller, protrusion_of_hulls, protrusions
@@ -241,6 +241,42 @@ def test_tolerance_of_an_open_mesh():
     assert not loewner.collide(body, None, loewner.Body.sphere(0.9), None)
 
 
+def test_an_open_mesh_is_cut_with_planes(monkeypatch):
+    """Without CoACD, to 2 % of its size; one warning names the mesh and what is exact."""
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    mesh = l_shape()
+    mesh.update_faces(np.arange(len(mesh.faces)) != 5)
+    with pytest.warns(UserWarning, match="mesh: has holes, .* may be FREE; .*--model surface") as told:
+        _, covering = meshes.convex_pieces(mesh)
+    assert len(told) == 1
+    assert covering.exact
+    assert covering.max_protrusion <= 0.02 * np.linalg.norm(mesh.extents)
+
+
+def test_work_on_an_open_mesh_is_limited(monkeypatch):
+    """Where the limit is reached the pieces hold the mesh all the same, and stick out farther."""
+    mesh = mug()
+    mesh.update_faces(np.arange(len(mesh.faces)) != 7)
+    monkeypatch.setattr(meshes, "WORK", 1_000_000)
+    with pytest.warns(UserWarning, match="has holes"):
+        pieces, covering = meshes.convex_pieces(mesh)
+    assert covering.exact
+    assert len(pieces) <= 1_000_000 / 22_000
+    assert covering.max_protrusion > 0.02 * np.linalg.norm(mesh.extents)
+
+
+def test_plates_in_one_plane_are_not_joined():
+    """Cells whose common hull cannot be made stay as they are: here two plates that only rounding makes thick."""
+    thin = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1.1, 0, 0], [2, 0, 0], [1.1, 1, 0]]], dtype=float)
+    solid = Solid(thin, closed=False)
+    cells = [plane_cuts.replace(plane_cuts._cell(part[None], 1e-3), bound=0.0) for part in thin]
+    flat = [
+        plane_cuts.replace(cell, hull=plane_cuts.replace(cell.hull, vertices=part))
+        for cell, part in zip(cells, thin, strict=True)
+    ]
+    assert plane_cuts._merged(flat, solid, 1.0, np.random.default_rng(0)) == flat
+
+
 def test_tolerance_of_a_mug(mug_body):
     """A ball in a mug is as far from the walls as the cavity says, to the tolerance."""
     mesh, body = mug(), mug_body
@@ -291,9 +327,10 @@ def test_pieces_within_a_tolerance_need_no_coacd(monkeypatch):
 
 @pytest.mark.parametrize("options", [{}, {"tolerance": 0.05}, {"decompose": False}])
 def test_progress_ends_with_all(options):
-    """Progress counts up to its total, which ends as it is."""
+    """Progress never counts backwards, and ends with its total."""
     told = []
     loewner.Body.from_mesh(l_shape(), progress=lambda done, total: told.append((done, total)), **options)
+    assert told == sorted(told, key=lambda step: step[0] / step[1])
     assert told[-1][0] == told[-1][1]
     assert all(done <= total for done, total in told)
     with pytest.raises(InputError, match="progress"):

@@ -200,14 +200,17 @@ def convex_pieces(
     tolerance : float, optional
         How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
         they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning says by how much.
+        A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as near as a
+        limited amount of work comes.
     threshold : float
-        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit.
+        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. For meshes without holes.
     max_pieces : int, optional
         Limit on the number of pieces of a decomposition.
     seed : int
         Seed of CoACD's search.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each step; with `tolerance`, a step is a piece, and the total grows.
+        Called as ``progress(done, total)`` after each step, never with a smaller share than before; where planes cut, a
+        step is a hundredth of the surface.
 
     Returns
     -------

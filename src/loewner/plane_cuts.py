@@ -6,6 +6,7 @@ section lie on its surface. So the pieces hold the mesh without being grown, and
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,7 @@ ACCURACY = 0.25
 FACES, TURNS = 6, 4
 
 # Of more triangles than these, so many random ones stand for a cell while planes are compared.
-MANY = 4096
+MANY = 1024
 
 # Random points of a hull's surface that stand for it while planes and merges are compared.
 SAMPLES = 48
@@ -42,7 +43,7 @@ MOST = 2000
 
 # What a cut takes, in triangles that one plane cuts; OVERHEAD is what hulls and distances of a few take. With a limit
 # on work, cells are cut as long as WORK lasts: some ten seconds of one core.
-OVERHEAD, WORK = 1000, 5_000_000
+OVERHEAD, WORK = 1000, 8_000_000
 
 # Cells that stick out by less than this share of the largest bound wait until the others are cut.
 FARTHEST = 0.5
@@ -186,10 +187,8 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     """Two parts of a cell, by the plane that leaves the least to stick out; None if no plane makes progress."""
     some = cell
     if len(cell.triangles) > MANY:
-        try:
+        with suppress(GeometryError):
             some = _cell(cell.triangles[rng.choice(len(cell.triangles), MANY, replace=False)], plate)
-        except GeometryError:
-            pass
     whole = _volume(some.hull)
     planes, options, shares = [], [], []
     for plane in _planes(cell, solid, plate):

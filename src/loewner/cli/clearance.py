@@ -87,7 +87,7 @@ def _measured(bodies: loewner.Bodies, within: float) -> _Found:
     except ConvergenceError as error:
         distance = error.partial.distance  # and NaN
     left = ~(distance > within) | colliding
-    return _Found(*(np.asarray(array)[left] for array in (pairs, colliding, distance, lower, upper)))
+    return _Found(pairs[left], colliding[left], distance[left], lower[left], upper[left])
 
 
 def _tell(names: list[str], found: _Found, path: Path | None) -> None:

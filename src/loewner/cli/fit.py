@@ -9,6 +9,7 @@ import tempfile
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ EXAMPLES = """examples:
   loewner fit cup.stl -o bodies --model surface         the triangles as they are, exact, in milliseconds
   loewner fit parts/*.stl -o bodies --scheduler tcp://host:8786    on the workers of a Dask cluster
 
-A mesh that cannot be fitted is reported, and the others are fitted all the same. In the end, those that failed are listed.
+A mesh that cannot be fitted is reported, and the others are fitted all the same.
+Those that failed are listed in the end.
 
 exit status: 0 all are fitted, 2 one or more failed, or another error
 """
@@ -105,7 +107,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
                 for text in outcome.warnings:
                     warnings.warn(text, stacklevel=1)
                 if outcome.status == "done":
-                    outcome = outcome_of(mesh, lambda made=made[at], target=target: _moved(made, target))
+                    outcome = outcome_of(mesh, partial(_moved, made[at], target))
                 if outcome.status == "done":
                     rows[at] = [str(target), *row]
                 else:
@@ -193,7 +195,8 @@ def _fit_row(body: loewner.Body) -> tuple[str, ...]:
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
     inner, outer = body.inner.volume.sum() * 1e3, body.outer.volume.sum() * 1e3
     return (
-        str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}", f"{body.gaps.max():.1e}", model_text(body),
+        str(len(body.pieces)), str(vertices), f"{inner:.4g}", f"{outer:.4g}",
+        f"{body.gaps.max():.1e}", model_text(body),
     )  # fmt: skip
 
 

@@ -1,18 +1,18 @@
 """Files, one at a time to each of several processes: one that dies costs its file, not the others.
 
-A process is a new interpreter that reads tasks from its input and answers on its output, a line of JSON each. It ends as
-soon as its input does: when there is no more work, and when the program that started it is gone, however that ended.
+A process is a new interpreter that reads tasks from its input and answers on its output, a line of JSON each. It ends
+as soon as its input does: when there is no more work, and when the program that started it is gone, however that ended.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -105,9 +105,7 @@ def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[i
             if process is None:
                 return
             said.put(Event("begun", place))
-            answer = _answer(
-                process, tasks[place], lambda value, place=place: said.put(Event("progress", place, value))
-            )
+            answer = _answer(process, tasks[place], partial(_tell, said, place))
             said.put(Event("answer", place, answer))
             if answer is None:
                 process = None
@@ -115,6 +113,10 @@ def _attend(pool: _Pool, tasks: Sequence[dict[str, Any]], waiting: SimpleQueue[i
         pass
     finally:
         said.put(None)
+
+
+def _tell(said: SimpleQueue[Any], place: int, value: list[int]) -> None:
+    said.put(Event("progress", place, value))
 
 
 def _answer(process: subprocess.Popen[str], task: dict[str, Any], tell: Callable[[list[int]], None]) -> Any:

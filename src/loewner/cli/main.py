@@ -1,7 +1,7 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more); 2 error, or one or more of many meshes failed; 3 ambiguous (only for
-``loewner check --method certified`` and ``loewner plan``).
+Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more); 2 error, or one or more
+of many meshes failed; 3 ambiguous (only for ``loewner check --method certified`` and ``loewner plan``).
 """
 
 from __future__ import annotations
