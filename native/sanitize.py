@@ -2,8 +2,8 @@
 
     python native/sanitize.py
 
-The extension is compiled into `build/sanitize`, a copy of the package, beside the kernels that were built already, which are
-not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its libasan, on Linux.
+The extension is compiled into `build/sanitize`, a copy of the package, beside the kernels that were built already; they
+are not looked into. A report ends the tests, and the exit status is 1. It takes gcc with its libasan, on Linux.
 """
 
 import json
@@ -22,10 +22,15 @@ from loewner._native import library
 TO = HERE.parent / "build" / "sanitize"
 FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 
-# What drives the extension. Left out is what measures the resident memory, in which the sanitizer keeps what was freed.
+# What drives the extension.
 TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/fuzz/test_border.py",
          "tests/fuzz/test_hostile_calls.py")  # fmt: skip
-LEFT_OUT = "tests/test_native.py::test_results_leave_no_memory_behind"
+# The sanitizer keeps in memory what was freed, which one of these measures; and a fork while another thread is in its
+# allocator leaves the child without it.
+LEFT_OUT = (
+    "tests/test_native.py::test_results_leave_no_memory_behind",
+    "tests/fuzz/test_hostile_calls.py::test_forks_under_load",
+)
 
 
 def instrumented(to: Path) -> None:
@@ -50,7 +55,8 @@ def runtime() -> str:
     """
     compiler = shlex.split(os.environ.get("CC") or "cc")
     asked = [[*compiler, f"-print-file-name={name}"] for name in ("libasan.so", "libstdc++.so.6")]
-    found = [Path(subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()) for command in asked]
+    told = [subprocess.run(command, capture_output=True, text=True, check=False).stdout for command in asked]
+    found = [Path(text.strip()) for text in told]
     if not all(path.is_absolute() for path in found):
         raise BuildError(f"expected gcc with its libasan, found none with {compiler[0]}")
     return " ".join(str(path.resolve()) for path in found)
@@ -84,7 +90,7 @@ def main() -> int:
         print(f"sanitize: expected an extension in {TO} to be used, found {used.strip() or 'none'}", file=sys.stderr)
         return 1
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not verify"]
-    tests += ["--deselect", LEFT_OUT, *TESTS, *sys.argv[1:]]
+    tests += [*(f"--deselect={name}" for name in LEFT_OUT), *TESTS, *sys.argv[1:]]
     done = subprocess.run(tests, env=around, cwd=HERE.parent, check=False)
     reports = sorted(TO.glob("report*"))
     for report in reports:

@@ -1,4 +1,4 @@
-"""Surfaces on a lattice with all that meshes have wrong, placed at contact: whole numbers judge what is said of them."""
+"""Surfaces on a lattice, with all that meshes have wrong, at contact: whole numbers judge what is said of them."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -85,11 +85,8 @@ def lattice_mesh(rng: np.random.Generator, scale: float) -> Mesh:
 def hull_mesh(rng: np.random.Generator, scale: float) -> Mesh:
     """A convex block or tetrahedron."""
     while True:
-        faces = (
-            tetrahedron(rng.integers(-3, 4, (4, 3)))
-            if rng.random() < 0.5
-            else block(*np.sort(rng.integers(-3, 4, (2, 3)), axis=0))
-        )
+        points = rng.integers(-3, 4, (4, 3))
+        faces = tetrahedron(points) if rng.random() < 0.5 else block(*np.sort(points[:2], axis=0))
         volume = np.linalg.det(faces).sum()
         if abs(volume) > 0.5:  # six times the volume, a whole number but for rounding
             turned = faces if volume > 0 else faces[:, ::-1]
@@ -136,12 +133,8 @@ def pair(rng: np.random.Generator, hulls: bool = False) -> Pair:
     on_a, on_b = feature(rng, a, Ta, toward), feature(rng, b, Tb, None if toward is None else -toward)
     way = toward if toward is not None and rng.random() < 0.7 else rng.normal(size=3)
     # Deeper where depths are what is wanted: the nearest way out is then no longer the one it came.
-    by = (
-        rng.choice(scales)
-        * 10 ** (rng.uniform(-4, 0) if hulls else rng.uniform(-18, -6))
-        * (-1 if hulls else rng.choice([-1, 0, 1]))
-    )
-    Tb[:3, 3] = on_a - on_b + by * way
+    by = -(10 ** rng.uniform(-4, 0)) if hulls else rng.choice([-1, 0, 1]) * 10 ** rng.uniform(-18, -6)
+    Tb[:3, 3] = on_a - on_b + rng.choice(scales) * by * way
     made = Body.from_points(b.vertices) if hulls else body_of(b)
     lengths = sum(np.abs(m.vertices).max() + np.abs(T[:3, 3]).max() for m, T in ((a, Ta), (b, Tb)))
     return Pair((a, b), (body_of(a), made), (Ta, Tb), float(lengths))

@@ -1,7 +1,8 @@
 """Robots of sliding joints beside a wall, for which fractions decide whether a whole motion is free.
 
-Tool and wall are boxes along the axes, however they are made into bodies. They overlap in two of the axes for the whole motion, so
-their distance is the gap along the third one, which is linear in time: what holds at both ends holds at every moment.
+Tool and wall are boxes along the axes, however they are made into bodies. They overlap in two of the axes for the whole
+motion, so their distance is the gap along the third one, which is linear in time: what holds at both ends holds at
+every moment.
 """
 
 from collections import Counter
@@ -15,8 +16,8 @@ from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 
 KINDS = ("box", "hull", "surface", "voxels")
 
-# COLLIDING is what `collide` says of configurations as they are placed in doubles: two bodies that are apart by less than
-# this share of the lengths may count as touching (docs/verification.md).
+# COLLIDING is what `collide` says of configurations as they are placed in doubles: two bodies that are apart by less
+# than this share of the lengths may count as touching (docs/verification.md).
 TOUCHING = Fraction(1, 10**12)
 
 # Corners of a box in the order of their numbers in binary, and its faces with their normals outwards.
@@ -150,9 +151,7 @@ def judged(given: Slide) -> tuple[list[str], Counter[str]]:
         if verdict == Verdict.FREE:
             counts["near"] += min(gaps) < Fraction(1e-6 * given.size)
             if min(gaps) <= 0:
-                wrong.append(
-                    f"motion {k} is FREE, and meets the wall: it lacks {float(-min(gaps) / Fraction(given.size)):g}"
-                )
+                wrong.append(f"motion {k} is FREE, and meets the wall: {float(min(gaps) / Fraction(given.size)):g}")
         elif verdict == Verdict.COLLIDING:
             excess = given.excess(given.at(k, float(found.fraction[k])), given.axis, given.side)
             counts["rounded"] += excess > 0

@@ -121,7 +121,7 @@ def test_a_damaged_library_is_built_anew(copied):
     assert build.is_built([level], copied)
     path = copied / f"kernels-{level}.so"
     content = path.read_bytes()
-    path.unlink()  # another file in its place: this process has the library open
+    path.unlink()  # it is loaded: written over, it would change under the process
     path.write_bytes(content + b"x")
     assert not build.is_built([level], copied)
     path.unlink()

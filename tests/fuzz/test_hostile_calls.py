@@ -1,6 +1,7 @@
-"""What hostile callers hand to the extension: odd arrays, forged bodies, arrays that change meanwhile, calls in between.
+"""What hostile callers hand to the extension: odd arrays, forged bodies, arrays that change, calls in between.
 
-Whatever that is, the call answers or raises an exception, the process lives, and the next usual call has its usual answer.
+Whatever that is, the call answers or raises an exception, the process lives, and the next usual call has its usual
+answer. A handle is an address, which is followed: none that is a number of 64 bits is forged here.
 `make sanitize` runs this file with an extension that reports any access to memory that is not its own.
 """
 

@@ -13,9 +13,10 @@ pytestmark = [pytest.mark.verify, pytest.mark.filterwarnings("ignore:.*all lengt
 PAIRS = 5_000
 
 
-def campaign(
-    judge: Callable[[Pair, Counter[str]], str], seed: int, hulls: bool, count: int
-) -> tuple[list[str], Counter[str]]:
+Judge = Callable[[Pair, Counter[str]], str]
+
+
+def campaign(judge: Judge, seed: int, hulls: bool, count: int) -> tuple[list[str], Counter[str]]:
     """What a judge finds wrong of so many pairs, each of a seed of its own, and what it counted."""
     wrong, counts = [], Counter[str]()
     for k in range(count):
