@@ -1,6 +1,8 @@
 """Bad input gets a clear error that is a LoewnerError, never an answer, a crash or half a file."""
 
+import copy
 import os
+import pickle
 from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
@@ -915,3 +917,20 @@ def test_every_error_is_a_loewner_error():
     ]:
         assert issubclass(error, LoewnerError)
         assert issubclass(error, builtin)
+
+
+def test_bodies_whose_constructor_was_left_out_are_refused() -> None:
+    """A body without content is an InputError in every query; a class, its copies and its pickles are as ever."""
+    ball = Body.sphere(1.0)
+    for kind in (Body, Bodies):
+        empty = kind.__new__(kind)
+        for call in (
+            lambda empty=empty: loewner.collide(empty, None, ball, None),
+            lambda empty=empty: loewner.classify(ball, None, empty, None),
+            lambda empty=empty: loewner.distance(empty, None, ball, None),
+            lambda empty=empty: loewner.overlapping_pairs(empty),
+            lambda empty=empty: empty.pieces,
+        ):
+            with pytest.raises(InputError, match=f"expected a {kind.__name__} made by its constructors"):
+                call()
+    assert loewner.collide(copy.copy(ball), None, pickle.loads(pickle.dumps(ball)), None)

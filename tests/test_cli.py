@@ -125,6 +125,12 @@ def test_poses_in_every_form_agree(saved, capsys):
         (["a.npz", "b.npz", "--pose-a", "1 2"], "--pose-a: expected"),
         (["a.npz", "b.npz", "--pose-a", "x y z"], "--pose-a: expected"),
         (["a.npz", "b.npz", "--pose-a", "nan 0 0"], "--pose-a: expected"),
+        (
+            ["a.npz", "b.npz", "--pose-b", "0,,1,2"],
+            "found '0,,1,2' (expected a number in each cell, found",
+        ),
+        (["a.npz", "b.npz", "--pose-b", "0,1 2"], "found '0,1 2' (expected numbers divided by commas or by spaces"),
+        (["a.npz", "b.npz", "--pose-b", "1_0 0 0"], "--pose-b: expected"),
         (["a.npz", "b.npz", "--pose-b", "0 0 0 1 1 0 0"], "--pose-b: expected a unit quaternion"),
         (["a.npz", "b.npz", "--pose-b", "0 0 0 0 0 0 0"], "--pose-b: expected a unit quaternion"),
         (["a.npz", "b.npz", "--pose-b", "none.npy"], "none.npy: expected a pose file"),
@@ -596,6 +602,8 @@ def test_robot_check_files(folder, capsys):
         ([*WITH_WALL, "--configs", "twice.csv"], "twice.csv: expected each column once, found x 2 times"),
         ([*WITH_WALL, "--configs", "half.csv"], "half.csv: expected 3 numbers in each row, found 1,2,a in row 1"),
         ([*WITH_WALL, "--configs", "german.csv"], "german.csv: expected numbers divided by commas, found semicolons"),
+        ([*WITH_WALL, "--configs", "hole.csv"], "hole.csv: expected 3 numbers in each row, found ,, in row 2"),
+        ([*WITH_WALL, "--configs", "quoted.csv"], "quoted.csv: expected 3 numbers in each row, found 0,5,1,2 in row 1"),
         ([*WITH_WALL, "--configs", "ragged.csv"], "ragged.csv: expected 3 numbers in each row, found 1,2 in row 2"),
         ([*WITH_WALL, "--configs", "empty.csv"], "--configs: expected one configuration or more, found none"),
     ],
@@ -610,6 +618,8 @@ def test_robot_check_errors(folder, capsys, arguments, message):
     Path("two.csv").write_text("y,x\n1,2\n")
     Path("twice.csv").write_text("x,y,x,turn\n1,2,1,0\n")
     Path("half.csv").write_text("1,2,a\n1,2,3\n")
+    Path("hole.csv").write_text("1,2,3\n,,\n1,2,3\n")
+    Path("quoted.csv").write_text('"0,5",1,2\n')
     Path("german.csv").write_text("0,5;1;2\n")
     Path("bare.urdf").write_text('<robot name="bare"><link name="a"/></robot>')
     Path("ragged.csv").write_text("1,2,3\n1,2\n")
@@ -783,6 +793,8 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         ),
         (["--start", HERE, "--goal", "1 2"], "--goal: expected shape (..., 3), one column each for x, y, turn"),
         (["--start", HERE, "--goal", "nan 0 0"], "--goal: expected finite numbers, found nan for x"),
+        (["--start", HERE, "--goal", "0,,1,2"], "--goal: expected numbers, a .npy, .csv or .json file, or with --srdf"),
+        (["--start", HERE, "--goal", "0,5 1 2"], "not by both, and no decimal commas, found '5 1 2'"),
         (["--start", "two.csv", "--goal", THERE], "--start: expected one configuration, shape (3,), found (2, 3)"),
         (["--start", HERE, "--goal", "none.npy"], "none.npy: expected configurations, found no such file"),
         (["--start", HERE, "--goal", "empty.csv"], "goal: expected shape (3,) or (goals, 3), found (0, 3)"),

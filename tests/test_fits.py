@@ -321,6 +321,21 @@ def test_bad_halfspaces_are_named(name: str) -> None:
         mvie(A, b)
 
 
+@pytest.mark.parametrize(
+    ("A", "b", "found"),
+    [
+        (SQUARE, [1, 1, 1e308, 1], r"row 2 with a largest entry of 1 and the bound 1e\+308"),
+        (np.array(SQUARE) * 5e-324, [1, 1, 1, 1], "row 0 with a largest entry of 4.94066e-324 and the bound 1"),
+        (np.r_[[[0, 0]], SQUARE], [1, 1, 1, 1e200, 1], r"row 3 with a largest entry of 1 and the bound 1e\+200"),
+    ],
+)
+def test_half_spaces_out_of_range_are_told_as_they_were_given(A: object, b: object, found: str) -> None:
+    """The numbers of the message are the caller's, with or without a center, and the row is its row."""
+    for options in ({}, {"center": 0}):
+        with pytest.raises(InputError, match=found):
+            mvie(A, b, **options)
+
+
 @pytest.mark.parametrize("tol", [0, -1e-4, np.nan, np.inf, 1e-13, 2, "small", None])
 def test_bad_tolerance(tol: object) -> None:
     """A tolerance is a number between the rounding of the certificate and one."""

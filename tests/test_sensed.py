@@ -1,5 +1,6 @@
 """Bodies of what sensors see: clouds, voxels, spheres, boxes, terrain, half-spaces; against loops over all parts."""
 
+import io
 import pickle
 from fractions import Fraction
 from itertools import product
@@ -27,6 +28,8 @@ from loewner import (
     planners,
 )
 from loewner.bodies import sensed
+from loewner.cli import configurations, inputs
+from loewner.scene_files.sensor_shapes import read_array
 
 SHAPES = {
     "ball": Body.sphere(0.07),
@@ -431,6 +434,107 @@ def test_damaged_octrees_are_refused(tmp_path: Path, capfd, data: bytes, message
     with pytest.raises(FileError, match=rf"broken.bt: .*{message}"):
         Body.from_octree(tmp_path / "broken.bt")
     assert capfd.readouterr() == ("", "")
+
+
+HOLES = {
+    "an empty cell": ("a.csv", "0.5,0.0,0.1,0.9\n0.5,0.1,,0.9\n", "a.csv, line 2: .*found an empty one"),
+    "one in every line": ("a.csv", "0.5,0.0,,0.9\n0.5,0.1,,0.9\n", "a.csv, line 1: .*found an empty one"),
+    "an empty last cell": ("a.csv", "1,2,\n3,4,\n", "a.csv, line 1: .*found an empty one"),
+    "an empty cell of a text": ("a.xyz", "# x, y, z\n\n1, 2, 3\n1,,2,3\n", "a.xyz, line 4: .*found an empty one"),
+    "decimal commas": ("a.csv", "0,5 0,7\n0,5 0,7\n", "a.csv, line 1: .*no decimal commas, found '5 0'"),
+    "decimal commas in a text": ("a.txt", "1 2\n0,5 0,7\n", "a.txt, line 1: .*no decimal commas, found '1 2'"),
+    "lines of both kinds": ("a.txt", "1,2,3\n1 2 3\n", "a.txt, line 2: .*not by both.* found '1 2 3'"),
+    "spaces in a CSV": ("a.csv", "1 2 3\n1 2 3\n", "a.csv, line 1: .*not by both.* found '1 2 3'"),
+    "a word": ("a.csv", "1,2,3\n1,2,three\n", "a.csv, line 2: expected a number, found 'three'"),
+    "a shorter line": ("a.csv", "1,2,3\n1,2\n", "a.csv, line 2: expected 3 numbers as in the first line, found 2"),
+    "comments alone": ("a.csv", "# 1,2,3\n", "a.csv: expected an array of numbers, found none"),
+}
+
+
+@pytest.mark.parametrize("name", HOLES)
+def test_tables_with_holes_are_refused(name: str, tmp_path: Path) -> None:
+    """No number moves into the place of one that is missing: the file and the line are named."""
+    file, text, message = HOLES[name]
+    (tmp_path / file).write_text(text)
+    with pytest.raises(FileError, match=message):
+        read_array(tmp_path / file)
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("a.csv", "1,2,3\n4,5,6\n"),
+        ("a.csv", "# x, y\r\n1, 2 ,3\r\n  \r\n 4,5,6 # last\r\n"),
+        ("a.txt", "1 2 3\n\n  # 0,0\n4\t5 6"),
+        ("a.XYZ", "1, 2, 3\n  # none\n4,5,6\n"),
+    ],
+)
+def test_tables_without_holes_are_read(file: str, text: str, tmp_path: Path) -> None:
+    """Spaces beside commas, comments and blank lines do no harm."""
+    (tmp_path / file).write_text(text, newline="")
+    assert read_array(tmp_path / file).tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def _npy(header: bytes, version: int = 1) -> bytes:
+    return b"\x93NUMPY" + bytes([version, 0]) + len(header).to_bytes(2 if version == 1 else 4, "little") + header
+
+
+def _saved(array: object, **options: bool) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, **options)
+    return file.getvalue()
+
+
+def _archive() -> bytes:
+    file = io.BytesIO()
+    np.savez(file, a=np.eye(3))
+    return file.getvalue()
+
+
+HUGE = "{'descr': '<f8', 'fortran_order': False, 'shape': (%s,), }\n"
+DAMAGED_ARRAYS = {
+    "another kind of file": b"words",
+    "nothing": b"",
+    "the beginning alone": b"\x93NUMPY",
+    "the beginning of an archive": b"PK\x03\x04 and more",
+    "a whole archive": _archive(),
+    "brackets": _npy(b"(" * 500 + b"\n"),
+    "a pickle": _saved(np.array([{}, None], dtype=object), allow_pickle=True),
+    "texts": _saved(np.array(["a", "b"])),
+    "a type that there is not": _npy(b"{'descr': '<f7', 'fortran_order': False, 'shape': (), }\n") + bytes(7),
+    "more axes than there are": _npy((HUGE % ("1, " * 99 + "1")).encode()) + bytes(8),
+    "a larger shape": _npy((HUGE % 10**12).encode()) + bytes(800),
+    "an absurd shape": _npy((HUGE % ", ".join(["9" * 18] * 5)).encode(), 2) + bytes(800),
+    "a length beyond the file": b"\x93NUMPY\x02\x00\xff\xff\xff\xff" + bytes(9),
+    "numbers cut off": _saved(np.eye(4))[:-1],
+    "two arrays": _saved(np.eye(4)) * 2,
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_ARRAYS)
+def test_damaged_arrays_are_refused(name: str, tmp_path: Path) -> None:
+    """Whatever is wrong with a file of NumPy, for scenes and on the command line, is an error that names the file."""
+    (tmp_path / "a.npy").write_bytes(DAMAGED_ARRAYS[name])
+    robot = Robot.from_urdf(gantry(tmp_path)[0])
+    for read in (read_array, lambda path: inputs.pose(str(path), "T"), lambda path: configurations.read(path, robot)):
+        with pytest.raises(FileError, match="a.npy: expected a"):
+            read(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+@pytest.mark.parametrize("kind", ["<f8", ">f4", "<i2", "|u1", "|b1"])
+@pytest.mark.parametrize("shape", [(), (0, 3), (4, 3), (2, 3, 4)])
+def test_arrays_are_read_as_numpy_reads_them(version: tuple[int, int], kind: str, shape: tuple, tmp_path: Path) -> None:
+    """All versions of the format, both orders, all kinds of numbers; what is read may be written to."""
+    array = np.arange(int(np.prod(shape))).reshape(shape).astype(kind)
+    for saved in (array, np.asfortranarray(array)):
+        with open(tmp_path / "a.npy", "wb") as file:
+            np.lib.format.write_array(file, saved, version)
+        found = read_array(tmp_path / "a.npy")
+        assert found.dtype == saved.dtype
+        assert found.shape == saved.shape
+        assert (found == saved).all()
+        assert found.flags.writeable
 
 
 def test_scene_files_know_sensor_data(rng: np.random.Generator, tmp_path: Path) -> None:

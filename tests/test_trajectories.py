@@ -496,6 +496,21 @@ def test_broken_files(moved, tmp_path, ending):
         Trajectory.load(tmp_path / f"missing{ending}")
 
 
+@pytest.mark.parametrize("ending", [".csv", ".json"])
+def test_no_joint_jumps_beside_one_that_is_far_away(ending, tmp_path):
+    """A jump of a joint is compared with what that joint does: another one, however large its values, hides none."""
+    times, still = np.array([0.0, 1.0, 2.0]), np.zeros((3, 2))
+    name = tmp_path / f"moved{ending}"
+    for far in (1e12, 1.0):
+        knots = np.array([[far, 0.0], [far, 0.0], [far, 0.0]])
+        trajectories.Trajectory(("far", "near"), times, knots, still, np.zeros(2, dtype=bool)).save(name)
+        assert (Trajectory.load(name).knots == knots).all()
+        knots[1:, 1] = 0.5
+        trajectories.Trajectory(("far", "near"), times, knots, still, np.zeros(2, dtype=bool)).save(name)
+        with pytest.raises(FileError, match="constant accelerations .* others of near after the time 0"):
+            Trajectory.load(name)
+
+
 def test_names_of_files(moved, tmp_path):
     """Other endings, and what is no path, are refused; a folder that is not there is a FileError."""
     for bad in ("moved", "moved.txt", "", None, 1):

@@ -1,4 +1,4 @@
-"""Arrays in ``.npz`` files: written whole or not at all, read as data.
+"""Arrays in ``.npz`` files: written whole or not at all, read as data; and single ones in ``.npy`` files.
 
 Reading goes in steps, each of which trusts only the ones before: a regular file; an archive with members that have the
 names of ours; for each the few bytes that say type and shape, which must agree with one another, with the sizes that
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loewner._files import replacing
 from loewner._validate import physical_memory
@@ -38,6 +39,10 @@ CHUNK, MOST_AT_ONCE = 2**18, 2**20
 
 # Members of every file, besides its arrays.
 OWN = ("format", "version", "digest")
+
+# What an array begins with. Then come two bytes that say the version, of which the first says how many bytes the length
+# of the header has, which in `.npy` files is at most this.
+MAGIC, LENGTH_BYTES, LONGEST_HEADER = b"\x93NUMPY", {1: 2, 2: 4, 3: 4}, 2**16
 
 # What NumPy writes before the numbers of a plain array; read strictly, so that nothing is evaluated.
 HEADER = re.compile(
@@ -141,6 +146,40 @@ def read(path: str | os.PathLike[str], kind: Format, make: Callable[[dict[str, A
         raise
     except OSError as error:
         raise FileError(f"{name}: could not be read ({error.strerror or error})") from None
+
+
+def numbers(data: bytes, name: str, what: str) -> NDArray[Any]:
+    """Numbers of a ``.npy`` file, each of whose bytes has to be what its header says.
+
+    Parameters
+    ----------
+    data : bytes
+        All of the file.
+    name, what : str
+        Its name, and what it ought to hold, for messages: "an array of numbers".
+
+    Raises
+    ------
+    FileError
+        If it is no array of whole numbers, floats or booleans in NumPy's format, or longer or shorter than its header
+        says. Nothing is unpickled, and no memory is taken for numbers that are not there.
+    """
+    if not data.startswith(MAGIC) or len(data) < len(MAGIC) + 2 or data[len(MAGIC)] not in LENGTH_BYTES:
+        raise FileError(f"{name}: expected {what} as NumPy's save writes it, found something else")
+    start = len(MAGIC) + 2 + LENGTH_BYTES[data[len(MAGIC)]]
+    stop = start + int.from_bytes(data[len(MAGIC) + 2 : start], "little")
+    try:
+        header = _parsed(data[start : min(stop, start + LONGEST_HEADER)], name, "biuf")
+        if len(data) - stop != header.nbytes:
+            raise InputError(
+                f"{name}: expected {header.nbytes} bytes of numbers for shape {header.shape}, "
+                f"found {max(len(data) - stop, 0)}"
+            )
+        order: Any = "F" if header.fortran_order else "C"
+        return np.ndarray(header.shape, header.dtype, data, stop, order=order).copy(order="K")
+    except (ValueError, TypeError) as error:  # an InputError too; the others are of absurd types and shapes
+        found = str(error).removeprefix(f"{name}: ")
+        raise FileError(f"{name}: expected {what}, found something else ({found})") from None
 
 
 def _read(stream: IO[bytes], name: str, kind: Format, make: Callable[[dict[str, Any]], T]) -> T:
@@ -252,24 +291,28 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
 def _header_of(member: IO[bytes], info: zipfile.ZipInfo) -> _Header:
     start = member.read(10)
     # Later versions of the format are for names and types that no array here has.
-    if len(start) < 10 or start[:8] != b"\x93NUMPY\x01\x00":
+    if len(start) < 10 or start[:8] != MAGIC + b"\x01\x00":
         raise InputError(f"{info.filename}: expected an array in NumPy's format 1.0, found something else")
     length = int.from_bytes(start[8:], "little")
-    text = member.read(length)
-    found = HEADER.fullmatch(text)
-    if found is None:
-        raise InputError(f"{info.filename}: expected the header of a plain array, found {text[:100]!r}")
-    kind, fortran, numbers = (group.decode() for group in found.groups())
-    if kind[1] not in "fiuU":
-        raise InputError(f"{info.filename}: expected numbers or text, found type {kind}")
-    shape = tuple(int(n) for n in numbers.replace(",", " ").split())
-    header = _Header(np.dtype(kind), shape, fortran == "True")
+    header = _parsed(member.read(length), info.filename, "fiuU")
     if info.file_size != len(start) + length + header.nbytes:
         raise InputError(
-            f"{info.filename}: expected {len(start) + length + header.nbytes} bytes for shape {shape}, "
+            f"{info.filename}: expected {len(start) + length + header.nbytes} bytes for shape {header.shape}, "
             f"found {info.file_size}"
         )
     return header
+
+
+def _parsed(text: bytes, name: str, letters: str) -> _Header:
+    """What a header says, if it is that of a plain array whose type has one of these letters."""
+    found = HEADER.fullmatch(text)
+    if found is None:
+        raise InputError(f"{name}: expected the header of a plain array, found {text[:100]!r}")
+    kind, fortran, lengths = (group.decode() for group in found.groups())
+    if kind[1] not in letters:
+        raise InputError(f"{name}: expected numbers{' or text' if 'U' in letters else ''}, found type {kind}")
+    shape = tuple(int(n) for n in lengths.replace(",", " ").split())
+    return _Header(np.dtype(kind), shape, fortran == "True")
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header) -> Any:

@@ -219,7 +219,13 @@ def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     scale = -np.frexp(size[~nothing])[1]
     with np.errstate(over="ignore"):  # infinite is too large, and told so
         scaled = np.ldexp(bounds[~nothing], scale)
-    check_size(float(np.abs(scaled).max(initial=0.0)), "b")
+    farthest = float(np.abs(scaled).max(initial=0.0))
+    if farthest and not SMALLEST <= farthest <= LARGEST:
+        i = np.flatnonzero(~nothing)[np.abs(scaled).argmax()]
+        raise InputError(
+            f"A, b: expected half-spaces at distances between {SMALLEST:g} and {LARGEST:g} m, found row {i} with "
+            f"a largest entry of {size[i]:g} and the bound {bounds[i]:g}; rescale"
+        )
     return np.ldexp(rows[~nothing], scale[:, None]), scaled
 
 

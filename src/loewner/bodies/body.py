@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any, Literal, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,11 +70,20 @@ class Piece:
     outer_gap: float
 
 
+class _Unmade:
+    """What stands for the arrays of a body whose constructor was left out; once they are there, it is not looked at."""
+
+    def __get__(self, body: Any, kind: type) -> Any:
+        if body is None:
+            return self
+        raise InputError(f"expected a {kind.__name__} made by its constructors, found one without content")
+
+
 @guarded
 class _Bodies:
     """What one body and a sequence of bodies have in common."""
 
-    _packed: Packed
+    _packed: Packed = cast(Packed, _Unmade())
     _covering: Covering | None = None
 
     @property

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import _validate
+from loewner import _archives, _tables, _validate
 from loewner._files import read_regular, replacing
 from loewner._validate import Floats
 from loewner.errors import FileError
@@ -31,12 +31,12 @@ def read(path: Path, robot: loewner.Robot) -> Floats:
     if suffix not in READ:
         raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")
     data = read_regular(path, "configurations", MOST_BYTES)
+    if suffix == ".npy":
+        return _archives.numbers(data, str(path), "an array of numbers")
     try:
-        if suffix == ".npy":
-            return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
         text = data.decode("utf-8-sig")
         found: Any = json.loads(text) if suffix == ".json" else _rows(text)
-    except (ValueError, EOFError, SyntaxError, OverflowError, MemoryError, RecursionError, csv.Error):
+    except (ValueError, OverflowError, MemoryError, RecursionError, csv.Error):
         raise FileError(f"{path}: expected an array of numbers, found something else") from None
     return _of_json(found, robot, path) if suffix == ".json" else _of_rows(found, robot, path)
 
@@ -54,7 +54,7 @@ def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
 
 
 def _rows(text: str) -> list[list[str]]:
-    return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if any(row)]
+    return [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
 
 
 def _of_rows(rows: list[list[str]], robot: loewner.Robot, path: Path) -> Floats:
@@ -111,6 +111,6 @@ def _check_columns(order: Sequence[str], names: Sequence[str], path: Path) -> No
 
 def _are_numbers(cells: Sequence[str]) -> bool:
     try:
-        return all(np.isfinite(float(cell)) for cell in cells)
+        return all(math.isfinite(_tables.number(cell)) for cell in cells)
     except ValueError:
         return False

@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 
 import loewner
+from loewner import _archives, _tables
+from loewner._files import read_regular
 from loewner._rotations import from_quaternion
 from loewner._validate import Floats, Progress
 from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
+
+# Bytes of a file with a pose: a matrix in text has a few hundred.
+MOST_POSE_BYTES = 2**20
 
 
 def command(commands: Any, name: str, what: str, examples: str) -> argparse.ArgumentParser:
@@ -130,14 +135,13 @@ def pose(text: str | None, name: str) -> Floats | None:
         return None
     if Path(text).suffix.lower() in (".npy", ".txt"):
         return _pose_file(Path(text))
+    wanted = f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix, found {text!r}'
     try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
+        numbers = _tables.row(text)
+    except ValueError as error:
+        raise PoseError(f"{wanted} ({error})") from None
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all():
-        raise PoseError(
-            f'{name}: expected "x y z", "x y z qw qx qy qz", or a .npy or .txt file with a 4x4 matrix, found {text!r}'
-        )
+        raise PoseError(wanted)
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     if len(numbers) == 7:
@@ -146,16 +150,15 @@ def pose(text: str | None, name: str) -> Floats | None:
 
 
 def _pose_file(path: Path) -> Floats:
-    try:
-        if path.suffix.lower() == ".npy":
-            T = np.load(path, allow_pickle=False)
-        else:
-            lines = path.read_text(encoding="utf-8-sig").splitlines()
-            T = np.array([line.split() for line in lines if line.strip()], dtype=np.float64)
-    except OSError as error:
-        raise FileError(f"{path}: expected a pose file, found {(error.strerror or str(error)).lower()}") from None
-    except (ValueError, EOFError):
-        raise FileError(f"{path}: expected a 4x4 matrix of numbers, found something else") from None
+    data = read_regular(path, "a pose file", MOST_POSE_BYTES)
+    if path.suffix.lower() == ".npy":
+        T = _archives.numbers(data, str(path), "a 4x4 matrix of numbers")
+    else:
+        try:
+            lines = data.decode("utf-8-sig").splitlines()
+            T = np.array([_tables.row(line, commas=False) for line in lines if line.strip()])
+        except ValueError as error:
+            raise FileError(f"{path}: expected a 4x4 matrix of numbers, found something else ({error})") from None
     if np.shape(T) != (4, 4):
         raise PoseError(f"{path}: expected shape (4, 4), found {np.shape(T)}")
     return np.asarray(T)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, planners
+from loewner import Verdict, _tables, planners
 from loewner._validate import Floats, unknown_name
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
@@ -126,16 +126,15 @@ def _configurations(
         Q = robot.checked(configurations.read(Path(text), robot), text)
         return Q[0] if len(Q) == 1 else Q
     try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = None
-    if numbers is not None:
-        return robot.checked(numbers, name)
-    if options.srdf is not None:
-        raise unknown_name(f"{name}, state", text, robot.states)
-    raise InputError(
-        f"{name}: expected numbers, a .npy, .csv or .json file, or with --srdf the name of a state; found {text!r}"
-    )
+        numbers = _tables.row(text)
+    except ValueError as error:
+        if options.srdf is not None and "," not in text:
+            raise unknown_name(f"{name}, state", text, robot.states) from None
+        raise InputError(
+            f"{name}: expected numbers, a .npy, .csv or .json file, or with --srdf the name of a state; found {text!r} "
+            f"({error})"
+        ) from None
+    return robot.checked(numbers, name)
 
 
 def _found(

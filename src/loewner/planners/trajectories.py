@@ -63,8 +63,9 @@ MOST_MERGED = 4096
 # Seconds that a motion takes at full speed, those to reach it, and one by either, at most: squares are within range.
 LARGEST_RATIO = 1e100
 
-# How far pieces of a file may be from constant acceleration, as a share of the largest value.
-FILE_TOLERANCE = 1e-9
+# How far pieces of a file may be from constant acceleration, for each joint: as a share of its range, and in units of
+# its largest value and of the way at its largest velocity in all of the time.
+FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 LARGEST_FILE = 2**28  # bytes
 
 ENDINGS = (".csv", ".json")
@@ -377,10 +378,16 @@ class Trajectory:
             return "times that start at 0 and increase, found others"
         if self.rates[[0, -1]].any():
             return "rest at both ends, found a velocity"
-        off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
-        if not off.max(initial=0.0) <= FILE_TOLERANCE * np.abs(self.knots).max(initial=1.0):
-            k = int(off.max(axis=1).argmax())
-            return f"constant accelerations between rows, found others after the time {self.times[k]:g}"
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+            off = np.abs(np.diff(self.knots, axis=0) - (self.rates[1:] + self.rates[:-1]) * T[:, None] / 2)
+            size = np.abs(self.knots).max(axis=0) + np.abs(self.rates).max(axis=0) * self.duration
+            bad = ~(off <= FILE_TOLERANCE * np.ptp(self.knots, axis=0) + FILE_ROUNDINGS * size)
+        if bad.any():
+            k, joint = np.argwhere(bad)[0]
+            return (
+                "constant accelerations between rows, "
+                f"found others of {self.names[joint]} after the time {self.times[k]:g}"
+            )
         return ""
 
 

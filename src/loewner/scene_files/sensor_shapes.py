@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import functools
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from loewner import _validate
+from loewner import _archives, _tables, _validate
 from loewner._files import read_regular
 from loewner.bodies import Body
 from loewner.errors import FileError
@@ -89,24 +88,17 @@ def read_array(path: Path) -> Any:
     Parameters
     ----------
     path : Path
+        In `.csv` files commas divide the numbers; in the others spaces may instead.
 
     Raises
     ------
     FileError
-        If the file is missing, too large or something else.
+        If the file is missing, too large or something else, or a number is missing in it.
     """
-    data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
     suffix = path.suffix.lower()
-    try:
-        if suffix == ".npy":
-            return np.load(io.BytesIO(data), allow_pickle=False)
-        if suffix in (".xyz", ".txt", ".csv"):
-            text = data.decode("ascii").replace(",", " ")
-            return np.loadtxt(io.StringIO(text), ndmin=2)
-    except (ValueError, OSError, EOFError, MemoryError) as error:
-        raise FileError(f"{path}: expected an array of numbers, found something else ({_short(error)})") from None
-    raise FileError(f"{path}: expected a file that ends in .npy, .xyz, .txt or .csv")
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    if suffix not in (".npy", ".xyz", ".txt", ".csv"):
+        raise FileError(f"{path}: expected a file that ends in .npy, .xyz, .txt or .csv")
+    data = read_regular(path, "numbers in .npy, .xyz, .txt or .csv", MOST_BYTES)
+    if suffix == ".npy":
+        return _archives.numbers(data, str(path), "an array of numbers")
+    return _tables.table(data, str(path), commas=suffix == ".csv")
