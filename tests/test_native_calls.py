@@ -200,7 +200,7 @@ def test_unusual_bodies(rng, long_way):
         for given in ((box, other), (other, box), (other, other)):
             for query, args, options in calls(given[0], T, given[1], None, 0.1):
                 assert same_outcome(query, args, options, long_way)
-    with pytest.raises(AttributeError):
+    with pytest.raises(loewner.InputError, match="expected a Body made by its constructors"):
         loewner.collide(object.__new__(Body), None, box, None)
 
 

@@ -225,6 +225,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         "",
         " fit",
         " check",
+        " clearance",
         " robot",
         " robot info",
         " robot check",
