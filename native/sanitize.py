@@ -26,10 +26,11 @@ FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined",
 TESTS = ("tests/test_native.py", "tests/test_native_calls.py", "tests/test_threads.py", "tests/fuzz/test_border.py",
          "tests/fuzz/test_hostile_calls.py")  # fmt: skip
 # The sanitizer keeps in memory what was freed, which one of these measures; and a fork while another thread is in its
-# allocator leaves the child without it.
+# allocator leaves the child without it. Of the bad arguments a sample will do: few of them reach the extension.
 LEFT_OUT = (
     "tests/test_native.py::test_results_leave_no_memory_behind",
     "tests/fuzz/test_hostile_calls.py::test_forks_under_load",
+    "tests/fuzz/test_border.py::test_all_bad_arguments",
 )
 
 

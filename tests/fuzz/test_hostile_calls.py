@@ -86,7 +86,7 @@ def odd_array(rng: np.random.Generator) -> Any:
     """An array that may or may not pass for a pose or a configuration: of any shape, type, order and alignment."""
     shape = [(4, 4), (2,), (1, 4, 4), (0, 4), (4, 0), (), (16,), (3, 3), (2, 1), (5, 4, 4)][rng.integers(10)]
     array = np.zeros(shape, rng.choice(["f8", "f8", "f8", ">f8", "f4", "i8", "?", "c16", "O", "U3", "V8"]))
-    with contextlib.suppress(TypeError, ValueError):
+    with contextlib.suppress(TypeError, ValueError, OverflowError), np.errstate(all="ignore"):
         array[...] = np.eye(4)[: shape[-2], : shape[-1]] if len(shape) > 1 else rng.choice([0.1, np.nan, -np.inf])
     change = rng.integers(8)
     if change == 0 and array.dtype.kind == "f":
