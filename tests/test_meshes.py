@@ -797,12 +797,15 @@ def test_a_path_that_fails_is_refused():
             make(Sulky())
 
 
-def test_flat_mesh_is_refused():
-    """A flat mesh carries no ellipsoid."""
+def test_flat_mesh_is_refused(tmp_path):
+    """A flat mesh carries no ellipsoid; the message begins with its name."""
     flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
     for decompose in (True, False):
-        with pytest.raises(GeometryError, match="plane"):
+        with pytest.raises(GeometryError, match="^mesh: .*plane"):
             meshes.convex_pieces(flat, decompose=decompose)
+        flat.export(tmp_path / "flat.stl")
+        with pytest.raises(GeometryError, match="^[^:]*flat.stl: .*plane"):
+            meshes.convex_pieces(tmp_path / "flat.stl", decompose=decompose)
 
 
 @pytest.mark.parametrize("options", [{"threshold": 0}, {"threshold": 2}, {"threshold": np.nan}, {"max_pieces": 0}])

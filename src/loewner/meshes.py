@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import wraps
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -292,6 +293,21 @@ def _path(source: str | PathLike[str]) -> Path:
     return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
 
 
+def _naming(fit: Callable[..., T]) -> Callable[..., T]:
+    """Have what is wrong with a shape begin with the name of the mesh, wherever it is noticed."""
+
+    @wraps(fit)
+    def call(source: Source, **options: Any) -> T:
+        try:
+            return fit(source, **options)
+        except GeometryError as error:
+            name, text = name_of(source), str(error)
+            raise GeometryError(text if text.startswith(name) else f"{name}: {text}") from None
+
+    return call
+
+
+@_naming
 def convex_polytopes(
     source: Source,
     *,
