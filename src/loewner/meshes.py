@@ -365,7 +365,7 @@ def convex_polytopes(
         reached = _protrusion(pieces, solid)
     else:
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
-        cells = pieces_within(surfaces, solid, within, most, progress, np.inf if chosen is not None else WORK)
+        cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
         pieces = [cell.hull for cell in cells]
         # Each cell lies in its hull as it stands; there is nothing to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
