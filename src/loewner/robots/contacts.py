@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from loewner import queries
+from loewner._kernels import columns
 from loewner._validate import Floats, Ints
 from loewner.bodies import Bodies, Body
 from loewner.bodies.layout import starts
@@ -26,7 +27,10 @@ STRETCHES = 2.0 ** -np.arange(16)
 OFF = 32 * 2.0**-53
 
 # Distances below this share of what the robot reaches have no reliable normal.
-LEAST_SHARE = 1e-9
+LEAST_SHARE = 1e-6
+
+# What the distance to a wall may be off by, as a share of how far away that is: ten times what `distance` promises.
+FAR_ROUNDINGS = 1e-8
 
 # Share of the tolerance that is left for the proof; the rest is how far the plane is moved back.
 FOR_PROOF = 0.25
@@ -122,18 +126,23 @@ def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, toleran
     touching = at_start <= margin + tolerance
     apart, planes = every[~touching], every[touching]
     reach = float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[0, j, :3, 3]).sum())
-    # Two that just touch have no normal that could be computed; a little later on the way they have. Any will do,
-    # since the proof fails with a bad one.
+    # Two that just touch have no normal that could be computed; a little later on the way they have, or moved apart by
+    # a little. Any will do, since the proof fails with a bad one.
     u, v = planes.T
     found = queries.distance(ours[u], T[:, None, i], theirs[v], T[:, None, j], exact=True)
-    when = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0)
-    nth = np.arange(len(planes))
+    when, nth = (np.abs(found.distance) > LEAST_SHARE * reach).argmax(axis=0), np.arange(len(planes))
+    moved = np.tile(T[0, i], (len(planes), 1, 1))
+    moved[:, :3, 3] -= LEAST_SHARE * reach * found.normal[0]
+    apart_by_little = queries.distance(ours[u], moved, theirs[v], T[0, j], exact=True).normal
     # In the frame of the second body, which carries the planes. A cube stands for what is behind one of them: it
     # reaches farther than the robot does.
-    R, t = T[when, j, :3, :3], T[when, j, :3, 3]
-    normals = -np.einsum("kri,kr->ki", R, found.normal[when, nth])
-    points = np.einsum("kri,kr->ki", R, found.witness_b[when, nth] - t)
-    offsets = np.einsum("ki,ki->k", normals, points) + at_start[touching] - (1 - FOR_PROOF) * tolerance
+    R = T[when, j, :3, :3]
+    normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
+    # How far the piece reaches along the normal, whatever that is: from its distance to a wall beyond it.
+    far = 2 * float(theirs._packed.kernel.table[:, columns.REACH].max())
+    walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
+    reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[v], None, walls, None, exact=True).distance
+    offsets = reached + at_start[touching] - (1 - FOR_PROOF) * tolerance
     behind = [Body.half_space(n, offset, extent=8 * reach) for n, offset in zip(normals, offsets, strict=True)]
     bodies = [*(ours[k] for k in range(len(ours))), *(theirs[k] for k in range(len(theirs))), *behind]
     first = len(ours)
