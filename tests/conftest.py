@@ -9,6 +9,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import loewner
+from loewner import Verdict
+from loewner._native import singles
+from loewner.robots import verdicts
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
@@ -32,3 +35,23 @@ if os.environ.get("LOEWNER_INSTALLED") == "required":  # by `make test-wheel`
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20240229)
+
+
+@pytest.fixture
+def undecided(monkeypatch):
+    """Have arithmetic fail to settle configurations of a checker: all of them, or those that a function picks."""
+
+    def call(checker, chosen=lambda Q: np.ones(len(Q), dtype=bool)):
+        classified = verdicts.classified
+
+        def doubtful(ready, mode, Q):
+            found = classified(ready, mode, Q)
+            found.verdicts[chosen(Q)] = Verdict.AMBIGUOUS
+            return found
+
+        monkeypatch.setattr(verdicts, "classified", doubtful)
+        monkeypatch.setattr(verdicts, "pair_verdicts", lambda ready, _: np.full(len(ready.pairs), Verdict.AMBIGUOUS))
+        monkeypatch.setattr(singles, "configurations", lambda *_: singles.LongWay())
+        monkeypatch.setattr(checker, "_prepared", None)
+
+    return call

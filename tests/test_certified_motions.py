@@ -300,14 +300,14 @@ def test_a_scene_that_changes_meanwhile(tmp_path, monkeypatch):
     scene.add("wall", Body.box([0.2, 1.0, 1.0]), translation(0.4, 0, 0.3))
     checker = CollisionChecker(robot, scene)
     start, end = robot.configuration({"base/x": -1.0}), robot.configuration({"base/x": 1.0})
-    certify = robots_motions.certify
+    settle = robots_motions.settle
 
     def with_another_thread(*given):
-        found = certify(*given)
+        found = settle(*given)
         scene.move("wall", translation(0.4, 5.0, 0.3))
         return found
 
-    monkeypatch.setattr(robots_motions, "certify", with_another_thread)
+    monkeypatch.setattr(robots_motions, "settle", with_another_thread)
     assert checker.certify_edges(start, end).verdict == COLLIDING
     assert checker.certify_edges(start, end).verdict == FREE
 

@@ -41,6 +41,8 @@ from loewner import (
     queries,
 )
 from loewner.robots import edges
+from loewner.robots.checker import prepared_of
+from loewner.robots.verdicts import lengths
 
 SLIDE = '<axis xyz="1 0 0"/><limit lower="-1" upper="1"/>'
 
@@ -567,7 +569,7 @@ def test_a_motion_alone_is_divided_as_in_a_batch(tmp_path):
         for x, y in zip(a, b, strict=True):
             step = math.dist(x, y) / count
             alone = edges.steps(checker.robot._distances(x, y), step)
-            assert edges.steps(checker._lengths(x[None], y[None], step), step)[0] == alone
+            assert edges.steps(lengths(prepared_of(checker), x[None], y[None], step), step)[0] == alone
 
 
 def test_quotients_that_rounding_may_move_are_found():

@@ -23,6 +23,7 @@ from loewner._native import library
 from loewner.cli import jobs
 from loewner.cli.info import MISSING
 from loewner.cli.output import covering_text
+from loewner.robots import verdicts
 
 
 @pytest.fixture
@@ -429,9 +430,9 @@ def test_robot_check_counts_what_the_checker_finds(folder, capsys):
 def test_robot_check_settles_each_configuration_once(folder, capsys, monkeypatch):
     """Answers and tiers come of one search; one configuration more is for compiling, before the clock starts."""
     asked = []
-    settle = loewner.CollisionChecker._settle
+    classified = verdicts.classified
     monkeypatch.setattr(
-        loewner.CollisionChecker, "_settle", lambda self, mode, Q: asked.append(len(Q)) or settle(self, mode, Q)
+        verdicts, "classified", lambda ready, mode, Q: asked.append(len(Q)) or classified(ready, mode, Q)
     )
     run(capsys, "robot", "check", *ROBOT, "--scene", "wall.yaml", "--random", 500, "--json")
     assert asked == [1, 500]

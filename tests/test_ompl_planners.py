@@ -12,7 +12,6 @@ from gantry import LEFT, RIGHT, UP, clearance, gantry, wall
 from loewner import (
     Body,
     CollisionChecker,
-    ConvergenceError,
     MissingExtraError,
     PlanningError,
     Robot,
@@ -165,19 +164,14 @@ def test_unknown_planners(checker, name, message):
         planners.plan(checker, LEFT, RIGHT, planner=name)
 
 
-def test_what_cannot_be_settled_is_not_free(checker, monkeypatch):
+def test_what_cannot_be_settled_is_not_free(checker, undecided):
     """A configuration without a proof is never passed through."""
-
-    def unsettled(*_, **__):
-        raise ConvergenceError("not settled")
-
     information = planners.space_information(checker, joints="slide", fixed=LEFT)
     state = information.allocState()
     state[0:2] = LEFT[:2].tolist()
     assert information.isValid(state)
     assert information.checkMotion(state, state)
-    monkeypatch.setattr(checker, "collide", unsettled)
-    monkeypatch.setattr(checker, "valid_edges", unsettled)
+    undecided(checker)
     assert not information.isValid(state)
     assert not information.checkMotion(state, state)
 

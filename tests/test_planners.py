@@ -14,7 +14,6 @@ from gantry import IN_WALL, LEFT, RADIUS, RIGHT, UP, clearance, gantry, wall
 from loewner import (
     Body,
     CollisionChecker,
-    ConvergenceError,
     InputError,
     PlanningError,
     Robot,
@@ -24,6 +23,7 @@ from loewner import (
     planners,
 )
 from loewner.planners import compiled
+from loewner.robots import verdicts
 
 RESOLUTION = 0.02
 
@@ -284,8 +284,8 @@ def test_a_change_before_shortening_is_not_seen(robot, monkeypatch, certified):
 
 def test_of_thousands_of_goals_few_are_explained(checker, monkeypatch):
     """Pairs and depths are looked up for goals that the message names, and for none if one can be reached."""
-    looked, pairs = [], checker.pairs
-    monkeypatch.setattr(checker, "pairs", lambda q: looked.append(q) or pairs(q))
+    looked, contacts = [], verdicts.contacts
+    monkeypatch.setattr(verdicts, "contacts", lambda ready, q: looked.append(q) or contacts(ready, q))
     goals = np.tile(IN_WALL, (1000, 1))
     with pytest.raises(PlanningError, match=r"goal\[4\]: a collision .*; and 995 more"):
         planners.plan(checker, LEFT, goals)
@@ -449,15 +449,10 @@ def test_a_gap_too_narrow_to_prove_is_none(robot):
         planners.plan(checker, LEFT, RIGHT, joints="slide", max_iterations=300)
 
 
-def test_what_cannot_be_settled_is_not_free(checker, monkeypatch):
+def test_what_cannot_be_settled_is_not_free(checker, undecided):
     """A start without a proof is refused, with the reason."""
-
-    def unsettled(*_, **__):
-        raise ConvergenceError("not settled")
-
-    for name in ("collide", "pairs"):
-        monkeypatch.setattr(checker, name, unsettled)
-    with pytest.raises(PlanningError, match="start: .*cannot be proven free: not settled"):
+    undecided(checker)
+    with pytest.raises(PlanningError, match="start: .*cannot be proven free: .* could not be settled"):
         planners.plan(checker, LEFT, RIGHT)
 
 

@@ -20,6 +20,8 @@ from loewner.gpu.pairs import single_rows
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.robots import CollisionChecker
 from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.checker import prepared_of
+from loewner.robots.verdicts import classified, expect_settled
 
 # Configurations of a tile, a power of two: some tens of megabytes, which the caches of large GPUs hold.
 LOG_TILE = 14
@@ -147,7 +149,7 @@ class Checker:
 
     def _of_host(self, gpu: Device, Q: Floats) -> NDArray[np.bool_]:
         """Answers for configurations on the CPU, shape (N, dof)."""
-        ready = self._checker._ready()
+        ready = prepared_of(self._checker)
         with np.errstate(over="ignore"):  # infinite, and then left to the CPU
             there = gpu.upload(Q.astype(np.float32))
         verdicts, left = self._asked(gpu, ready, there.address, len(Q))
@@ -158,7 +160,7 @@ class Checker:
 
     def _of_array(self, gpu: Device, Q: Any) -> DeviceArray:
         """Answers for configurations on the GPU."""
-        view, robot, ready = taken(Q, "Q", gpu), self._checker.robot, self._checker._ready()
+        view, robot, ready = taken(Q, "Q", gpu), self._checker.robot, prepared_of(self._checker)
         if len(view.shape) == 0 or view.shape[-1] != robot.dof:
             raise InputError(f"Q: expected shape (..., {robot.dof}), found {_validate.shape_text(view.shape)}")
         verdicts, left = self._asked(gpu, ready, view.address, math.prod(view.shape[:-1]))
@@ -170,7 +172,10 @@ class Checker:
         """Verdicts of some configurations by the checker, in the scene as it was."""
         if len(Q) == 0:
             return np.empty(0, dtype=np.int8)
-        return self._checker._settle(codes.EXACT, np.ascontiguousarray(Q), ready)[0]
+        Q = np.ascontiguousarray(Q)
+        found, _ = classified(ready, codes.EXACT, Q)
+        expect_settled(ready, Q, found)
+        return found
 
     def _asked(self, gpu: Device, ready: CheckedPairs, Q: int, total: int) -> tuple[Memory, Ints]:
         """Verdicts of configurations at an address, and the numbers of those that are left to the CPU."""

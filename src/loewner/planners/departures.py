@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from loewner._validate import Floats
-from loewner.errors import ConvergenceError, PlanningError
+from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE
 from loewner.planners.space import Space
 from loewner.queries import Verdict
 from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.proofs import prove_by_rules
+from loewner.robots.verdicts import contacts
 from loewner.scenes import Contact
 
 # Metres beyond the margin to move apart by; the first that is proven is taken. Joints do not move along lines, and
@@ -77,11 +79,9 @@ def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> t
     ruled = {
         frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
     }
-    try:
-        touching = checker.pairs(q)
-    except ConvergenceError:
-        return q, ""  # which the check of all starts and goals says in full
-    if not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):
+    touching, doubt = contacts(ready, q)
+    # What is at fault otherwise, the check of all starts and goals says in full.
+    if doubt or not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):
         return q, ""
     way = _way(space, ready, q, touching)
     for rise in RISES:
@@ -92,7 +92,7 @@ def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> t
         if space.outside(near) or not space.free(near):
             continue
         first, last = (q, near) if at_start else (near, q)
-        if checker._certified(ready, first[None], last[None], TOLERANCE).verdicts[0] == Verdict.FREE:
+        if prove_by_rules(ready, first[None], last[None], TOLERANCE).verdicts[0] == Verdict.FREE:
             return near, ""
     a, b = touching[0].name_a, touching[0].name_b
     return q, (

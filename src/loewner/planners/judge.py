@@ -16,11 +16,13 @@ from loewner import _validate
 from loewner._kernels import columns
 from loewner._validate import Bools, Floats, Ints, fits_memory
 from loewner._workspaces import workspace
-from loewner.errors import ConvergenceError, InputError, PlanningError
+from loewner.errors import InputError, PlanningError
 from loewner.queries import Verdict
-from loewner.robots import CollisionChecker, Robot, motions
+from loewner.robots import CollisionChecker, Robot, verdicts
 from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.checker import prepared_of
 from loewner.robots.edges import MOST_STEPS
+from loewner.robots.proofs import prove, prove_by_rules
 
 # Metres: what comes nearer than this to colliding may count as not free.
 TOLERANCE = 1e-5
@@ -50,7 +52,7 @@ class Judge:
     @classmethod
     def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
         """For the scene as it is now."""
-        return cls(checker, checker._ready(), resolution, np.empty(1), np.empty(1, dtype=np.int8))
+        return cls(checker, prepared_of(checker), resolution, np.empty(1), np.empty(1, dtype=np.int8))
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
         """What may keep motions from being proven: to add to a message; nothing if they are not, or by no surface.
@@ -106,32 +108,21 @@ class Judge:
         """Which motions of a batch are free; what cannot be settled is not."""
         if not self.resolution:
             return self.proven(Q0, Q1)
-        try:
-            return self.checker._valid_edges(self.ready, Q0, Q1, self.resolution)
-        except ConvergenceError:
-            if len(Q0) == 1:
-                return np.array([False])
-            return np.concatenate([self.free(a[None], b[None]) for a, b in zip(Q0, Q1, strict=True)])
+        found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
+        return np.asarray(found == Verdict.FREE)
 
     def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
         """Which motions of a batch are proven free; with `off`, all that is so far away from them too."""
-        Q0, Q1 = (
-            np.array(Q0, order="C"),
-            self.checker.robot._on_the_way(Q0, Q1).copy(order="C"),
-        )  # kernels take no views
-        free = motions.settle(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE
-        free[free] = self.checker._starts_free(self.ready, Q0[free])
-        return np.asarray(free)
+        Q0, Q1 = np.array(Q0, order="C"), np.array(Q1, order="C")  # kernels take no views
+        return np.asarray(prove(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
     """Whether one motion is free in the scene as it is now; what cannot be settled is not."""
-    try:
-        if resolution:
-            return bool(checker.valid_edges(a, b, resolution))
-        return bool(checker.certify_edges(a, b, tolerance=TOLERANCE).verdict == Verdict.FREE)
-    except ConvergenceError:
-        return False
+    ready = prepared_of(checker)
+    if resolution:
+        return verdicts.is_sampled_free(ready, a, b, resolution)
+    return bool(prove(ready, a[None].copy(), b[None].copy(), TOLERANCE).verdicts[0] == Verdict.FREE)
 
 
 def checked_path(robot: Robot, path: ArrayLike) -> Floats:
@@ -160,12 +151,12 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled):
         touching = np.flatnonzero(~free)  # in the order of the path, which is what the rules are about
-        receding = judge.checker._certified(judge.ready, path[touching], path[touching + 1], TOLERANCE)
+        receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
         free[touching] = receding.verdicts == Verdict.FREE
     if free.all():
         return
     k = int(free.argmin())
-    certified = judge.checker._certified(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
     found = certified.of_shape((), judge.ready)
     seen = ""
     if found.verdict == Verdict.FREE:

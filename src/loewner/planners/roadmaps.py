@@ -27,6 +27,7 @@ from loewner.planners import compiled
 from loewner.planners.judge import Judge
 from loewner.planners.space import NAMED, Space, checked_checker, checked_ends
 from loewner.robots import CollisionChecker
+from loewner.robots.checker import prepared_of
 
 # Motions that are proven at a time, and nodes whose neighbours are sought: an interrupt is noticed between.
 AT_A_TIME, NODES_AT_A_TIME = 16_384, 1024
@@ -401,7 +402,7 @@ class Roadmap:
         >>> Roadmap.load("arm.npz", CollisionChecker(robot.placed(T)))
         Roadmap(joints rail, elbow: 100 nodes, 1093 motions, to be proven for the scene as it is now)
         """
-        ready = checked_checker(checker)._ready()  # what is wrong with the scene is not told of the file
+        ready = prepared_of(checked_checker(checker))  # what is wrong with the scene is not told of the file
 
         def made(told: dict[str, Any]) -> Roadmap:
             space, found = _checked(told, checker)
@@ -417,7 +418,7 @@ class Roadmap:
     def _now(self) -> _Graph:
         """The graph for the scene as it is now."""
         graph = self._graph
-        if graph is not None and graph.version == self.checker._ready().version:
+        if graph is not None and graph.version == prepared_of(self.checker).version:
             return graph
         return self._proven()
 

@@ -11,17 +11,15 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._validate import Bools, Floats, Ints
-from loewner.errors import ConvergenceError, InputError, PlanningError
-from loewner.robots import CollisionChecker, Robot
+from loewner.errors import InputError, PlanningError
+from loewner.robots import CollisionChecker, Robot, verdicts
+from loewner.robots.checker import prepared_of
 
 # How far a configuration may be outside a limit and still count as on it: what OMPL allows, for rounding.
 ON_LIMIT = float(np.finfo(np.float64).eps)
 
 # What is off by less than this, in the units of the joints, is probably off by rounding.
 A_HAIR = 1e-4
-
-# Configurations that take less time one by one than as a batch.
-FEW = 4
 
 # Configurations and pairs that a message names at most.
 NAMED = 5
@@ -137,19 +135,11 @@ class Space:
 
     def free(self, q: Floats) -> bool:
         """Whether a configuration is proven free; what cannot be settled is not."""
-        try:
-            return not self.checker.collide(q)
-        except ConvergenceError:
-            return False
+        return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
         """Which configurations of a batch are proven free; what cannot be settled is not."""
-        if len(Q) <= FEW:
-            return np.array([self.free(q) for q in Q])
-        try:
-            return np.asarray(np.logical_not(self.checker.collide(Q)))
-        except ConvergenceError:
-            return np.array([self.free(q) for q in Q])
+        return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
 
     def name(self, column: int) -> str:
         """Name of a column of configurations."""
@@ -169,10 +159,9 @@ class Space:
 
     def _fault(self, q: Floats) -> str:
         """Why a configuration within the limits that is not free cannot be on a path."""
-        try:
-            contacts = self.checker.pairs(q)
-        except ConvergenceError as error:
-            return f"one that cannot be proven free: {error}"
+        contacts, doubt = verdicts.contacts(prepared_of(self.checker), q)
+        if doubt:
+            return f"one that cannot be proven free: {doubt}"
         if not contacts:
             return "a collision, which was gone when it was looked at: the scene has changed"
         named = ", ".join(

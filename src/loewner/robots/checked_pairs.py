@@ -6,7 +6,7 @@ moves, bounds and ellipsoids in world coordinates of what stands. `CollisionChec
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -34,6 +34,15 @@ STRETCH = 1 + 4 * tolerances.ROTATION_TOLERANCE
 # Pairs that are worth preparing: some two gigabytes of arrays, and minutes for each configuration that is not free.
 MOST_PAIRS = 2**24
 
+# Configurations a thread takes at a time, at least: about half a millisecond of work.
+LEAST_SHARE = 512
+
+# Configurations whose poses are made at a time: of a hundred bodies, they take 13 MB.
+IN_TURN = 1024
+
+# Poses of bodies at most, of all those configurations together: 100 MB.
+POSES_AT_ONCE = 2**20 * 3 // 4
+
 # Entries of a symmetric matrix in the order of the kernels, and back.
 _UPPER = np.triu_indices(3)
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -57,6 +66,15 @@ class PreparedMotions(NamedTuple):
     handle: int
     memory: int
     table: Ints
+
+
+class OfMargin(NamedTuple):
+    """Pairs of one margin, as `loewner._settle.settle` takes them."""
+
+    margin: float
+    at: Ints  # their places among all
+    plan: Ints
+    rows: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +238,16 @@ class CheckedPairs:
         return self.in_parts is not self and bool((solid & np.repeat(self._stand, np.diff(packed.piece_start))).any())
 
     @kept
+    def by_margin(self) -> list[OfMargin]:
+        """All pairs, by their margins."""
+        found = []
+        for margin in np.unique(self.margins).tolist():
+            at = np.flatnonzero(self.margins == margin)
+            plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
+            found.append(OfMargin(margin, at, plan, np.ascontiguousarray(self.pairs[at].T)))
+        return found
+
+    @kept
     def ruled(self) -> Ints:
         """Numbers of the pairs that may be in contact where a motion starts or ends."""
         return np.flatnonzero(self.leaving | self.reaching)
@@ -269,6 +297,12 @@ class CheckedPairs:
         return np.ascontiguousarray(
             np.concatenate([moving, np.broadcast_to(standing, (len(Q), *standing.shape))], axis=1)
         )
+
+    def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
+        """Yield the poses of all bodies for some configurations at a time, with the number of the first of these."""
+        each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
+        for first in range(0, len(Q), each):
+            yield first, self.poses(Q[first : first + each])
 
 
 def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) -> CheckedPairs:

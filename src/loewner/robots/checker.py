@@ -1,173 +1,34 @@
 """Is a robot free in a scene: at one configuration, at a million, along motions.
 
-A `CollisionChecker` has a robot and a scene prepared once (`loewner.robots.checked_pairs`), asks the
-kernel (`loewner._kernels.robots.configurations`), and notices when the scene changes.
+A `CollisionChecker` checks arguments, keeps the prepared pairs (`checked_pairs`) while the scene does not change, and
+wraps what `verdicts`, `proofs` and `distances` compute of them. Only here does an unsettled answer raise.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Generic, Literal, NamedTuple, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loewner import _validate, queries
+from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
-from loewner._native import entries
-from loewner._settle import settle
-from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, Ints, OneOrMany, Pair
-from loewner._workspaces import workspace
+from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.errors import ConvergenceError, InputError
-from loewner.queries import NOTHING, VERDICTS, Exact, Vector, Verdict
-from loewner.robots import contacts, edges, motions
+from loewner.queries import VERDICTS, Verdict
+from loewner.robots import distances, edges, motions, proofs, verdicts
 from loewner.robots.checked_pairs import CheckedPairs, prepared
+from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
+from loewner.robots.verdicts import Settled, Verdicts
 from loewner.scenes import Contact, Scene
-
-# Configurations a thread takes at a time, at least: about half a millisecond of work.
-LEAST_SHARE = 512
 
 # Pairs are put in another order after so many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
-
-# Configurations that `collide_by_pair` works on at a time: of a hundred bodies, the poses take 13 MB.
-BY_PAIR = 1024
-
-# Poses of bodies at most, of all those configurations together: 100 MB.
-POSES_AT_ONCE = 2**20 * 3 // 4
-
-
-@dataclass(frozen=True, eq=False)
-class StateDistance(Generic[Exact, Vector]):
-    """How far a robot is from touching, at one configuration or many; metres, negative is a depth.
-
-    Attributes
-    ----------
-    lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the least over all pairs that are checked.
-    distance : float or ndarray, or None
-        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest.
-    names : tuple of str, or ndarray of str, shape (..., 2), or None
-        That pair.
-    witness_a, witness_b, normal : ndarray, shape (..., 3), or None
-        Where it is nearest; see `Distance`.
-    gradient : ndarray, shape (..., dof), or None
-        With ``gradient=True``: the derivative of the distance by the configuration.
-
-    Examples
-    --------
-    >>> from loewner import Body, CollisionChecker
-    >>> scene = Scene()
-    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    >>> found = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance([0.5, 0.0], exact=True)
-    >>> found.names, round(found.distance, 9), found.lower <= found.distance <= found.upper
-    (('rail', 'post'), 0.35, True)
-    """
-
-    lower: OneOrMany
-    upper: OneOrMany
-    distance: Exact = NOTHING
-    names: Exact = NOTHING
-    witness_a: Vector = NOTHING
-    witness_b: Vector = NOTHING
-    normal: Vector = NOTHING
-    gradient: Vector = NOTHING
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
-
-
-@dataclass(frozen=True, eq=False)
-class PairDistances:
-    """Pairs of bodies that are near each other, one entry each.
-
-    Attributes
-    ----------
-    configuration : ndarray of int64, shape (M,)
-        Which one, counted over all that were asked about.
-    pair : ndarray of int64, shape (M,)
-        Its number in `CollisionChecker.checked_pairs`.
-    names : ndarray of str, shape (M, 2)
-    distance : ndarray, shape (M,)
-        Metres; negative is a depth, see `Distance`.
-    witness_a, witness_b, normal : ndarray, shape (M, 3)
-    gradient : ndarray, shape (M, dof), or None
-        With ``gradient=True``: the derivative of the distance by the configuration.
-
-    Examples
-    --------
-    >>> from loewner import Body, CollisionChecker
-    >>> scene = Scene()
-    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    >>> near = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance_by_pair([0.5, 0.0], within=0.4)
-    >>> len(near), near.names, near.distance.round(6)
-    (1, array([['rail', 'post']], dtype='<U7'), array([0.35]))
-    """
-
-    configuration: Ints
-    pair: Ints
-    names: NDArray[np.str_]
-    distance: Floats
-    witness_a: Floats
-    witness_b: Floats
-    normal: Floats
-    gradient: Floats | None = None
-
-    def __len__(self) -> int:
-        return len(self.distance)
-
-    def __repr__(self) -> str:
-        return _validate.brief(self)
-
-
-@dataclass(frozen=True)
-class Settled:
-    """How many configurations each tier settled.
-
-    Attributes
-    ----------
-    free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
-        the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
-    colliding_by_ellipsoids, colliding_by_search : int
-        Colliding, found by inner ellipsoids or by the exact search.
-
-    Examples
-    --------
-    >>> from loewner import CollisionChecker
-    >>> robot = Robot.from_urdf("arm.urdf")
-    >>> settled = CollisionChecker(robot).tiers(robot.random_configurations(100))
-    >>> settled.total, settled.colliding
-    (100, 0)
-    """
-
-    free_by_bounds: int
-    free_by_ellipsoids: int
-    free_by_planes: int
-    free_by_search: int
-    colliding_by_ellipsoids: int
-    colliding_by_search: int
-
-    @property
-    def total(self) -> int:
-        """All configurations."""
-        return self.free + self.colliding
-
-    @property
-    def free(self) -> int:
-        """Configurations without contact."""
-        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_planes + self.free_by_search
-
-    @property
-    def colliding(self) -> int:
-        """Configurations with contact."""
-        return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
 @guarded
@@ -309,7 +170,7 @@ class CollisionChecker:
                 self._learn(ready, 1)
                 return collides
         checked = self.robot.checked(Q)
-        out, _ = self._settle(codes.EXACT, checked)
+        out, _ = self._exact(checked)
         return _collisions(out, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
@@ -336,7 +197,9 @@ class CollisionChecker:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
         checked = self.robot.checked(Q)
-        out, _ = self._settle(codes.CERTIFY, checked)
+        ready = self._ready()
+        out, _ = verdicts.classified(ready, codes.CERTIFY, _flat(checked))
+        self._learn(ready, len(out))
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
@@ -370,7 +233,7 @@ class CollisionChecker:
             As for `collide`.
         """
         checked = self.robot.checked(Q)
-        out, tiers = self._settle(codes.EXACT, checked)
+        out, tiers = self._exact(checked)
         free = np.bincount(tiers[out == codes.FREE], minlength=codes.TIERS).tolist()
         hit = np.bincount(tiers[out == codes.COLLIDING], minlength=codes.TIERS).tolist()
         settled = Settled(
@@ -420,10 +283,12 @@ class CollisionChecker:
                 return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        if a.ndim == 1 and b.ndim == 1 and self.robot.runs_straight:
-            return self._valid_edge(a, b, step)
         a, b, shape = _motions(a, b, 40)
-        valid = self._valid_edges(self._ready(), a, b, step)
+        ready = self._ready()
+        found, fractions = verdicts.sampled(ready, a, b, step)
+        for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
+            verdicts.expect_settled(ready, self.robot.between(a[k], b[k], fractions[k])[None], found[k : k + 1])
+        valid = np.asarray(found == Verdict.FREE)
         return valid.reshape(shape) if shape else bool(valid[0])
 
     def certify_edges(self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5) -> CertifiedMotions:
@@ -484,7 +349,13 @@ class CollisionChecker:
         else:
             a, b, shape = _motions(a, b, 40)
         ready = self._ready()
-        return self._certified(ready, a, b, tolerance).of_shape(shape, ready)
+        found = proofs.prove_by_rules(ready, a, b, tolerance)
+        for k in np.flatnonzero(found.verdicts == motions.TOO_LONG)[:1]:
+            raise InputError(
+                f"expected motions short enough to be proven in {motions.MOST_INTERVALS} intervals, found number {k}, "
+                f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
+            )
+        return found.of_shape(shape, ready)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -499,12 +370,10 @@ class CollisionChecker:
             With exact distance or depth, witness points and normal.
         """
         checked = self.robot.checked_one(q)
-        ready = self._ready()
-        T = ready.poses(checked[None])[0]
-        meet = _collisions_by_pair(ready, _listed(ready), checked, T)
-        a, b = ready.pairs[meet].T
-        found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
-        return Contact.from_distances(((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True)), found)
+        found, doubt = verdicts.contacts(self._ready(), checked)
+        if doubt:
+            raise ConvergenceError(doubt)
+        return found
 
     def collide_by_pair(self, Q: ArrayLike) -> Bools:
         """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
@@ -530,10 +399,11 @@ class CollisionChecker:
             len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
         )
         out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
-        each, listed = max(1, min(BY_PAIR, POSES_AT_ONCE // len(ready.names))), _listed(ready)
-        for k in range(0, len(flat), each):
-            for at, (q, T) in enumerate(zip(flat[k : k + each], ready.poses(flat[k : k + each]), strict=True), k):
-                out[at] = _collisions_by_pair(ready, listed, q, T)
+        for first, poses in ready.poses_in_turn(flat):
+            for at, T in enumerate(poses, first):
+                found = verdicts.pair_verdicts(ready, T)
+                verdicts.expect_pairs_settled(ready, flat[at], found)
+                out[at] = found == Verdict.COLLIDING
         return out.reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
@@ -596,9 +466,9 @@ class CollisionChecker:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
         row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest) + gradient * 8 * self.robot.dof
         _validate.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
-        columns = self._nearest(ready, flat, exact)
+        columns = distances.nearest(ready, flat, exact)
         if gradient:
-            columns.append(self._gradients(ready, flat, *(columns[k] for k in (3, 4, 6))))
+            columns.append(distances.gradients(ready, flat, *(columns[k] for k in (3, 4, 6))))
         if exact:
             columns[3] = np.array(ready.names)[columns[3]]
         batch = checked.shape[:-1]
@@ -675,18 +545,7 @@ class CollisionChecker:
             raise InputError("clearance: expected a robot and a scene with pairs to check, found none")
         n, dof = flat.shape
         _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
-        lower, slopes = np.empty(n), np.empty((n * gradient, dof))
-
-        def run(first: int, last: int) -> None:
-            entries.clearances(
-                gradient, softness, first, last, flat, ready.bodies._packed.handle, ready.handle,
-                workspace(ready.memory_of_clearances), lower, slopes,
-            )  # fmt: skip
-
-        in_shares(run, n, LEAST_SHARE)
-        if not np.isfinite(lower).all():
-            q = np.array2string(flat[np.argmin(np.isfinite(lower))], precision=17)
-            raise ConvergenceError(f"clearance: positions overflow at configuration {q}")
+        lower, slopes = distances.clearances(ready, flat, softness, gradient)
         batch = checked.shape[:-1]
         values: OneOrMany = lower.reshape(batch) if batch else float(lower[0])
         return (values, slopes.reshape(*batch, dof)) if gradient else values
@@ -730,173 +589,17 @@ class CollisionChecker:
         checked = self.robot.checked(Q)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
         ready, flat = self._ready(), _flat(checked)
-        listed = self._near(ready, flat, within)
-        _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
-        distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
-        each = max(1, min(BY_PAIR, POSES_AT_ONCE // max(1, len(ready.names))))
-        for k in range(0, len(flat), each):
-            T, (start, stop) = ready.poses(flat[k : k + each]), np.searchsorted(listed[:, 0], [k, k + each])
-            for p in np.unique(listed[start:stop, 1]):
-                rows = start + np.flatnonzero(listed[start:stop, 1] == p)
-                at, (a, b) = listed[rows, 0] - k, (int(body) for body in ready.pairs[p])
-                found = queries.distance(ready.body(a), T[at, a], ready.body(b), T[at, b], exact=True)
-                distance[rows] = found.distance
-                for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
-                    column[rows] = values
-        near = distance <= within
-        listed, distance, vectors = listed[near], distance[near], [column[near] for column in vectors]
-        bodies = ready.pairs[listed[:, 1]]
-        gradients = self._gradients(ready, flat[listed[:, 0]], bodies, vectors[0], vectors[2]) if gradient else None
-        names = np.array(ready.names)[bodies]
-        return PairDistances(listed[:, 0], listed[:, 1], names, distance, vectors[0], vectors[1], vectors[2], gradients)
+        return distances.by_pair(ready, flat, within, gradient)
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _settle(
-        self, mode: int, Q: Floats, ready: CheckedPairs | None = None
-    ) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-        """Verdict and tier of every configuration, in the scene as it is now unless `ready` is of another moment."""
-        ready = self._ready() if ready is None else ready
-        flat = _flat(Q)
-        total = len(flat)
-        if total > LEAST_SHARE:
-            _validate.fits_memory(2 * total, f"{total} configurations")
-        out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
-
-        def run(first: int, last: int, hits: Ints) -> None:
-            entries.check_configurations(
-                mode, first, last, flat, ready.bodies._packed.handle, ready.handle, out, tiers, hits,
-                workspace(ready.memory),
-            )  # fmt: skip
-
-        def share(first: int, last: int) -> None:
-            # Counts of its own: threads that write side by side slow each other down.
-            hits = np.zeros_like(ready.hits)
-            run(first, last, hits)
-            np.add(ready.hits, hits, out=ready.hits)
-
-        if total <= LEAST_SHARE:
-            run(0, total, ready.hits)
-        else:
-            in_shares(share, total, LEAST_SHARE)
-        self._learn(ready, total)
-        if mode == codes.EXACT and (out[0] == codes.AMBIGUOUS if total == 1 else (out == codes.AMBIGUOUS).any()):
-            for k in np.flatnonzero(out == codes.AMBIGUOUS):
-                out[k], tiers[k] = self._settle_pairs(ready, flat[k]), codes.BY_SEARCH
-        return out, tiers
-
-    def _valid_edges(self, ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Bools:
-        """`valid_edges` for motions of shape (N, dof), all of them in the scene as it was at one moment."""
-        parts = edges.steps(self._lengths(a, b, step), step)
-        valid = np.ones(len(a), dtype=bool)
-        for edge, at in edges.rounds(parts, valid):
-            out, _ = self._settle(codes.EXACT, self.robot.between(a[edge], b[edge], at), ready)
-            valid[edge[out != Verdict.FREE]] = False
-        return valid
-
-    def _valid_edge(self, a: Floats, b: Floats, step: float) -> bool:
-        """The same for one motion of joints that run straight, in one call."""
-        ready = self._ready()
-        fractions = edges.coarse_first(edges.steps(self.robot._distances(a, b), step))
-        total = len(fractions)
-        out, pack = np.empty(total, dtype=np.int8), ready.bodies._packed.handle
-        verdict, settled = entries.check_motion(
-            a, b, fractions, pack, ready.handle, out, ready.hits, workspace(ready.memory)
-        )
-        self._learn(ready, settled)
-        if verdict != codes.AMBIGUOUS:
-            return bool(verdict == codes.FREE)
-        still_open = self.robot.between(a, b, fractions[np.flatnonzero(out == codes.AMBIGUOUS)])
-        return all(self._settle_pairs(ready, q) == Verdict.FREE for q in still_open)
-
-    def _certified(self, ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> motions.Found:
-        """`certify_edges` for motions of shape (N, dof), in the scene as it was at one moment."""
-        found = self._without_contact(ready, a, b, tolerance)
-        at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
-        if len(at) == 0:
-            return found
-        rest = self._without_contact(ready.unruled, a[at], b[at], tolerance)
-        numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
-        found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
-        found.work[at] += rest.work
-        for k in at[rest.verdicts == Verdict.FREE]:
-            end = self.robot._on_the_way(a[k], b[k])
-            for pair in ready.ruled.tolist():
-                verdict, fraction = contacts.settle(ready, pair, a[k], end, tolerance)
-                if verdict != Verdict.FREE:
-                    found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
-                    if verdict == Verdict.COLLIDING:
-                        break
+    def _exact(self, Q: Floats) -> Verdicts:
+        """Verdict and tier of every configuration, in the scene as it is now; ConvergenceError if one is unsettled."""
+        ready, flat = self._ready(), _flat(Q)
+        found = verdicts.classified(ready, codes.EXACT, flat)
+        self._learn(ready, len(flat))
+        verdicts.expect_settled(ready, flat, found.verdicts)
         return found
-
-    def _without_contact(self, ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> motions.Found:
-        """The same where every contact is a collision, also at the ends of motions."""
-        found = motions.certify(ready, a, self.robot._on_the_way(a, b), tolerance)
-        self._confirm(ready, a, b, found.verdicts, found.fractions)
-        free = np.flatnonzero(found.verdicts == Verdict.FREE)
-        for k in free[~self._starts_free(ready, a[free])]:
-            verdicts = _pair_verdicts(ready, _listed(ready), ready.poses(a[k : k + 1])[0])
-            verdict = Verdict.COLLIDING if (verdicts == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
-            found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, 0.0, (verdicts == verdict).argmax()
-        return found
-
-    def _starts_free(self, ready: CheckedPairs, a: Floats) -> Bools:
-        """Which motions begin free, where `motions.settle` supposes it; what cannot be settled does not."""
-        if not ready.starts_matter or len(a) == 0:
-            return np.ones(len(a), dtype=bool)
-        try:
-            out, _ = self._settle(codes.EXACT, a, ready)
-            return np.asarray(out == Verdict.FREE)
-        except ConvergenceError:
-            if len(a) == 1:
-                return np.array([False])
-            return np.concatenate([self._starts_free(ready, q[None]) for q in a])
-
-    def _confirm(
-        self, ready: CheckedPairs, a: Floats, b: Floats, verdicts: NDArray[np.int8], fractions: Floats
-    ) -> None:
-        """Leave as COLLIDING only what `collide` says of configurations that `Robot.between` gives.
-
-        Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may
-        differ in the last place. The scene may have changed since; the question is about what was prepared from it.
-        """
-        doubtful = verdicts == motions.BY_CARE
-        if not self.robot.runs_straight:
-            doubtful |= verdicts == Verdict.COLLIDING
-        at = np.flatnonzero(doubtful)
-        if len(at) == 0:
-            return
-        Q = self.robot.between(a[at], b[at], fractions[at])
-        try:
-            out, _ = self._settle(codes.EXACT, Q, ready)
-            hit = out == Verdict.COLLIDING
-        except ConvergenceError:
-            hit = np.array([self._surely_collides(ready, q) for q in Q])
-        verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
-
-    def _surely_collides(self, ready: CheckedPairs, q: Floats) -> bool:
-        """Whether one configuration collides; False where it cannot be settled."""
-        try:
-            out, _ = self._settle(codes.EXACT, q[None], ready)
-        except ConvergenceError:
-            return False
-        return bool(out[0] == Verdict.COLLIDING)
-
-    def _lengths(self, a: Floats, b: Floats, step: float) -> Floats:
-        """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""
-        lengths = np.asarray(self.robot._distances(a, b))
-        if self.robot.runs_straight:
-            for k in edges.nearly_whole(lengths / step):
-                lengths[k] = self.robot._distances(a[k], b[k])
-        return lengths
-
-    def _settle_pairs(self, ready: CheckedPairs, q: Floats) -> int:
-        """One configuration that the fast searches left open, by each of its pairs."""
-        verdicts = _pair_verdicts(ready, _listed(ready), ready.poses(q[None])[0])
-        if (verdicts == Verdict.COLLIDING).any():
-            return int(Verdict.COLLIDING)
-        _refuse_unsettled(ready, q, verdicts)
-        return int(Verdict.FREE)
 
     def _learn(self, ready: CheckedPairs, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
@@ -925,125 +628,15 @@ class CollisionChecker:
         self._prepared = ready
         return ready
 
-    def _nearest(self, ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
-        """Columns of a `StateDistance` for some configurations, with numbers of bodies instead of names."""
-        n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
-        lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
-        vectors = [np.empty((m, 3)) for _ in range(3)]
-        pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
 
-        def run(first: int, last: int) -> None:
-            entries.nearest_pairs(
-                exact, first, last, Q, pack.handle, ready.handle, workspace(ready.memory_of_nearest),
-                lower, upper, distance, *vectors, pieces, status,
-            )  # fmt: skip
-
-        in_shares(run, n, LEAST_SHARE)
-        if not exact:
-            return [lower, upper]
-        # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
-        np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
-        bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1
-        for k in np.flatnonzero(status):
-            distance[k], bodies[k], *found = _nearest_with_care(ready, Q[k])
-            for column, vector in zip(vectors, found, strict=True):
-                column[k] = vector
-        return [lower, upper, distance, bodies, *vectors]
-
-    def _near(self, ready: CheckedPairs, Q: Floats, within: float) -> Ints:
-        """Configurations and pairs that balls and boxes leave within a distance, in that order."""
-        listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
-        memory = workspace(ready.memory_of_nearest)
-        while True:
-            operands = within, 0, len(Q), Q, ready.bodies._packed.handle, ready.handle, memory
-            count = entries.near_pairs(*operands, listed, 0)
-            if count <= len(listed):
-                found = listed[:count]
-                return found[np.lexsort((found[:, 1], found[:, 0]))]
-            _validate.fits_memory(16 * count, f"{count} pairs")
-            listed = np.empty((count, 2), dtype=np.int64)
-
-    def _gradients(self, ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
-        """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
-        gradients = np.empty((len(Q), self.robot.dof))
-
-        def run(first: int, last: int) -> None:
-            entries.pair_gradients(
-                first, last, Q, ready.bodies._packed.handle, ready.handle, workspace(ready.memory_of_clearances),
-                bodies, normal, witness, gradients,
-            )  # fmt: skip
-
-        in_shares(run, len(Q), LEAST_SHARE)
-        return gradients
-
-
-def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
-    """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
-    T = ready.poses(q[None])[0]
-    a, b = ready.pairs.T
-    bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
-    best, nearest, found = np.inf, 0, None
-    for p in np.argsort(bounds.lower, kind="stable"):
-        if bounds.lower[p] > min(best, bounds.upper.min()):
-            break
-        i, j = (int(body) for body in ready.pairs[p])
-        one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
-        if one.distance < best:
-            best, nearest, found = one.distance, int(p), one
-    assert found is not None  # the first bound is below all upper ones
-    return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal
+def prepared_of(checker: CollisionChecker) -> CheckedPairs:
+    """Return the pairs of a checker in its scene as it is now, for several questions about the same moment."""
+    return checker._ready()
 
 
 def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
     """Whether configurations collide, from their verdicts."""
     return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
-
-
-class _Listed(NamedTuple):
-    """Pairs of one margin, as `settle` takes them."""
-
-    margin: float
-    at: Ints  # their places among all
-    plan: Ints
-    rows: Ints
-
-
-def _listed(ready: CheckedPairs) -> list[_Listed]:
-    """All pairs, by their margins."""
-    found = []
-    for margin in np.unique(ready.margins).tolist():
-        at = np.flatnonzero(ready.margins == margin)
-        plan = np.array([[len(at)], [1], [1], [1], [1]], dtype=np.int64)
-        found.append(_Listed(margin, at, plan, np.ascontiguousarray(ready.pairs[at].T)))
-    return found
-
-
-def _pair_verdicts(ready: CheckedPairs, listed: list[_Listed], T: Floats) -> NDArray[np.int8]:
-    """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
-    pack, verdicts = ready.bodies._packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
-    for margin, at, plan, rows in listed:
-        found = np.empty(len(at), dtype=np.int8)
-        if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
-            verdicts[at] = found
-    return verdicts
-
-
-def _collisions_by_pair(ready: CheckedPairs, listed: list[_Listed], q: Floats, T: Floats) -> Bools:
-    """Which pairs collide at one configuration, where the bodies are at T."""
-    verdicts = _pair_verdicts(ready, listed, T)
-    _refuse_unsettled(ready, q, verdicts)
-    return np.asarray(verdicts == Verdict.COLLIDING)
-
-
-def _refuse_unsettled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """An answer that arithmetic could not settle is an exception, never a guess."""
-    unsettled = np.flatnonzero(verdicts == Verdict.AMBIGUOUS)
-    if len(unsettled):
-        a, b = (ready.names[k] for k in ready.pairs[unsettled[0]])
-        raise ConvergenceError(
-            f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
-            "as colliding or change it by a hair"
-        )
 
 
 def _motions(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ...]]:

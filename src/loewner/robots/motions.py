@@ -13,7 +13,6 @@ from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
-from loewner.errors import InputError
 from loewner.queries import Verdict
 from loewner.robots.checked_pairs import CheckedPairs
 
@@ -71,7 +70,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        As of `CertifiedMotions`; or BY_CARE: COLLIDING if `collide` says so; or TOO_LONG, from `settle`.
+        As of `CertifiedMotions`; or TOO_LONG; or, from `settle`, BY_CARE: COLLIDING if `collide` says so.
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
         Numbers of the pairs; -1 for none.
@@ -99,30 +98,16 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def certify(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
-    """Settle the motions between configurations a and b, shape (N, dof) each, with the supposition of `settle`.
-
-    Raises
-    ------
-    InputError
-        If a motion is too long to be cut into intervals.
-    """
-    found = settle(ready, a, b, tolerance)
-    too_long = found.verdicts == TOO_LONG
-    if too_long.any():
-        k = int(np.argmax(too_long))
-        raise InputError(
-            f"expected motions short enough to be proven in {MOST_INTERVALS} intervals, found number {k}, which goes "
-            f"{np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
-        )
-    return found
-
-
 def settle(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
-    """The same, where motions that are too long have the verdict TOO_LONG.
+    """Have the kernel settle the motions between configurations a and b, shape (N, dof) each.
 
     Parameters
     ----------
+    ready : CheckedPairs
+    a, b : ndarray, shape (N, dof)
+        Quaternions of b have the sign with which `Robot.between` goes to them.
+    tolerance : float
+        Metres.
     off : ndarray, shape (N, dof), optional
         How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
 

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from loewner._kernels import codes
 from loewner._validate import Floats, Ints
-from loewner.errors import ConvergenceError, InputError
+from loewner.errors import InputError
 from loewner.planners import Trajectory
 from loewner.planners.judge import checked_path
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot
+from loewner.robots.checker import prepared_of
+from loewner.robots.verdicts import classified
 from loewner.viewer.drawing import VERDICT_COLOURS, Rgb
 from loewner.viewer.page import TEXT
 
@@ -29,6 +32,8 @@ COLOURS: dict[int, Rgb] = {
     COLLIDING: VERDICT_COLOURS[Verdict.COLLIDING],
     UNSETTLED: (119, 119, 119),
 }
+# By verdict.
+SEEN = np.array([FREE, COLLIDING, UNSETTLED])
 NAMES = {FREE: "FREE", COLLIDING: "COLLIDING", UNSETTLED: "UNDECIDED"}
 
 # So many stretches that are not free are written out.
@@ -95,17 +100,8 @@ def _checked(robot: Robot, trajectory: Any, name: str) -> Trajectory:
 def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
     """FREE, COLLIDING or UNSETTLED at each of LOOKS times, evenly spread from start to end."""
     Q = way.positions(np.linspace(0.0, way.duration, LOOKS))
-    try:
-        return np.where(checker.collide(Q), COLLIDING, FREE)
-    except ConvergenceError:
-        return np.array([_found(checker, q) for q in Q])
-
-
-def _found(checker: CollisionChecker, q: Floats) -> int:
-    try:
-        return COLLIDING if checker.collide(q) else FREE
-    except ConvergenceError:
-        return UNSETTLED
+    found, _ = classified(prepared_of(checker), codes.EXACT, np.ascontiguousarray(Q))
+    return SEEN[found]
 
 
 def strip(found: Ints, duration: float) -> str:

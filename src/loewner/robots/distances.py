@@ -1,0 +1,218 @@
+"""Distances of a robot from what it may collide with: of its nearest pair, of all near pairs, and their gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Generic
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _validate, queries
+from loewner._native import entries
+from loewner._threads import in_shares
+from loewner._validate import Floats, Ints, OneOrMany
+from loewner._workspaces import workspace
+from loewner.errors import ConvergenceError
+from loewner.queries import NOTHING, Exact, Vector
+from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
+
+
+@dataclass(frozen=True, eq=False)
+class StateDistance(Generic[Exact, Vector]):
+    """How far a robot is from touching, at one configuration or many; metres, negative is a depth.
+
+    Attributes
+    ----------
+    lower, upper : float or ndarray
+        Certified bounds from the ellipsoids: the least over all pairs that are checked.
+    distance : float or ndarray, or None
+        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest.
+    names : tuple of str, or ndarray of str, shape (..., 2), or None
+        That pair.
+    witness_a, witness_b, normal : ndarray, shape (..., 3), or None
+        Where it is nearest; see `Distance`.
+    gradient : ndarray, shape (..., dof), or None
+        With ``gradient=True``: the derivative of the distance by the configuration.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> found = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance([0.5, 0.0], exact=True)
+    >>> found.names, round(found.distance, 9), found.lower <= found.distance <= found.upper
+    (('rail', 'post'), 0.35, True)
+    """
+
+    lower: OneOrMany
+    upper: OneOrMany
+    distance: Exact = NOTHING
+    names: Exact = NOTHING
+    witness_a: Vector = NOTHING
+    witness_b: Vector = NOTHING
+    normal: Vector = NOTHING
+    gradient: Vector = NOTHING
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+@dataclass(frozen=True, eq=False)
+class PairDistances:
+    """Pairs of bodies that are near each other, one entry each.
+
+    Attributes
+    ----------
+    configuration : ndarray of int64, shape (M,)
+        Which one, counted over all that were asked about.
+    pair : ndarray of int64, shape (M,)
+        Its number in `CollisionChecker.checked_pairs`.
+    names : ndarray of str, shape (M, 2)
+    distance : ndarray, shape (M,)
+        Metres; negative is a depth, see `Distance`.
+    witness_a, witness_b, normal : ndarray, shape (M, 3)
+    gradient : ndarray, shape (M, dof), or None
+        With ``gradient=True``: the derivative of the distance by the configuration.
+
+    Examples
+    --------
+    >>> from loewner import Body, CollisionChecker
+    >>> scene = Scene()
+    >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    >>> near = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance_by_pair([0.5, 0.0], within=0.4)
+    >>> len(near), near.names, near.distance.round(6)
+    (1, array([['rail', 'post']], dtype='<U7'), array([0.35]))
+    """
+
+    configuration: Ints
+    pair: Ints
+    names: NDArray[np.str_]
+    distance: Floats
+    witness_a: Floats
+    witness_b: Floats
+    normal: Floats
+    gradient: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+def nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
+    """Columns of a `StateDistance` for some configurations, with numbers of bodies instead of names."""
+    n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
+    lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
+    vectors = [np.empty((m, 3)) for _ in range(3)]
+    pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
+
+    def run(first: int, last: int) -> None:
+        entries.nearest_pairs(
+            exact, first, last, Q, pack.handle, ready.handle, workspace(ready.memory_of_nearest),
+            lower, upper, distance, *vectors, pieces, status,
+        )  # fmt: skip
+
+    in_shares(run, n, LEAST_SHARE)
+    if not exact:
+        return [lower, upper]
+    # The bounds are proven and the value is computed, so clamp the value to the bounds.
+    np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
+    bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1
+    for k in np.flatnonzero(status):
+        distance[k], bodies[k], *found = _nearest_with_care(ready, Q[k])
+        for column, vector in zip(vectors, found, strict=True):
+            column[k] = vector
+    return [lower, upper, distance, bodies, *vectors]
+
+
+def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
+    """Configurations and pairs that balls and boxes leave within a distance, in that order."""
+    listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
+    memory = workspace(ready.memory_of_nearest)
+    while True:
+        operands = within, 0, len(Q), Q, ready.bodies._packed.handle, ready.handle, memory
+        count = entries.near_pairs(*operands, listed, 0)
+        if count <= len(listed):
+            found = listed[:count]
+            return found[np.lexsort((found[:, 1], found[:, 0]))]
+        _validate.fits_memory(16 * count, f"{count} pairs")
+        listed = np.empty((count, 2), dtype=np.int64)
+
+
+def gradients(ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
+    """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
+    gradients = np.empty((len(Q), ready.robot.dof))
+
+    def run(first: int, last: int) -> None:
+        entries.pair_gradients(
+            first, last, Q, ready.bodies._packed.handle, ready.handle, workspace(ready.memory_of_clearances),
+            bodies, normal, witness, gradients,
+        )  # fmt: skip
+
+    in_shares(run, len(Q), LEAST_SHARE)
+    return gradients
+
+
+def by_pair(ready: CheckedPairs, Q: Floats, within: float, gradient: bool) -> PairDistances:
+    """Exact distances of all pairs that come within a distance: see `CollisionChecker.distance_by_pair`."""
+    listed = near_pairs(ready, Q, within)
+    _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
+    distance, vectors = np.empty(len(listed)), [np.empty((len(listed), 3)) for _ in range(3)]
+    for first, T in ready.poses_in_turn(Q):
+        start, stop = np.searchsorted(listed[:, 0], [first, first + len(T)])
+        for p in np.unique(listed[start:stop, 1]):
+            rows = start + np.flatnonzero(listed[start:stop, 1] == p)
+            at, (a, b) = listed[rows, 0] - first, (int(body) for body in ready.pairs[p])
+            found = queries.distance(ready.body(a), T[at, a], ready.body(b), T[at, b], exact=True)
+            distance[rows] = found.distance
+            for column, values in zip(vectors, (found.witness_a, found.witness_b, found.normal), strict=True):
+                column[rows] = values
+    near = distance <= within
+    listed, distance, vectors = listed[near], distance[near], [column[near] for column in vectors]
+    bodies = ready.pairs[listed[:, 1]]
+    slopes = gradients(ready, Q[listed[:, 0]], bodies, vectors[0], vectors[2]) if gradient else None
+    names = np.array(ready.names)[bodies]
+    return PairDistances(listed[:, 0], listed[:, 1], names, distance, vectors[0], vectors[1], vectors[2], slopes)
+
+
+def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
+    """Smooth lower bounds and their gradients, see `CollisionChecker.clearance`.
+
+    Raises
+    ------
+    ConvergenceError
+        If squares of positions overflow.
+    """
+    n, dof = Q.shape
+    lower, slopes = np.empty(n), np.empty((n * gradient, dof))
+
+    def run(first: int, last: int) -> None:
+        entries.clearances(
+            gradient, softness, first, last, Q, ready.bodies._packed.handle, ready.handle,
+            workspace(ready.memory_of_clearances), lower, slopes,
+        )  # fmt: skip
+
+    in_shares(run, n, LEAST_SHARE)
+    if not np.isfinite(lower).all():
+        q = np.array2string(Q[np.argmin(np.isfinite(lower))], precision=17)
+        raise ConvergenceError(f"clearance: positions overflow at configuration {q}")
+    return lower, slopes
+
+
+def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
+    """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
+    T = ready.poses(q[None])[0]
+    a, b = ready.pairs.T
+    bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
+    best, nearest, found = np.inf, 0, None
+    for p in np.argsort(bounds.lower, kind="stable"):
+        if bounds.lower[p] > min(best, bounds.upper.min()):
+            break
+        i, j = (int(body) for body in ready.pairs[p])
+        one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
+        if one.distance < best:
+            best, nearest, found = one.distance, int(p), one
+    assert found is not None  # the first bound is below all upper ones
+    return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal

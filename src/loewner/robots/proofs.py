@@ -1,0 +1,84 @@
+"""Proofs of motions: the kernel's planes, what it leaves to the exact test, starts inside solids, contact by a rule."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loewner._kernels import codes
+from loewner._validate import Floats
+from loewner.queries import Verdict
+from loewner.robots import contacts, motions, verdicts
+from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.motions import Found
+
+
+def prove(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
+    """Prove which motions between configurations a and b, shape (N, dof) each, are free; contact is never allowed.
+
+    Parameters
+    ----------
+    ready : CheckedPairs
+    a, b : ndarray, shape (N, dof)
+        In C order, writeable.
+    tolerance : float
+        Metres.
+    off : ndarray, shape (N, dof), optional
+        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
+
+    Returns
+    -------
+    Found
+        With the verdict TOO_LONG for motions that would take too many intervals.
+    """
+    found = motions.settle(ready, a, ready.robot._on_the_way(a, b), tolerance, off)
+    _confirm(ready, a, b, found)
+    _refuse_starts(ready, a, found)
+    return found
+
+
+def prove_by_rules(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
+    """Prove the same, where pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends of a motion."""
+    found = prove(ready, a, b, tolerance)
+    at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
+    if len(at) == 0:
+        return found
+    rest = prove(ready.unruled, a[at], b[at], tolerance)
+    numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
+    found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
+    found.work[at] += rest.work
+    for k in at[rest.verdicts == Verdict.FREE]:
+        end = ready.robot._on_the_way(a[k], b[k])
+        for pair in ready.ruled.tolist():
+            verdict, fraction = contacts.settle(ready, pair, a[k], end, tolerance)
+            if verdict != Verdict.FREE:
+                found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
+                if verdict == Verdict.COLLIDING:
+                    break
+    return found
+
+
+def _confirm(ready: CheckedPairs, a: Floats, b: Floats, found: Found) -> None:
+    """Leave as COLLIDING only what collides at configurations that `Robot.between` gives.
+
+    Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may differ
+    in the last place.
+    """
+    doubtful = found.verdicts == motions.BY_CARE
+    if not ready.robot.runs_straight:
+        doubtful |= found.verdicts == Verdict.COLLIDING
+    at = np.flatnonzero(doubtful)
+    if len(at):
+        Q = ready.robot.between(a[at], b[at], found.fractions[at])
+        hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == Verdict.COLLIDING
+        found.verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
+
+
+def _refuse_starts(ready: CheckedPairs, a: Floats, found: Found) -> None:
+    """Leave as FREE only motions whose starts are free, where `motions.settle` supposes it."""
+    free = np.flatnonzero(found.verdicts == Verdict.FREE) if ready.starts_matter else ready.ruled[:0]
+    if len(free) == 0:
+        return
+    for k in free[~verdicts.free(ready, a[free])]:
+        of_pairs = verdicts.pair_verdicts(ready, ready.poses(a[k : k + 1])[0])
+        verdict = Verdict.COLLIDING if (of_pairs == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
+        found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, 0.0, (of_pairs == verdict).argmax()

@@ -1,0 +1,238 @@
+"""Verdicts of configurations, and of motions at samples: AMBIGUOUS is a value here, and raises only where users ask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner import _validate, queries
+from loewner._kernels import codes
+from loewner._native import entries
+from loewner._settle import settle
+from loewner._threads import in_shares
+from loewner._validate import Bools, Floats, Ints
+from loewner._workspaces import workspace
+from loewner.errors import ConvergenceError
+from loewner.queries import Verdict
+from loewner.robots import edges
+from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
+from loewner.scenes import Contact
+
+
+@dataclass(frozen=True)
+class Settled:
+    """How many configurations each tier settled.
+
+    Attributes
+    ----------
+    free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
+        Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
+        the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
+    colliding_by_ellipsoids, colliding_by_search : int
+        Colliding, found by inner ellipsoids or by the exact search.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker
+    >>> robot = Robot.from_urdf("arm.urdf")
+    >>> settled = CollisionChecker(robot).tiers(robot.random_configurations(100))
+    >>> settled.total, settled.colliding
+    (100, 0)
+    """
+
+    free_by_bounds: int
+    free_by_ellipsoids: int
+    free_by_planes: int
+    free_by_search: int
+    colliding_by_ellipsoids: int
+    colliding_by_search: int
+
+    @property
+    def total(self) -> int:
+        """All configurations."""
+        return self.free + self.colliding
+
+    @property
+    def free(self) -> int:
+        """Configurations without contact."""
+        return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_planes + self.free_by_search
+
+    @property
+    def colliding(self) -> int:
+        """Configurations with contact."""
+        return self.colliding_by_ellipsoids + self.colliding_by_search
+
+
+class Verdicts(NamedTuple):
+    """What is known of N configurations.
+
+    Attributes
+    ----------
+    verdicts : ndarray of int8, shape (N,)
+        AMBIGUOUS where nothing could be proven, or in mode EXACT where arithmetic could not settle it.
+    tiers : ndarray of int8, shape (N,)
+        The costliest test that it took, as `codes` numbers them.
+    """
+
+    verdicts: NDArray[np.int8]
+    tiers: NDArray[np.int8]
+
+
+def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
+    """Verdicts of configurations, shape (N, dof), in mode `codes.CERTIFY` or `codes.EXACT`."""
+    total = len(Q)
+    if total > LEAST_SHARE:
+        _validate.fits_memory(2 * total, f"{total} configurations")
+    out, tiers = np.empty(total, dtype=np.int8), np.empty(total, dtype=np.int8)
+
+    def run(first: int, last: int, hits: Ints) -> None:
+        entries.check_configurations(
+            mode, first, last, Q, ready.bodies._packed.handle, ready.handle, out, tiers, hits, workspace(ready.memory)
+        )
+
+    def share(first: int, last: int) -> None:
+        # Counts of its own: threads that write side by side slow each other down.
+        hits = np.zeros_like(ready.hits)
+        run(first, last, hits)
+        np.add(ready.hits, hits, out=ready.hits)
+
+    if total <= LEAST_SHARE:
+        run(0, total, ready.hits)
+    else:
+        in_shares(share, total, LEAST_SHARE)
+    if mode == codes.EXACT:
+        for k in _ambiguous(out):
+            out[k], tiers[k] = _worst(pair_verdicts(ready, ready.poses(Q[k : k + 1])[0])), codes.BY_SEARCH
+    return Verdicts(out, tiers)
+
+
+def free(ready: CheckedPairs, Q: Floats) -> Bools:
+    """Which configurations, shape (N, dof), are proven free; what could not be settled is not."""
+    return np.asarray(classified(ready, codes.EXACT, Q).verdicts == Verdict.FREE)
+
+
+def is_free(ready: CheckedPairs, q: Floats) -> bool:
+    """Whether one configuration, shape (dof,), is proven free: the quickest way there is."""
+    collides = ready.single.collide(q)
+    return bool(free(ready, q[None].copy())[0]) if collides is None else not collides
+
+
+def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> bool:
+    """Whether one motion is free at samples no farther apart than `step`; likewise."""
+    settled = ready.single.motion(a, b, step, edges.coarse_first)
+    if settled is None:
+        return bool(sampled(ready, a[None], b[None], step)[0][0] == Verdict.FREE)
+    return bool(settled > 0)
+
+
+def expect_settled(ready: CheckedPairs, Q: Floats, verdicts: NDArray[np.int8]) -> None:
+    """Refuse verdicts of which one is AMBIGUOUS.
+
+    Raises
+    ------
+    ConvergenceError
+        With the pair and the configuration.
+    """
+    for k in _ambiguous(verdicts)[:1]:
+        expect_pairs_settled(ready, Q[k], pair_verdicts(ready, ready.poses(Q[k : k + 1])[0]))
+
+
+def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDArray[np.int8], Floats]:
+    """Verdicts of motions between configurations a and b, shape (N, dof) each, at samples no farther apart than `step`.
+
+    Returns
+    -------
+    verdicts : ndarray of int8, shape (N,)
+        FREE if all samples are free.
+    fractions : ndarray, shape (N,)
+        Of the way, where a sample is not; NaN where FREE.
+
+    Raises
+    ------
+    InputError
+        If a motion is divided into more than `edges.MOST_STEPS` steps.
+    """
+    parts = edges.steps(lengths(ready, a, b, step), step)
+    verdicts, fractions = np.full(len(a), Verdict.FREE, dtype=np.int8), np.full(len(a), np.nan)
+    free = np.ones(len(a), dtype=bool)
+    for edge, at in edges.rounds(parts, free):
+        out = classified(ready, codes.EXACT, ready.robot.between(a[edge], b[edge], at)).verdicts
+        for verdict in (Verdict.AMBIGUOUS, Verdict.COLLIDING):  # what collides counts more
+            found = np.flatnonzero(out == verdict)
+            verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
+        free[:] = verdicts == Verdict.FREE
+    return verdicts, fractions
+
+
+def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
+    """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
+    pack, verdicts = ready.bodies._packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
+    for margin, at, plan, rows in ready.by_margin:
+        found = np.empty(len(at), dtype=np.int8)
+        if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
+            verdicts[at] = found
+    return verdicts
+
+
+def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
+    """Refuse verdicts of pairs at a configuration of which one is AMBIGUOUS.
+
+    Raises
+    ------
+    ConvergenceError
+        With the pair and the configuration.
+    """
+    for pair in _ambiguous(verdicts)[:1]:
+        raise ConvergenceError(unsettled(ready, int(pair), q))
+
+
+def unsettled(ready: CheckedPairs, pair: int, q: Floats) -> str:
+    """What to tell of a pair that could not be settled at a configuration."""
+    a, b = (ready.names[k] for k in ready.pairs[pair])
+    return (
+        f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
+        "as colliding or change it slightly"
+    )
+
+
+def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
+    """Return the pairs that collide at a configuration, and what to tell of one that could not be settled, if any."""
+    T = ready.poses(q[None])[0]
+    verdicts = pair_verdicts(ready, T)
+    a, b = ready.pairs[verdicts == Verdict.COLLIDING].T
+    found = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b], exact=True)
+    names = ((ready.names[i], ready.names[j]) for i, j in zip(a, b, strict=True))
+    doubt = "".join(unsettled(ready, int(pair), q) for pair in _ambiguous(verdicts)[:1])
+    return Contact.from_distances(names, found), doubt
+
+
+def lengths(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Floats:
+    """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""
+    found = np.asarray(ready.robot._distances(a, b))
+    if ready.robot.runs_straight:
+        with np.errstate(over="ignore"):
+            quotients = found / step
+        for k in edges.nearly_whole(quotients):
+            found[k] = ready.robot._distances(a[k], b[k])
+    return found
+
+
+def _worst(verdicts: NDArray[np.int8]) -> int:
+    """Verdict of a configuration, from the verdicts of its pairs."""
+    for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
+        if (verdicts == verdict).any():
+            return int(verdict)
+    return int(Verdict.FREE)
+
+
+def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
+    """Where verdicts are AMBIGUOUS; quick where none is."""
+    if not (verdicts[0] == codes.AMBIGUOUS if len(verdicts) == 1 else (verdicts == codes.AMBIGUOUS).any()):
+        return _NOWHERE
+    return np.flatnonzero(verdicts == codes.AMBIGUOUS)
+
+
+_NOWHERE = np.empty(0, dtype=np.int64)
