@@ -1,13 +1,17 @@
 """Hatchling's build hook: a wheel gets the native library, for all levels of this architecture's processors.
 
+The kernels' sources, which only Numba reads, go into an archive: see `loewner._kernels._sources`.
+
 ``LOEWNER_BUILD=pure`` makes a wheel without it, for any platform: there Numba compiles the kernels (`loewner[jit]`).
 An editable installation builds nothing: `python native/build.py` does, for this machine.
 """
 
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
+import zipfile
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,6 +19,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).parent
+KERNELS = ROOT / "src" / "loewner" / "_kernels"
+ARCHIVE, LOOSE = (runpy.run_path(str(KERNELS / "_sources.py"))[name] for name in ("ARCHIVE", "LOOSE"))
 NEEDED = ("numpy", "numba", "llvmlite")
 HELP = """
 Install what is missing and build again; or set LOEWNER_BUILD=pure for a wheel without the library, which needs Numba
@@ -31,12 +37,23 @@ class NativeLibraryHook(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the library and add it to the wheel."""
-        if version == "editable" or _pure():
+        if version == "editable":
+            return
+        included, kernels = build_data["force_include"], sorted(KERNELS.rglob("*.py"))
+        names = {path: path.relative_to(KERNELS).as_posix() for path in kernels}
+        loose = kernels if _pure() else [path for path in kernels if names[path] in LOOSE]
+        included.update({str(path): f"loewner/_kernels/{names[path]}" for path in loose})
+        if _pure():
             return
         self._folder = tempfile.TemporaryDirectory(prefix="loewner-")
-        _build(self._folder.name)
-        for path in sorted(Path(self._folder.name).iterdir()):
-            build_data["force_include"][str(path)] = f"loewner/_native/{path.name}"
+        home = Path(self._folder.name)
+        _build(str(home))
+        included.update({str(path): f"loewner/_native/{path.name}" for path in sorted(home.iterdir())})
+        with zipfile.ZipFile(home / ARCHIVE, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in kernels:
+                if path not in loose:
+                    archive.writestr(zipfile.ZipInfo(names[path]), path.read_bytes(), zipfile.ZIP_DEFLATED)
+        included[str(home / ARCHIVE)] = f"loewner/_kernels/{ARCHIVE}"
         build_data.update(pure_python=False, infer_tag=True)
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -55,7 +55,9 @@ def files(path: Path) -> set[str]:
 def _belongs(name: str) -> bool:
     """Tell whether a file may be in a wheel."""
     top, _, rest = name.partition("/")
-    kinds = (".py", "py.typed") if not rest.startswith("_native/") else (".py", ".so", "built.json", "threads.ptx")
+    if rest.startswith("_native/"):
+        return rest.endswith((".py", ".so", "built.json", "threads.ptx"))
+    kinds = (".py", "py.typed", "_kernels/sources.zip")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 
 

@@ -10,6 +10,7 @@ import venv
 import zipfile
 from collections import Counter
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -76,12 +77,14 @@ def is_current(path: Path) -> bool:
     build = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(build)
     archive = zipfile.ZipFile(path)
-    names = {name for name in archive.namelist() if name.endswith(".py")}
-    sources = {file.relative_to(ROOT / "src").as_posix() for file in (ROOT / "src" / "loewner").rglob("*.py")}
+    held = {name: archive.read(name) for name in archive.namelist() if name.endswith(".py")}
+    with zipfile.ZipFile(BytesIO(archive.read("loewner/_kernels/sources.zip"))) as kernels:
+        held |= {f"loewner/_kernels/{name}": kernels.read(name) for name in kernels.namelist()}
+    files = (ROOT / "src" / "loewner").rglob("*.py")
+    sources = {path.relative_to(ROOT / "src").as_posix(): path.read_bytes() for path in files}
     return (
         f"-cp{sys.version_info.major}{sys.version_info.minor}-" in path.name
-        and names == sources
-        and all(archive.read(name) == (ROOT / "src" / name).read_bytes() for name in names)
+        and held == sources
         and json.loads(archive.read("loewner/_native/built.json"))["recipe"] == build.recipe()
     )
 

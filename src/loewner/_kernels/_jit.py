@@ -148,6 +148,11 @@ def unwritten() -> str | None:
     return None if error is None else f"{CACHE_FOLDER} cannot be written ({error.strerror or error})"
 
 
+def _any_integer(kind: Any) -> Any:
+    """Type of an argument, without the value of a whole number that the caller writes out."""
+    return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral) else kind
+
+
 class _Kernel(CPUDispatcher):
     """A compiled function, in up to two forms: a part of the kernels that call it, and one that Python calls.
 
@@ -155,12 +160,20 @@ class _Kernel(CPUDispatcher):
     optimisation and machine code were two fifths of the work.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool, by_value: bool) -> None:
+        self._by_value = by_value
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         compiler = _parts.ApartCompiler if apart else _parts.PartCompiler
         super().__init__(function, targetoptions=options | quiet, pipeline_class=compiler)
         self._cache = _KernelCache(function, "part")
         self._for_python: Any = _Callable(self, function, options | {"no_cfunc_wrapper": True})
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Type a call from another kernel.
+
+        Numba would compile the function once for each whole number that a caller writes out.
+        """
+        return super().get_call_template(args if self._by_value else [_any_integer(kind) for kind in args], kws)
 
     def add_overload(self, cres: Any) -> None:
         """Keep a part for the kernels, which look here; Python could not call it."""
@@ -189,14 +202,14 @@ class _Callable(CPUDispatcher):
         super().add_overload(cres)
 
 
-def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
+def _compiled(function: Callable[..., Any], apart: bool = False, by_value: bool = False, **options: Any) -> Any:
     if function.__closure__:
         # Functions of one factory share their name. Numba tells them apart by numbers that start anew in each process;
         # parts made by two processes must not be taken for each other.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     options |= {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
-    return _Kernel(function, options, apart)
+    return _Kernel(function, options, apart, by_value)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -215,6 +228,14 @@ def apart(function: Callable[..., Any]) -> Any:
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a small pure function that LLVM is to inline into its callers."""
     return _compiled(function, forceinline=True)
+
+
+def inline_by_value(function: Callable[..., Any]) -> Any:
+    """Compile such a function once for each whole number that callers write out.
+
+    Numba then knows that an index is not negative, which loops need that LLVM is to turn into vectors.
+    """
+    return _compiled(function, by_value=True, forceinline=True)
 
 
 @intrinsic

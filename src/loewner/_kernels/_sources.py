@@ -2,25 +2,43 @@
 
 import os
 import sys
+import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
+
+# Where a wheel has the kernels, and the modules that lie beside it, which Python reads even where a library answers.
+ARCHIVE = "sources.zip"
+LOOSE = ("__init__.py", "_sealed.py", "_sources.py", "codes.py", "columns.py", "records.py", "tolerances.py")
+
+
+def sources() -> dict[str, bytes]:
+    """Content of all kernel sources, by their path in this package."""
+    home = Path(__file__).parent
+    found = {path.relative_to(home).as_posix(): path.read_bytes() for path in home.rglob("*.py")}
+    if (home / ARCHIVE).exists():
+        with zipfile.ZipFile(home / ARCHIVE) as archive:
+            found |= {name: archive.read(name) for name in archive.namelist()}
+    return found
 
 
 @cache
 def source_hash() -> str:
-    """Hash of all kernel sources, subfolders included; empty where they are not files, as in a zip.
+    """Hash of all kernel sources; empty where they cannot be read.
 
-    Code made from other sources is never used; where the sources cannot be told, nothing is kept.
+    Code made from other sources is never used; where the sources are unknown, nothing is kept.
     """
     import hashlib  # OpenSSL comes with it; an import of the package does not wait for that
 
-    home = Path(__file__).parent
-    paths = sorted(home.rglob("*.py"))
+    try:
+        found = sources()
+    except (OSError, zipfile.BadZipFile, zlib.error):
+        return ""
     digest = hashlib.sha256()
-    for path in paths:
-        digest.update(path.relative_to(home).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest() if paths else ""
+    for name in sorted(found):
+        digest.update(name.encode())
+        digest.update(found[name])
+    return digest.hexdigest() if found else ""
 
 
 def cache_folder() -> Path:

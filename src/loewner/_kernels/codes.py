@@ -1,8 +1,18 @@
 """Codes that kernels and Python share: what is asked, and how it came out."""
 
 FREE, COLLIDING, AMBIGUOUS = 0, 1, 2
-INEXACT = 3  # no verdict: what `fallback` says where whole numbers have to tell
-LEFT = 3  # no verdict: a thread of a GPU leaves a pair to the CPU. Above AMBIGUOUS, see `threads.pairs`
+
+# No verdicts, in place of one: whole numbers have to decide (`fallback`); a thread of a GPU leaves the pair to the CPU
+# (above AMBIGUOUS, see `threads.pairs`); a motion takes too many intervals, or collides if `collide` confirms it.
+INEXACT, LEFT, TOO_LONG, BY_CARE = 3, 4, 5, 6
+
+# Intervals that a motion is cut into at most before any is halved.
+MOST_INTERVALS = 7 * 2**16
+
+# How a search on two pieces ended: without a result; they are proven apart or touching; the distance is final; their
+# cores overlap; the depth is final.
+UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEEPEST = 0, 1, 2, 3, 4, 5
+
 CERTIFY, EXACT = 0, 1
 
 # Who settled a piece pair; BY_PLANE: the support planes of the pieces square to the contact normal of their ellipsoids.

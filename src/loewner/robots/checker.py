@@ -19,7 +19,7 @@ from loewner._kernels import codes
 from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import distances, edges, motions, proofs, verdicts
+from loewner.robots import distances, edges, proofs, verdicts
 from loewner.robots.checked_pairs import CheckedPairs, prepared
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
@@ -350,9 +350,9 @@ class CollisionChecker:
             a, b, shape = _motions(a, b, 40)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance)
-        for k in np.flatnonzero(found.verdicts == motions.TOO_LONG)[:1]:
+        for k in np.flatnonzero(found.verdicts == codes.TOO_LONG)[:1]:
             raise InputError(
-                f"expected motions short enough to be proven in {motions.MOST_INTERVALS} intervals, found number {k}, "
+                f"expected motions short enough to be proven in {codes.MOST_INTERVALS} intervals, found number {k}, "
                 f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
             )
         return found.of_shape(shape, ready)

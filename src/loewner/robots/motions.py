@@ -19,11 +19,6 @@ from loewner.robots.checked_pairs import CheckedPairs
 # Motions a thread takes at a time, at least: some 0.3 ms of work.
 LEAST_SHARE = 16
 
-# Further verdicts, as `robots.motions` of the kernels calls them.
-TOO_LONG, BY_CARE = 3, 4
-
-MOST_INTERVALS = 7 * 2**16  # that a motion is cut into before any is halved, likewise
-
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotions:

@@ -63,7 +63,7 @@ def _confirm(ready: CheckedPairs, a: Floats, b: Floats, found: Found) -> None:
     Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may differ
     in the last place.
     """
-    doubtful = found.verdicts == motions.BY_CARE
+    doubtful = found.verdicts == codes.BY_CARE
     if not ready.robot.runs_straight:
         doubtful |= found.verdicts == Verdict.COLLIDING
     at = np.flatnonzero(doubtful)

@@ -64,7 +64,7 @@ def _slope(P, Q, r, s):
 def contact_parameter(P, Q, r):
     """Where F is greatest, of eight pairs. What a pair gets does not depend on the others."""
     d, q, s = polynomials(P, Q, r)
-    live = np.int64(ALL)
+    live = ALL
     for _ in range(STEPS):
         t = newton_step(d, q, s)
         moves = absolute(t - s) > SETTLED * (t - t * t)
@@ -73,7 +73,7 @@ def contact_parameter(P, Q, r):
         if live == 0:
             break
     # The coefficients of the polynomials have lost digits of thin ellipsoids, of needles all: from there on by slopes.
-    low, high, live = broadcast(0.0), broadcast(1.0), np.int64(ALL)
+    low, high, live = broadcast(0.0), broadcast(1.0), ALL
     for _ in range(SLOPES):
         _, _, _, _, _, _, _, _, slope, bend = _slope(P, Q, r, s)
         rises = slope > 0.0

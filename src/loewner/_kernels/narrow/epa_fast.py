@@ -18,6 +18,7 @@ from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import DEEPEST, UNSETTLED
 from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW, plane_with_care
@@ -27,8 +28,6 @@ from loewner._kernels.pieces.shapes import rotation_of
 from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
-
-SETTLED, UNSETTLED = 0, 1
 
 MAX_CORNERS = 1024  # of either polytope; above, moving all corners to the world costs more than it saves
 MAX_FACES = 64  # one bit each in the masks; hulls of 20 points need 20 to 30
@@ -67,9 +66,8 @@ FLAT_FACE = 1e-10
 # How far outside its face, in barycentric coordinates, the origin's foot may be found by rounding alone.
 FOOT_SLACK = 1e-9
 
-# Points and faces of the first shell. Typed, as are all other numbers of such: literals would have every function that
-# takes one compiled once for each.
-_P0, _P1, _P2, _P3 = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
+# Points and faces of the first shell.
+_P0, _P1, _P2, _P3 = 0, 1, 2, 3
 
 # The twin of each half-edge of that shell, three for a face and one that is not used: the faces are (1 2 3), (0 3 2),
 # (0 1 3) and (0 2 1).
@@ -262,7 +260,7 @@ def _first_shell(W, K):
 def _seen(W, live, point, error):
     """Mask of the faces in front of which a point lies."""
     x, y, z = point
-    seen = np.int64(0)
+    seen = 0
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
@@ -286,7 +284,7 @@ def _nearest(W, live):
 @inline
 def _not_above(W, live, bound):
     """Mask of the faces with an offset of at most `bound`."""
-    found = np.int64(0)
+    found = 0
     for c in range(0, MAX_FACES, 8):
         if live >> c == 0:
             break
@@ -321,15 +319,15 @@ def _expand(W, K, live, seen, w):
             K[_RIM_FROM + count] = K[_ORIGIN + 4 * f + e]
             count += 1 - ((seen >> (twin >> 2)) & 1)
     unused = ~live | seen
-    made = np.int64(0)
+    made = 0
     fine = count >= 3
-    last = np.int64(0)
+    last = 0
     for r in range(count):
         if unused == 0:
-            return np.int64(0), nearest, least
+            return 0, nearest, least
         last = _first_bit(unused)
         unused &= unused - 1
-        made |= np.int64(1) << last
+        made |= 1 << last
         twin = K[_RIM + r]
         u = K[_RIM_FROM + r]
         fine &= _make_face(W, K, last, u, K[_ORIGIN + twin], w)
@@ -349,7 +347,7 @@ def _expand(W, K, live, seen, w):
         g = h
         back += g == last
     if not fine or back != 1 or g != last:
-        return np.int64(0), nearest, least
+        return 0, nearest, least
     return (live & ~seen) | made, nearest, least
 
 
@@ -417,7 +415,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
         _points_across(W, K, vectors_a, vectors_b, n)
         if not _first_shell(W, K):
             return UNSETTLED, -np.inf, np.inf
-    live = np.int64(15)
+    live = 15
     f, lower = _nearest(W, live)
     for used in range(4, MAX_POINTS):
         height = _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f))
@@ -428,8 +426,8 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
             K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3] = live, used, vectors_a, vectors_b
-            return SETTLED, lower, height
-        seen = _seen(W, live, _point(W, used), error) | (np.int64(1) << f)
+            return DEEPEST, lower, height
+        seen = _seen(W, live, _point(W, used), error) | (1 << f)
         live, f, lower = _expand(W, K, live, seen, used)
         if live == 0:
             break
@@ -489,7 +487,7 @@ def proven_depth(error, W, K, result):
             _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result)
         if _add_point(W, K, used, vectors_a, vectors_b, _normal(W, f)) - lower <= error:
             break
-        seen = _seen(W, live, _point(W, used), error) | (np.int64(1) << f)
+        seen = _seen(W, live, _point(W, used), error) | (1 << f)
         live, f, lower = _expand(W, K, live, seen, used)
         if live == 0:
             break

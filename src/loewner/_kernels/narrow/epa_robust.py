@@ -319,7 +319,7 @@ def penetration(A, B, shift, accuracy, work, result):
     used = 4
     upper = np.inf
     lower = -np.inf
-    last = np.int64(-1)
+    last = -1
     closed = True
     while used < MAX_POINTS:
         nearest = -1

@@ -1,11 +1,22 @@
 """The exact answer for one piece pair by the fast searches; what they leave open is for `pipeline.fallback`."""
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import AMBIGUOUS, BY_PLANE, BY_SEARCH, COLLIDING, FREE, OPEN
+from loewner._kernels.codes import (
+    AMBIGUOUS,
+    APART,
+    BY_PLANE,
+    BY_SEARCH,
+    COLLIDING,
+    FREE,
+    OPEN,
+    OVERLAPPING,
+    TOUCHING,
+    UNSETTLED,
+)
 from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.linalg3 import dot
-from loewner._kernels.narrow.gjk_fast import ENTRIES, INSIDE, begin, decide, measure
-from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, rounding_error, swollen_radii
+from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, decide, measure
+from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surfaces import surface_pair
@@ -61,6 +72,6 @@ def _by_distance(A, B, shift, W, ends, n, error, margin, radii, result_at):
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:
         return FREE, BY_SEARCH
-    if status in (TOUCHING, INSIDE):
+    if status in (TOUCHING, OVERLAPPING):
         return COLLIDING, BY_SEARCH
     return AMBIGUOUS, OPEN

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import APART, TOUCHING, UNSETTLED
 from loewner._kernels.columns import CACHE_LINE, HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
@@ -47,7 +48,6 @@ from loewner._kernels.simd.vectors import (
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF, UNIT_ROUNDOFF
 
 # What `settle` says of a pair.
-OPEN, APART, TOUCHING = 0, 1, 2
 
 ROUNDS = 10  # five settle nine in ten pairs, eight all but one in a hundred
 
@@ -145,7 +145,7 @@ def takes(layout, piece):
 @inline
 def _blocks(layout, pieces, first, last):
     """Write the first and the last block of vertices of each piece; returns how many blocks the largest one has."""
-    most = np.int64(0)
+    most = 0
     for lane in range(SINGLE_LANES):
         piece = pieces[lane]
         begin, end = layout[piece, POINTS_FROM] // support.BLOCK, layout[piece, POINTS_TO] // support.BLOCK - 1
@@ -262,7 +262,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     moved_a, moved_b : bool
         False if the operand's only pose is the identity.
     memory : int
-        Address of a `Workspace`. The pieces are such that `takes`; `found` receives APART, TOUCHING or OPEN.
+        Address of a `Workspace`. The pieces are such that `takes`; `found` receives APART, TOUCHING or UNSETTLED.
     """
     work = workspace_at(memory)
     listed, N, W, found = work.listed, work.directions, work.vertices, work.found
@@ -281,7 +281,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
     shift = minus(b.t, a.t)
     most_a = _blocks(la, listed.piece_a, work.first_a, work.last_a)
     most_b = _blocks(lb, listed.piece_b, work.first_b, work.last_b)
-    ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, np.int64(0))
+    ends_a = _lay(xa, work.first_a, work.last_a, work.here, most_a, W, 0)
     ends_b = _lay(xb, work.first_b, work.last_b, work.here, most_b, W, ends_a)
 
     # The simplex, the newest point first: one, two or three points B, C, E of the Minkowski difference. The direction
@@ -298,7 +298,7 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
             along_a = apply_transposed(a.R, along_a)
         if rotated_b:
             along_b = apply_transposed(b.R, along_b)
-        u = _farthest(W, np.int64(0), ends_a, along_a[0], along_a[1], along_a[2])
+        u = _farthest(W, 0, ends_a, along_a[0], along_a[1], along_a[2])
         v = _farthest(W, ends_a, ends_b, along_b[0], along_b[1], along_b[2])
         if rotated_a:
             u = apply(a.R, u)
@@ -362,6 +362,6 @@ def settle(count, sa, la, xa, Ta, moved_a, sb, lb, xb, Tb, moved_b, memory):
         E = selected(other, C, B)
         C = selected(line | other, B, C)
         B = A
-    masked_store(found, 0, apart | ~apart, OPEN)
+    masked_store(found, 0, apart | ~apart, UNSETTLED)
     masked_store(found, 0, touching, TOUCHING)
     masked_store(found, 0, apart, APART)

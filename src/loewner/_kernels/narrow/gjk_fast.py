@@ -12,15 +12,14 @@ Gilbert, Johnson and Keerthi (1988), doi:10.1109/56.2083; Ericson, Real-Time Col
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import APART, NEAREST, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.columns import BLOCK, KIND, LARGE, POINTS_FROM, POINTS_TO, POLYTOPE
 from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, scaled
-from loewner._kernels.narrow.gjk_robust import APART, DISTANCE_TOLERANCE, ERROR_SHARE, TOUCHING, UNSETTLED
+from loewner._kernels.narrow.gjk_robust import DISTANCE_TOLERANCE, ERROR_SHARE
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
 from loewner._kernels.pieces.shapes import placed_support
 from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
-
-NEAREST, INSIDE = 3, 4  # further answers of `measure`: the distance is final; the cores overlap for sure
 
 DECIDE_ROUNDS = 24
 MEASURE_ROUNDS = 64  # hulls need six, twelve at most; curved pieces converge linearly
@@ -65,7 +64,7 @@ def place_piece(P, shift, W, at):
 @inline
 def begin(A, B, shift, W):
     """Place what can be placed of two pieces; returns the columns of W where A's and B's vertices end."""
-    end_a = place_piece(A, (0.0, 0.0, 0.0), W, np.int64(0))
+    end_a = place_piece(A, (0.0, 0.0, 0.0), W, 0)
     return end_a, place_piece(B, shift, W, end_a)
 
 
@@ -74,7 +73,7 @@ def _supports(A, B, shift, W, ends, n):
     """Points of A and of B whose difference lies least far along n."""
     end_a, end_b = ends
     if end_a > 0:
-        k = entry_of(farthest(W, np.int64(0), end_a, -n[0], -n[1], -n[2]))
+        k = entry_of(farthest(W, 0, end_a, -n[0], -n[1], -n[2]))
         a = W[k], W[k + BLOCK], W[k + 2 * BLOCK]
     else:
         a = placed_support(A, negated(n))
@@ -344,7 +343,7 @@ def measuring(supports):
                         # The base, -|volume| less the other three, must be clear too: flat ones have the sign of noise.
                         base = -(abs(volume) + beyond_e + beyond_b + beyond_c)
                         if beyond_e < -doubt and beyond_b < -doubt and beyond_c < -doubt and base < -doubt:
-                            status = INSIDE
+                            status = OVERLAPPING
                         break
                     if count == 1:
                         face = (beyond_b > 0.0) + 2 * (beyond_c > 0.0)
@@ -424,7 +423,7 @@ def measure(A, B, shift, W, ends, n, error, reach, far, result):
     Returns
     -------
     status : int
-        NEAREST, APART (more than `far`), TOUCHING (at most `reach`), INSIDE or UNSETTLED.
+        NEAREST, APART (more than `far`), TOUCHING (at most `reach`), OVERLAPPING or UNSETTLED.
     lower, upper : float
         Bounds on the distance of the cores.
     """

@@ -14,14 +14,13 @@ doi:10.1080/10867651.1999.10487502 (termination by the support plane).
 import numpy as np
 
 from loewner._kernels._jit import inline, njit
+from loewner._kernels.codes import APART, TOUCHING, UNSETTLED
 from loewner._kernels.columns import ROUNDING
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import dot, minus, negated, plus
 from loewner._kernels.narrow.simplex import closest, direction
 from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
-
-APART, TOUCHING, UNSETTLED = 0, 1, 2
 
 # Pairs of polytopes stop after a handful of rounds because they have finitely many vertices;
 # curved ones converge at least linearly. The cap is only there to make a hang impossible.

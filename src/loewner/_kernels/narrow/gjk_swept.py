@@ -1,9 +1,10 @@
 """GJK between a piece and the hull of another one at two poses: is there a plane between them?"""
 
 from loewner._kernels._jit import inline
+from loewner._kernels.codes import APART
 from loewner._kernels.linalg3 import dot, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES, measuring
-from loewner._kernels.narrow.gjk_robust import APART, rounding_error, swollen_radii
+from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import placed_support, radius
 from loewner._kernels.simd.memory import floats_at

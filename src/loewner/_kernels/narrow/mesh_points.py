@@ -86,7 +86,7 @@ def nearest_triangles(table, size, points, distances, places, memory):
             if child >= 0:
                 middles, halves = boxes_of(tree.boxes, child)
                 t = minus(middles, single)
-                gaps, none = squared_gap(t, halves, (slack, slack, slack)), np.int64(0)
+                gaps, none = squared_gap(t, halves, (slack, slack, slack)), 0
                 height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
                 continue
             leaf = leaf_of(child)

@@ -9,7 +9,7 @@ within the other says more: it has to come out.
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import COLLIDING, FREE
+from loewner._kernels.codes import APART, COLLIDING, DEEPEST, FREE, NEAREST
 from loewner._kernels.columns import (
     COLUMNS,
     FRAME_CENTER,
@@ -27,14 +27,13 @@ from loewner._kernels.columns import (
     SEGMENT,
 )
 from loewner._kernels.linalg3 import apply_transposed, cross, dot, image, minus, negated, plus, scaled
-from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import proven_depth as proven_of_polytopes
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, penetration, proven_depth
 from loewner._kernels.narrow.epa_robust import workspace as robust_workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_fast import NEAREST, begin, place_piece
-from loewner._kernels.narrow.gjk_robust import APART, lengths, rounding_error, run, write_simplex
+from loewner._kernels.narrow.gjk_fast import begin, place_piece
+from loewner._kernels.narrow.gjk_robust import lengths, rounding_error, run, write_simplex
 from loewner._kernels.narrow.surface_boxes import (
     between,
     box_at,
@@ -432,7 +431,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
     size = lengths(A, B, shift)
     error = rounding_error(A, B, shift)
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
-    ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
+    ends = LEAF, place_piece(B, shift, W, LEAF)
     middle, half, single, wide = box_in_frame(A, B, shift, 0.0, size)
     center = image(rotation_of(A), (0.0, 0.0, 0.0), middle)
     stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
@@ -452,7 +451,7 @@ def _nearest_to_piece(A, B, shift, limit, memory):
             t = minus(middles, single)
             gaps = squared_gap(t, halves, wide)
             gaps = plane_gaps(middles, halves, planes, min(searches, PLANES), gaps)
-            none = np.int64(0)
+            none = 0
             height = push_near(stack, bounds, lanes, height, gaps, t, halves, best * best, child, none, True)
             continue
         leaf = leaf_of(child)
@@ -585,7 +584,7 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                     T = triangle_piece(B, leaf_b * LEAF + other, 0.0, memory + _PIECES + PIECE)
                     n = minus(corners_at(placed, BLOCK, other)[0], corners[0])
                     status, _, deep = overlap_depth(S, T, n, faces, edges, own)
-                    settled = status == DEPTH_SETTLED and deep > found
+                    settled = status == DEEPEST and deep > found
                     deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
                     if deep > found:
                         found = deep
@@ -649,7 +648,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 deep = proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = overlap_depth(S, B, (0.0, 0.0, 1.0), faces, edges, own)
-                settled = status == DEPTH_SETTLED and deep > found
+                settled = status == DEEPEST and deep > found
                 deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
             if deep > found:
                 found = deep
@@ -745,7 +744,7 @@ def nearest_point(A, x, limit, size, memory):
         if child >= 0:
             middles, halves = boxes_of(a.boxes, child)
             t = minus(middles, single)
-            gaps, none = squared_gap(t, halves, (slack, slack, slack)), np.int64(0)
+            gaps, none = squared_gap(t, halves, (slack, slack, slack)), 0
             height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
             continue
         corners = placed_corners(A, a.blocks, leaf_of(child), (0.0, 0.0, 0.0))

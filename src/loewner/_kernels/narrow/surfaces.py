@@ -11,13 +11,13 @@ body tells: by the winding number, which counts how often the surface is met on 
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, UNCOUNTED
+from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, OVERLAPPING, TOUCHING, UNCOUNTED, UNSETTLED
 from loewner._kernels.columns import OUTER_CENTER, OUTER_SHAPE
 from loewner._kernels.ellipsoids.contact import outward_width
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, image, minus, negated, plus
 from loewner._kernels.narrow.gjk_fast import ENTRIES as GJK_ENTRIES
-from loewner._kernels.narrow.gjk_fast import INSIDE, decide, measure_along, place_piece
-from loewner._kernels.narrow.gjk_robust import APART, TOUCHING, UNSETTLED, lengths, off_orthonormal, rounding_error
+from loewner._kernels.narrow.gjk_fast import decide, measure_along, place_piece
+from loewner._kernels.narrow.gjk_robust import lengths, off_orthonormal, rounding_error
 from loewner._kernels.narrow.surface_boxes import (
     ROUNDINGS,
     box_at,
@@ -271,7 +271,7 @@ def _search(A, B, leaf_a, lane_a, leaf_b, bits, shift, near, far, memory, listed
         else:
             status, _, _ = measured(A, B, shift, W, (LEAF, 2 * LEAF), n, error, near - error, far, result)
         # What the search finds in contact is so but for rounding: that has to be less than the distance allowed.
-        if status in (TOUCHING, INSIDE) and near > error:
+        if status in (TOUCHING, OVERLAPPING) and near > error:
             return MEETING
         if status != APART:
             if open_pairs < room:
@@ -451,7 +451,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
     W, result = floats_at(memory + GJK, (GJK_ENTRIES,)), floats_at(memory + RESULT, (9,))
     planes = floats_at(memory + SEPARATING, (PLANES * PLANE,))
     listed = integers_at(listed_at, (2 * room,))
-    ends = np.int64(LEAF), np.int64(LEAF)
+    ends = LEAF, LEAF
     middle, half, single, wide = oval_in_frame(A, B, shift, far, size)
     R = rotation_of(A)
     center, closer = (0.0, 0.0, 0.0), False
@@ -474,7 +474,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
         bits = movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0) & ((1 << size_of(child)) - 1)
         if bits != 0 and not closer:
             closer = True
-            ends = np.int64(LEAF), place_piece(B, shift, W, np.int64(LEAF))
+            ends = LEAF, place_piece(B, shift, W, LEAF)
             middle, half, single, wide = box_in_frame(A, B, shift, far, size)
             center = apply(R, middle)
             bits &= movemask(gap_to_box(a.blocks, leaf, middle, half) <= 0.0)
@@ -497,7 +497,7 @@ def _with_piece(A, B, near, far, memory, listed_at, room):
                 status, n, _ = decided(A, B, shift, W, ends, n, error)
             if status == UNSETTLED:
                 status, _, _, n = measured_along(A, B, shift, W, ends, n, error, near, far, result)
-            if status in (TOUCHING, INSIDE):
+            if status in (TOUCHING, OVERLAPPING):
                 return COLLIDING, open_pairs
             if status != APART:
                 if open_pairs < room:

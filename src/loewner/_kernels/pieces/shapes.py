@@ -35,6 +35,7 @@ import numpy as np
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import (
     BLOCK,
+    CONE,
     CYLINDER,
     ELLIPSOID,
     FRAME_CENTER,
@@ -127,12 +128,13 @@ def unit_support(kind, x, y, z):
         if length == 0.0:
             return 0.0, 0.0, np.copysign(1.0, z)
         return x / length, y / length, np.copysign(1.0, z)
-    # The cone's base circle and its apex compete: |xy| - z against z.
-    if length == 0.0:
-        return 0.0, 0.0, np.copysign(1.0, z)
-    if z > length - z:
-        return 0.0, 0.0, 1.0
-    return x / length, y / length, -1.0
+    if kind == CONE:  # its base circle and its apex compete: |xy| - z against z
+        if length == 0.0:
+            return 0.0, 0.0, np.copysign(1.0, z)
+        if z > length - z:
+            return 0.0, 0.0, 1.0
+        return x / length, y / length, -1.0
+    return np.nan, np.nan, np.nan  # a kind without a branch above: nothing may be proven of it
 
 
 @inline

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import borrowed, inline, inline_by_value, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
 from loewner._kernels.columns import INNER_CENTER, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE, REACH
 from loewner._kernels.ellipsoids.contact import (
@@ -34,8 +34,8 @@ POLISH_ROUNDS = 3  # rounds that tighten a bound: Newton's method for the direct
 # Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
 # ellipsoid's nine rows are its center and its shape matrix.
 LANES = 32
-# Literals: as typed numbers they would save compiling a few small functions more than once, and cost the loops over the
-# lanes their vectors (bounds then take twice as long).
+# Functions that take one are `inline_by_value`: otherwise loops over the lanes lose their vectors, and bounds take
+# twice as long.
 ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B = 0, 9, 18, 27, 36, 45
 SHIFT, SIZE, SIGMA_A, SIGMA_B = 54, 57, 58, 59
 BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
@@ -86,25 +86,25 @@ def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, q
     return found
 
 
-@inline
+@inline_by_value
 def _put(S, row, lane, source, at, column, count):
     for c in range(count):
         S[(row + c) * LANES + lane] = source[at, column + c]
 
 
-@inline
+@inline_by_value
 def three(S, row, lane):
     """A vector of three consecutive rows."""
     k = row * LANES + lane
     return S[k], S[k + LANES], S[k + 2 * LANES]
 
 
-@inline
+@inline_by_value
 def _six(S, row, lane):
     return three(S, row, lane) + three(S, row + 3, lane)
 
 
-@inline
+@inline_by_value
 def _put_three(S, row, lane, v):
     k = row * LANES + lane
     S[k] = v[0]
@@ -112,13 +112,13 @@ def _put_three(S, row, lane, v):
     S[k + 2 * LANES] = v[2]
 
 
-@inline
+@inline_by_value
 def _put_six(S, row, lane, Q):
     _put_three(S, row, lane, (Q[0], Q[1], Q[2]))
     _put_three(S, row + 3, lane, (Q[3], Q[4], Q[5]))
 
 
-@inline
+@inline_by_value
 def _world_lane(S, lane, rotation, ellipsoid, shape, center):
     """Shape matrix and center of an ellipsoid in the world's axes, the center relative to its body's translation."""
     R = _six(S, rotation, lane) + three(S, rotation + 6, lane)
@@ -201,7 +201,7 @@ def _between_points(r, a, pn, b, qn):
     return r[0] - b * qn[0] - a * pn[0], r[1] - b * qn[1] - a * pn[1], r[2] - b * qn[2] - a * pn[2]
 
 
-@inline
+@inline_by_value
 def _widths(S, lane, p, q, n, squared):
     """Outward widths along n; with P n and Q n they are kept for the next round."""
     hp, pn = outward_width(p, n, squared)
@@ -300,16 +300,16 @@ def _polish_upper_bounds(S, count):
         _put_three(S, TRIED, lane, farther_normal(p, q, y, pn, qn, hp, hq, length, dot(n, y) / length))
 
 
-@inline
+@inline_by_value
 def _spread(S, row, value):
     """Give the lanes of a single pair one value."""
     store(S, row * LANES, broadcast(value))
 
 
-@inline
+@inline_by_value
 def _halves(S, row, outer, inner):
     """Give the lanes of a single pair two values: one for the outer ellipsoids, one for the inner ones."""
-    store(S, row * LANES, select(mask_of(np.int64(INNER_LANES)), broadcast(inner), broadcast(outer)))
+    store(S, row * LANES, select(mask_of(INNER_LANES), broadcast(inner), broadcast(outer)))
 
 
 @njit()
@@ -377,7 +377,7 @@ def _load(count, padded, queue, operands, S):
         S[SIGMA_B * LANES + lane] = tb[j, INNER_SIGMA]
 
 
-@inline
+@inline_by_value
 def _some_positive(S, row, count):
     """Whether a quantity is positive for one of the first lanes."""
     found = False
@@ -462,7 +462,7 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
     queue = np.empty((QUEUE, LANES), np.int64)
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
-    count = np.int64(0)
+    count = 0
     for k in range(start, stop):
         if out[k] != AMBIGUOUS:
             continue
@@ -471,7 +471,7 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             if count > 0:
                 _decide(margin, count, queue, operands, S, out)
-                count = np.int64(0)
+                count = 0
             piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
             while out[k] != COLLIDING:
                 found = next_pieces(k, ka, kb, ib, operands, margin, steps, numbers, queue)
@@ -485,6 +485,6 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
                 count += 1
                 if count == LANES:
                     _decide(margin, count, queue, operands, S, out)
-                    count = np.int64(0)
+                    count = 0
     if count > 0:
         _decide(margin, count, queue, operands, S, out)

@@ -8,20 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, njit
+from loewner._kernels._jit import borrowed, inline, inline_by_value, njit
+from loewner._kernels.codes import DEEPEST, NEAREST, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.columns import COLUMNS, ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import descend_eight, is_round, round_distance, support
 from loewner._kernels.linalg3 import apply, dot, minus, plus, product, scaled, selected
-from loewner._kernels.narrow.epa_fast import SETTLED as DEPTH_SETTLED
 from loewner._kernels.narrow.epa_fast import SIZE as DEPTH_SIZE
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
 from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
-from loewner._kernels.narrow.gjk_fast import ENTRIES, NEAREST, begin, measure
-from loewner._kernels.narrow.gjk_fast import INSIDE as CORES_OVERLAP
-from loewner._kernels.narrow.gjk_robust import TOUCHING, UNSETTLED, run, swollen_radii, write_simplex
+from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, measure
+from loewner._kernels.narrow.gjk_robust import run, swollen_radii, write_simplex
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surface_distance import surface_distance
@@ -217,20 +216,20 @@ def _is_curved(P):
     return P.layout[P.piece, KIND] > POLYTOPE
 
 
-@inline
+@inline_by_value
 def _eight(S, row, lane):
     """A vector of three consecutive rows, for eight lanes."""
     k = row * LANES + lane
     return load(S, k), load(S, k + LANES), load(S, k + 2 * LANES)
 
 
-@inline
+@inline_by_value
 def _put_eight(S, row, lane, v):
     for c in range(3):
         store(S, (row + c) * LANES + lane, v[c])
 
 
-@inline
+@inline_by_value
 def _placed_eight(S, rotation, pieces, queue, side, lane):
     """Factors of eight ellipsoids in the world's axes, and their centers less their bodies' translations."""
     table, at = pieces.table, side * LANES + lane
@@ -246,7 +245,7 @@ def _measure_round(count, queue, a, b, S, distance):
     for lane in range(count, (count + EIGHT - 1) // EIGHT * EIGHT):  # whole vectors, as in `write_bounds`
         queue[PIECE_A, lane], queue[PIECE_B, lane] = queue[PIECE_A, count - 1], queue[PIECE_B, count - 1]
     for first in range(0, count, EIGHT):
-        bits = np.int64(0)
+        bits = 0
         for lane in range(first, min(first + EIGHT, count)):
             wide_a = a.layout[queue[PIECE_A, lane], KIND] == ELLIPSOID
             wide_b = b.layout[queue[PIECE_B, lane], KIND] == ELLIPSOID
@@ -318,7 +317,7 @@ def measure_near(count, queue, operands, S, searches, exact):
         plain = not (_is_curved(A) or _is_curved(B))
         if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEPTH_SETTLED:
+            if searched == DEEPEST:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         error = position_error(size, UNIT_ROUNDOFF)
@@ -329,7 +328,7 @@ def measure_near(count, queue, operands, S, searches, exact):
         if status == NEAREST and above - ra - rb <= S[ABOVE * LANES + lane] + SETTLED * size:
             _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
         else:
-            queue[LATE, late], queue[INSIDE, late] = lane, status == CORES_OVERLAP
+            queue[LATE, late], queue[INSIDE, late] = lane, status == OVERLAPPING
             late += 1
     return late
 
@@ -351,7 +350,7 @@ def measure_late(late, queue, operands, S, exact):
         curved = _is_curved(A) or _is_curved(B)
         if inside and not curved:
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEPTH_SETTLED:
+            if searched == DEEPEST:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         value, gap = _distance_with_care(A, B, shift, n, error, inside, work, result)
@@ -442,8 +441,8 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
     # A first bound on the distance spares the walk most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
-    enqueue(queue, np.int64(0), k, i, j, ka, kb)
-    found = np.int64(1)
+    enqueue(queue, 0, k, i, j, ka, kb)
+    found = 1
     while found > 0:
         kept, left = _measure(wanted, found, queue, operands, S, searches, kept, left, bounds, exact)
         cut = bounds.upper[k]
@@ -505,7 +504,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     queue, searches = queue_at(memory), searches_at(memory)
     # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
-    count, kept = np.int64(0), np.int64(0)
+    count, kept = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         lower[k] = np.inf
@@ -516,7 +515,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
             status[k] = SETTLED_DISTANCE
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
-            count = np.int64(0)
+            count = 0
             kept, left = _measure_many(
                 wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept, left, bounds, exact
             )
@@ -530,7 +529,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     _ask(b, j, Tb, kb)
                 if count == LANES:
                     kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
-                    count = np.int64(0)
+                    count = 0
     kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
     return left.pieces[:kept], left.values[:kept]  # no record: Python would make it by a slow call
 

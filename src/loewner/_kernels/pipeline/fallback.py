@@ -7,10 +7,10 @@ from settling go on to whole numbers, see `loewner._exact`.
 import numpy as np
 
 from loewner._kernels._jit import njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE, INEXACT
+from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, INEXACT, TOUCHING
 from loewner._kernels.columns import KIND
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, FLAT, penetration, workspace
-from loewner._kernels.narrow.gjk_robust import APART, TOUCH_ROUNDINGS, TOUCHING, rounding_error, run, swollen_radii
+from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, rounding_error, run, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
 from loewner._kernels.narrow.surface_distance import PIECE, triangle_piece
 from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE

@@ -22,6 +22,8 @@ from loewner._kernels.codes import (
     FREE,
     OPEN,
     RIGID,
+    TOUCHING,
+    UNSETTLED,
     UNSURE,
 )
 from loewner._kernels.columns import LAYOUT
@@ -155,7 +157,7 @@ def _improved(query, count, work):
     """Certify the lanes left UNSURE once more, at the maximum of the contact function; False for a faulty pose."""
     a, b = pieces_of(query.a), pieces_of(query.b)
     again = ahead_of(work)  # what it said has been asked for by now
-    unsure = _put_aside(count, listed_of(work), tier_of(work), np.int64(0), again)
+    unsure = _put_aside(count, listed_of(work), tier_of(work), 0, again)
     fill(again, unsure)
     tiers = np.empty(BLOCK, np.int8)
     normals = np.empty(3 * BLOCK)
@@ -222,10 +224,10 @@ def _search(query, turn, count, fresh, last, work, out, tally):
         walking += not free
         if walking == SINGLE_LANES:
             _walk(query, walking, work, out, tally)
-            walking = np.int64(0)
+            walking = 0
     if last != 0 and walking > 0:
         _walk(query, walking, work, out, tally)
-        walking = np.int64(0)
+        walking = 0
     carried_of(work)[N_WALKING] = walking
 
 
@@ -241,10 +243,10 @@ def _walk(query, count, work, out, tally):
             query.poses_b, query.moved_b, walk_of(work),
         )  # fmt: skip
     else:
-        found[:count] = gjk_batch.OPEN
+        found[:count] = UNSETTLED
     for n in range(count):
         k = listed.pair[n]
-        if found[n] == gjk_batch.OPEN:
+        if found[n] == UNSETTLED:
             normal = N[n], N[SINGLE_LANES + n], N[2 * SINGLE_LANES + n]
             _search_one(
                 query, k, listed.piece_a[n], listed.piece_b[n], listed.pose_a[n], listed.pose_b[n], normal, work, out,
@@ -252,7 +254,7 @@ def _walk(query, count, work, out, tally):
             )  # fmt: skip
         else:
             tally[BY_SEARCH] += 1
-            if found[n] == gjk_batch.TOUCHING:
+            if found[n] == TOUCHING:
                 out[k] = COLLIDING
 
 
@@ -295,7 +297,7 @@ def _flush(query, flags, count, work, out, tally):
             tally[BY_SPHERE] += total
             return flags & (FAR | CLOSE)
         fill(listed, count)
-    unsure = np.int64(0)  # typed: a constant would have functions compiled twice
+    unsure = 0
     if query.margin > 0.0 or flags & BEST:
         if not certificate.certify_best(
             count, query.margin, a.hot, Ta, query.moved_a, b.hot, Tb, query.moved_b, listed, tier, normals_of(work)
@@ -357,10 +359,10 @@ def _flush(query, flags, count, work, out, tally):
     turn = 1 - carried[HALF]
     held = _hold(a, b, count, turn, work)
     if flags & DISTINCT:
-        _search(query, carried[HALF], carried[N_HELD], held, np.int64(0), work, out, tally)
+        _search(query, carried[HALF], carried[N_HELD], held, 0, work, out, tally)
         carried[N_HELD], carried[HALF] = held, turn
     elif held > 0:
-        _search(query, turn, held, np.int64(0), np.int64(1), work, out, tally)
+        _search(query, turn, held, 0, 1, work, out, tally)
     return found
 
 
@@ -369,7 +371,7 @@ def _hold(a, b, count, turn, work):
     """Copy the pairs left OPEN, with their normals, to one half of the list of those held; how many they are."""
     listed, tier, held, at, way = listed_of(work), tier_of(work), held_of(work), turn * BLOCK, turn * (3 * BLOCK)
     # First where they are: few are open, and each has much to copy.
-    open_pairs = np.int64(0)
+    open_pairs = 0
     for lane in range(count):
         held.pair[np.uint64(at + open_pairs)] = lane
         open_pairs += tier[lane] == OPEN
@@ -469,11 +471,10 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
         listed, ahead, carried = listed_of(work), ahead_of(work), carried_of(work)
         last = shape.shape[0] - 1
         step = body_a[last], body_b[last], pose_a[last], pose_b[last]
-        # Typed: a constant would have `_flush` compiled twice.
-        found = np.int64(0)
+        found = 0
         k = start
         while k < stop:
-            count = np.int64(0)
+            count = 0
             while count < BLOCK and k < stop:
                 more = min(BLOCK - count, stop - k)
                 if rows.shape[1] > 0:
@@ -503,7 +504,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
                     return False
         if carried[N_HELD] + carried[N_WALKING] > 0:
-            _search(query, carried[HALF], carried[N_HELD], np.int64(0), np.int64(1), work, out, tally)
+            _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)
         return True
 
     # Bodies of which one has many pieces: by their trees.
@@ -511,7 +512,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
     numbers = np.empty(piece_tree.NUMBERS)
     found_a = np.empty(BLOCK, np.int64)
     found_b = np.empty(BLOCK, np.int64)
-    flags, filled = np.int64(0), np.int64(0)
+    flags, filled = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         # The trees may leave no piece pair at all, and nobody else would then look at the poses.
@@ -530,5 +531,5 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                     flags = _flush(query, flags, filled, work, out, tally)
                     if flags == FAULTY:
                         return False
-                    filled = np.int64(0)
+                    filled = 0
     return filled == 0 or _flush(query, flags, filled, work, out, tally) != FAULTY

@@ -83,7 +83,7 @@ def _sizes(pieces, problem, dof):
     bodies = len(pieces.piece_start) - 1
     first = pieces.piece_start[moving]
     return (
-        workspace_size(links, dof), np.int64(LANES), _ROW * LANES * first, _ROW * (pieces.piece_start[bodies] - first),
+        workspace_size(links, dof), LANES, _ROW * LANES * first, _ROW * (pieces.piece_start[bodies] - first),
         _BODY * bodies, _MIDDLE * LANES * bodies, WRENCH * LANES * links, LANES * dof, np.int64(_ENTRY * LANES * RUN),
         np.int64(_WHICH * RUN), np.int64(_TOTALS),
     )  # fmt: skip
@@ -92,7 +92,7 @@ def _sizes(pieces, problem, dof):
 @njit()
 def memory_of_clearances(pack, problem_handle, dof):
     """Bytes that `clearances` writes to."""
-    total = np.int64(0)
+    total = 0
     for size in _sizes(pieces_of(pack), problem_of(problem_handle), dof):
         total += lines(8 * size)
     return total
@@ -209,7 +209,7 @@ def _place_links(problem, to, Q, first, last):
     """Compute where the links are at the configurations first .. last, eight at most."""
     for lane in range(LANES):
         to.rows[lane] = min(first + lane, last)  # filled up with repeats of the last
-    place_links(problem.tree, Q, to.rows, np.int64(0), to.links)
+    place_links(problem.tree, Q, to.rows, 0, to.links)
 
 
 @njit()
@@ -347,7 +347,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
         store(to.totals, _LEAST, near)
         store(to.totals, _SUM, broadcast(0.0))
         clear(to.wrenches, WRENCH * links)
-        count = run = passed = np.int64(0)
+        count = run = passed = 0
         for p in range(len(problem.pairs)):
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             if _bodies_far(to, one, other, near + FAR * softness):
@@ -358,7 +358,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
                     # Runs end after so many pairs, left out or not: which are depends on the other configurations.
                     if passed // RUN > run:
                         _sum_up(count, gradient, softness, pack, problem_handle, memory, dof)
-                        count, run = np.int64(0), passed // RUN
+                        count, run = 0, passed // RUN
                     passed += 1
                     a, b = _ellipsoids(to, i, moving_pieces), _ellipsoids(to, j, moving_pieces)
                     r = minus(b.center, a.center)

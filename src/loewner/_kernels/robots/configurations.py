@@ -226,7 +226,7 @@ def _configuration(code):
 def _hit(query, s, pair, tier):
     """A configuration that collides takes no further part."""
     live = _live_of(query.work)
-    live[s // SINGLE_LANES] &= ~(np.int64(1) << (s % SINGLE_LANES))
+    live[s // SINGLE_LANES] &= ~(1 << (s % SINGLE_LANES))
     if query.first_hit != 0:
         live[:] = 0
     _verdicts_of(query.work)[s] = COLLIDING
@@ -244,7 +244,7 @@ def _mark_open(query, s):
 @inline
 def _ended(query):
     """Whether no configuration needs to be looked at any more."""
-    live, rest = _live_of(query.work), np.int64(0)
+    live, rest = _live_of(query.work), 0
     for group in range(GROUPS):
         rest |= live[group]
     return rest == 0
@@ -320,7 +320,7 @@ def _settle_waiting(query, held):
         _search(query, held)
     else:
         _improve(query, held)
-    return np.int64(0)
+    return 0
 
 
 @njit()
@@ -374,7 +374,7 @@ def _certify(query, keep, count, held):
         elif tier[lane] == OPEN:
             _mark_open(query, s)
     if _ended(query):
-        return np.int64(0)
+        return 0
     # Last of all: it makes lists of its own in `listed`.
     if held > WAITING - BLOCK:
         held = _settle_waiting(query, held)
@@ -401,7 +401,7 @@ def _place_pairs(query, start, stop, S):
             body = problem.pairs[problem.order[number], side]
             if body < counts.moving and placed[body] == 0:
                 placed[body] = 1
-                place_body(query.pack, query.problem, address, counts, body, S, np.int64(0))
+                place_body(query.pack, query.problem, address, counts, body, S, 0)
 
 
 @inline
@@ -452,12 +452,12 @@ def _settle_block(query, Q, first, last, S):
                 place_body(query.pack, query.problem, _placement_at(work, counts), counts, body, S, at)
     for group in range(GROUPS):
         rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
-        live[group] = (np.int64(1) << rest) - 1
+        live[group] = (1 << rest) - 1
     verdicts[:] = FREE
     _tiers_of(work)[:] = BY_SPHERE
     groups = (last - first) // SINGLE_LANES + 1
-    count, held, keep = np.int64(0), np.int64(0), 0.0
-    start, together, total = np.int64(0), np.int64(FIRST if few else TOGETHER), len(problem.order)
+    count, held, keep = 0, 0, 0.0
+    start, together, total = 0, np.int64(FIRST if few else TOGETHER), len(problem.order)
     while start < total:
         stop = min(start + together, total)
         if few:
@@ -469,7 +469,7 @@ def _settle_block(query, Q, first, last, S):
                 # The lists are of one margin.
                 if count > 0:
                     held = _certify(query, keep, count, held)
-                    count = np.int64(0)
+                    count = 0
                 keep = problem.margins[p]
             listed_whole = roots[one] < 0 and roots[other] < 0
             at = _configuration(codes[n])
@@ -487,12 +487,12 @@ def _settle_block(query, Q, first, last, S):
                             count += 1
                             if count == BLOCK:
                                 held = _certify(query, keep, count, held)
-                                count = np.int64(0)
+                                count = 0
                 else:
                     count, held = _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held)
         if few and count > 0:
             held = _certify(query, keep, count, held)
-            count = np.int64(0)
+            count = 0
             if held > 0:
                 held = _settle_waiting(query, held)
         if _ended(query):
@@ -521,7 +521,7 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
         count += found
         if count == BLOCK:
             held = _certify(query, keep, count, held)
-            count = np.int64(0)
+            count = 0
     return count, held
 
 
@@ -556,7 +556,7 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
     """
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     counts = counts_of(pieces, problem, Q.shape[1])
-    query = Query(mode, np.int64(0), pack, problem_handle, counts, hits, memory)
+    query = Query(mode, 0, pack, problem_handle, counts, hits, memory)
     verdicts, tiers = _verdicts_of(memory), _tiers_of(memory)
     S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
     stand(problem, _placement_at(memory, counts), counts)
@@ -592,11 +592,11 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
     dof, total = len(start), len(fractions)
     counts = counts_of(pieces, problem, dof)
-    query = Query(np.int64(EXACT), np.int64(1), pack, problem_handle, counts, hits, memory)
+    query = Query(EXACT, 1, pack, problem_handle, counts, hits, memory)
     verdicts, way = _verdicts_of(memory), _way_of(memory, counts)
     stand(problem, _placement_at(memory, counts), counts)
     # A motion that collides mostly does so at one of its first configurations.
-    verdict, first, some = np.int64(FREE), np.int64(0), np.int64(LANES)
+    verdict, first, some = FREE, 0, LANES
     while first < total:
         last = min(first + some, total) - 1
         for k in range(first, last + 1):
@@ -604,12 +604,12 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
                 straight = start[c] + fractions[k] * (end[c] - start[c])
                 way[k - first, c] = straight if fractions[k] != 1.0 else end[c]
         S = np.int64(SINGLE_LANES if last - first < SINGLE_LANES else MOST)
-        _settle_block(query, way, np.int64(0), last - first, S)
+        _settle_block(query, way, 0, last - first, S)
         for s in range(last + 1 - first):
             if verdicts[s] == COLLIDING:
-                return np.int64(COLLIDING), last + 1
+                return COLLIDING, last + 1
             if verdicts[s] == AMBIGUOUS:
-                verdict = np.int64(AMBIGUOUS)
+                verdict = AMBIGUOUS
             out[first + s] = verdicts[s]
-        first, some = last + 1, np.int64(MOST)
+        first, some = last + 1, MOST
     return verdict, total

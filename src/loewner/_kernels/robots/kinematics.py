@@ -205,10 +205,10 @@ def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, st
     for first in range(start, stop, LANES):
         for lane in range(LANES):
             rows[lane] = min(first + lane, last)  # the last block is filled up with repeats, written as often
-        place_links(tree, Q, rows, np.int64(0), W)
+        place_links(tree, Q, rows, 0, W)
         for link in range(links):
             R, t = rotation_of_link(W, link), translation_of_link(W, link)
             upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
             lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
-            scatter_transpose(out, links * 16, rows, np.int64(0), link * 16, upper)
-            scatter_transpose(out, links * 16, rows, np.int64(0), link * 16 + 8, lower)
+            scatter_transpose(out, links * 16, rows, 0, link * 16, upper)
+            scatter_transpose(out, links * 16, rows, 0, link * 16 + 8, lower)

@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
+from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, TOO_LONG, TOUCHING
 from loewner._kernels.columns import CACHE_LINE, OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_swept
 from loewner._kernels.narrow.exact import exact_piece_pair
-from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, TOUCHING, run
+from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import place_links, workspace_size
@@ -50,13 +50,9 @@ from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_li
 from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
-# Further verdicts: the motion would have to be cut into too many intervals; it collides, but so near to contact that
-# only the careful search said so, and another start of it may not.
-TOO_LONG, BY_CARE = 3, 4
-
 # How far points may be from their chords [m] in the first intervals; a choice.
 FIRST_OFF = 0.01
-MOST_BLOCKS = 2**16  # of seven intervals
+MOST_BLOCKS = MOST_INTERVALS // 7
 
 # Neighbouring intervals that one plane is looked for together, if points are then no farther off than this [m].
 MERGED_OFF = 0.005
@@ -384,7 +380,7 @@ def _proven_moving(motion, i, j, poses, fixed_first, first, fixed_last, last, ke
     to = _relative_of(motion)
     _relative(poses, fixed_first, first, to, 1)
     _relative(poses, fixed_last, last, to, 2)
-    return _proven_standing(motion, i, to, np.int64(1), np.int64(2), j, to, np.int64(0), keep, n)
+    return _proven_standing(motion, i, to, 1, 2, j, to, 0, keep, n)
 
 
 @apart
@@ -445,7 +441,7 @@ def _moved(near, width):
 @njit()
 def _place_at(motion, W):
     """Place the links at the configurations that are written."""
-    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), np.int64(0), W)
+    place_links(problem_of(motion.problem).tree, _configurations_of(motion), _rows_of(motion), 0, W)
 
 
 @apart
@@ -455,7 +451,7 @@ def _confirmed(motion, near, t, n):
     COLLIDING, BY_CARE, or AMBIGUOUS if they do not collide after all.
     """
     if not motion.confirmed:
-        return np.int64(COLLIDING)
+        return COLLIDING
     problem = problem_of(motion.problem)
     Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
     for lane in range(LANES):
@@ -469,7 +465,7 @@ def _confirmed(motion, near, t, n):
     else:
         _copy_standing(problem, other - motion.counts.moving, poses, row + 1)
     verdict = _collides(motion, near.i, poses, row, near.j, poses, row + 1, near.margin, n)
-    return np.int64(AMBIGUOUS) if verdict == FREE else verdict
+    return AMBIGUOUS if verdict == FREE else verdict
 
 
 @inline
@@ -562,7 +558,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
             if depth + 1 >= DEPTH - 1 or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
-                return np.int64(AMBIGUOUS), a  # no number is left between the two
+                return AMBIGUOUS, a  # no number is left between the two
             at = depth * _POSES
             both = at + PARTS + 1
             _cut(motion, near, depth + 1, a, b, poses, at + first, at + last, poses, both + first, both + last)
@@ -580,7 +576,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
             wide = near.margin + motion.tolerance
             tally[1] += 1
             if _collides(motion, near.i, poses, at + middle, near.j, poses, both + middle, wide, toward) != FREE:
-                return np.int64(AMBIGUOUS), t
+                return AMBIGUOUS, t
         for half in range(2):
             a, b = (middle, last) if half == 0 else (first, middle)
             w = times[depth, b] - times[depth, a]
@@ -605,11 +601,11 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
             if found:
                 continue
             if _moved(near, w) <= enough:
-                return np.int64(AMBIGUOUS), 0.5 * (times[depth, a] + times[depth, b])
+                return AMBIGUOUS, 0.5 * (times[depth, a] + times[depth, b])
             stack[top, 0], stack[top, 1], stack[top, 2] = depth, a, b
             normals[top, 0], normals[top, 1], normals[top, 2] = m
             top += 1
-    return np.int64(FREE), np.nan
+    return FREE, np.nan
 
 
 # -- a block ------------------------------------------------------------------------------------
@@ -648,7 +644,7 @@ def _halve_waiting(motion, count, found, tally):
         pair, k = waiting[e, 0], waiting[e, 3]
         near = Near(pair, waiting[e, 1], waiting[e, 2], ways[e, 3], ways[e, 4], ways[e, 5], ways[e, 6])
         one, other = problem.pairs[pair, 0], problem.pairs[pair, 1]
-        link = problem.link[other] if other < motion.counts.moving else np.int64(-1)
+        link = problem.link[other] if other < motion.counts.moving else -1
         back = ways_between(tables, rates, other, link, problem.link[one])
         n = ways[e, 0], ways[e, 1], ways[e, 2]
         verdict, t = _halve(motion, near, swept, back, times[k], times[k + 1], k, n, tally)
@@ -699,7 +695,7 @@ def _test(motion, near, swept, k, n, found, tested, tally):
         Configurations that were asked about, as bits.
     """
     if (tested >> k) & 1 == 0:
-        tested |= np.int64(1) << k
+        tested |= 1 << k
         tally[1] += 1
         if _collides_in_block(motion, near, swept, k, n) != FREE:
             times, other = _times_of(motion), problem_of(motion.problem).pairs[near.pair, 1]
@@ -721,7 +717,7 @@ def _search(motion, near, live, found, waiting_count, tally):
     """
     swept, times, N = _swept_of(motion), _times_of(motion), _normals_of(motion)
     waiting, ways = _waiting_of(motion), _waiting_ways_of(motion)
-    tested = np.int64(0)
+    tested = 0
     width = (times[INTERVALS] - times[0]) / INTERVALS
     while live != 0:
         # From the end on: of the motions that planners ask about, most of those that collide do so there.
@@ -735,13 +731,13 @@ def _search(motion, near, live, found, waiting_count, tally):
             tally[1] += 1
             proven, n = _proven(motion, near, swept, first, last, keep + _off(near, times[last] - times[first]), n)
             if proven:
-                live &= (np.int64(1) << first) - 1
+                live &= (1 << first) - 1
                 continue
             found, tested = _test(motion, near, swept, last, n, found, tested, tally)
             if _hit(found):
                 return found, waiting_count
         for k in range(last - 1, first - 1, -1):
-            live &= ~(np.int64(1) << k)
+            live &= ~(1 << k)
             w = times[k + 1] - times[k]
             tally[1] += 1
             proven, n = _proven(motion, near, swept, k, k + 1, keep + _off(near, w), n)
@@ -752,7 +748,7 @@ def _search(motion, near, live, found, waiting_count, tally):
                 if _hit(found):
                     return found, waiting_count
             if _moved(near, w) <= _enough(motion, near):
-                found = _worse(found, np.int64(AMBIGUOUS), 0.5 * (times[k] + times[k + 1]), near.pair)
+                found = _worse(found, AMBIGUOUS, 0.5 * (times[k] + times[k + 1]), near.pair)
                 continue
             waiting[waiting_count, 0], waiting[waiting_count, 1] = near.pair, near.i
             waiting[waiting_count, 2], waiting[waiting_count, 3] = near.j, k
@@ -776,7 +772,7 @@ def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
         rows, at = swept.pieces, i * PIECE
         if other < moving:
             see_piece(problem, i, other, swept, scratch)
-            rows, at = scratch, np.int64(0)
+            rows, at = scratch, 0
         for j in range(start[other], start[other + 1]):
             near = Near(pair, i, j, bend, speed, margin, slack)
             keep = margin + slack + _off(near, times[1] - times[0])
@@ -791,7 +787,7 @@ def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
                     return found, count
                 if count > WAITING - LANES:
                     found = _halve_waiting(motion, count, found, tally)
-                    count = np.int64(0)
+                    count = 0
                     if _hit(found):
                         return found, count
     return found, count
@@ -813,14 +809,14 @@ def _settle_block(motion, low, high, found, tally):
     widest = 0.0
     for k in range(INTERVALS):
         widest = max(widest, times[k + 1] - times[k])
-    count = np.int64(0)
+    count = 0
     order = _order_of(motion)
     for number in range(len(order)):
         pair = order[number]
         one, other, margin = problem.pairs[pair, 0], problem.pairs[pair, 1], problem.margins[pair]
         slack = motion.rounding + motion.skew * margin
         if motion.strays:
-            fixed = problem.link[other] if other < moving else np.int64(-1)
+            fixed = problem.link[other] if other < moving else -1
             astray = ways_between(tables, _strays_of(motion), one, problem.link[one], fixed).speed
             slack += (1.0 + motion.skew) * astray
         if other >= moving:
@@ -865,18 +861,18 @@ def _certify(motion, tally):
     )  # fmt: skip
     most = 0.0
     for body in range(motion.counts.moving):
-        seen = ways_between(tables, rates, body, problem.link[body], np.int64(-1))
+        seen = ways_between(tables, rates, body, problem.link[body], -1)
         ways[body, 0], ways[body, 1] = seen.bend, seen.speed
         most = max(most, seen.bend)
-    blocks = np.int64(1)
+    blocks = 1
     while not most / (8.0 * (INTERVALS * blocks) ** 2) <= FIRST_OFF:
         blocks *= 2
         if blocks > MOST_BLOCKS:
-            return Found(np.int64(TOO_LONG), np.nan, np.int64(-1))
-    found = Found(np.int64(FREE), np.nan, np.int64(-1))
+            return Found(TOO_LONG, np.nan, -1)
+    found = Found(FREE, np.nan, -1)
     for number in range(blocks):
         # The first, the one in the middle, those between: the bits of their numbers reversed.
-        block, bit, rest = np.int64(0), blocks // 2, number
+        block, bit, rest = 0, blocks // 2, number
         while rest != 0:
             block += bit * (rest & 1)
             rest >>= 1

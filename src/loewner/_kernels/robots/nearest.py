@@ -221,9 +221,9 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
             enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
             queue[BODIES, s] = p
         _bound(here, queue, operands, memory, least, low, high)
-        live = (np.int64(1) << here) - 1
+        live = (1 << here) - 1
         for turn in range(2 if wanted else 1):
-            count = np.int64(0)
+            count = 0
             for p in range(total):
                 one, other = problem.pairs[p, 0], problem.pairs[p, 1]
                 near = _may_be_nearer(least, p, high, live)
@@ -233,7 +233,7 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                     row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
                     if roots[one] >= 0 or roots[other] >= 0:
                         _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
-                        count = np.int64(0)
+                        count = 0
                         _walk(
                             turn,
                             p,
@@ -259,7 +259,7 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                             count += 1
                             if count == LANES:
                                 _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
-                                count = np.int64(0)
+                                count = 0
             _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
         for s in range(here):
             k = first + s
@@ -315,7 +315,7 @@ def _place(pack, problem_handle, at_placement, counts, Q, first, last):
     for lane in range(0, last + 1 - first, EIGHT):
         place_joints(problem, Q, first + lane, last, to)
         for body in range(counts.moving):
-            place_body(pack, problem_handle, at_placement, counts, body, np.int64(S), np.int64(lane))
+            place_body(pack, problem_handle, at_placement, counts, body, S, np.int64(lane))
 
 
 @inline

@@ -137,7 +137,7 @@ def _place_piece(hot, p, R, t, S, at, numbers, rows):
     third = INNER_SHAPE + 6
     for lane in range(LANES):
         numbers[lane] = p * S + at + lane
-    zero = np.int64(0)
+    zero = 0
     scatter_transpose_rounded(rows, HOT, numbers, zero, zero, first)
     scatter_transpose_rounded(
         rows, HOT, numbers, zero, OUTER_SHAPE, (*P, broadcast(hot[p, second]), broadcast(hot[p, second + 1]))
@@ -154,7 +154,7 @@ def place_joints(problem, Q, first, last, to):
     """Compute where the links are at the configurations first .. last, eight at most: what `place_body` reads."""
     for lane in range(LANES):
         to.numbers[lane] = min(first + lane, last)  # filled up with repeats of the last
-    place_links(problem.tree, Q, to.numbers, np.int64(0), to.links)
+    place_links(problem.tree, Q, to.numbers, 0, to.links)
 
 
 @njit()
@@ -167,12 +167,12 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
     link, ball, piece_start, hot = problem.link, problem.ball, pieces.piece_start, pieces.hot
     W, numbers, bounds = to.links, to.numbers, to.bounds
     zero, one = broadcast(0.0), broadcast(1.0)
-    nought = np.int64(0)
+    nought = 0
     R, t = rotation_of_link(W, link[body]), translation_of_link(W, link[body])
     for lane in range(LANES):
         numbers[lane] = body * S + at + lane
     scatter_transpose(to.poses, 16, numbers, nought, nought, (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1]))
-    scatter_transpose(to.poses, 16, numbers, nought, np.int64(8), (R[6], R[7], R[8], t[2], zero, zero, zero, one))
+    scatter_transpose(to.poses, 16, numbers, nought, 8, (R[6], R[7], R[8], t[2], zero, zero, zero, one))
     p = piece_start[body]
     center, length, squares = _place_piece(hot, p, R, t, S, at, numbers, to.ellipsoids)
     off = OFF * length + LEAST

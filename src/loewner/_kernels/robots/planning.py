@@ -93,7 +93,7 @@ def _nearest(space, nodes, count, q, squares):
             for k in range(count):
                 way = value - row[k]
                 squares[k] += way * way
-    best = np.int64(0)
+    best = 0
     for k in range(1, count):
         if squares[k] < squares[best]:
             best = np.int64(k)
@@ -124,14 +124,14 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
     joints = len(space.columns)
     drawn, here, there = points[0], points[1], points[2]
-    tree = np.int64(0) if state[STARTS] <= state[GOALS] else np.int64(1)
+    tree = 0 if state[STARTS] <= state[GOALS] else 1
     nodes, count = trees.nodes[tree], state[STARTS + tree]
     for c in range(joints):
         share = space.shift[c] + state[ITERATION] * space.stride[c]
         drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * (share - np.floor(share))
     near, distance = _nearest(space, nodes, count, drawn, squares)
     if distance == 0.0 or distance > trees.domains[tree, near]:
-        return np.int64(SPENT)
+        return SPENT
     share = min(space.range / distance, 1.0)
     for c in range(joints):
         here[c] = nodes[c, near]
@@ -143,7 +143,7 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
     if not _free(judge, space, ends, here, there, state):
         less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * space.range)
         trees.domains[tree, near] = FIRST_DOMAIN * space.range if domain == np.inf else less
-        return np.int64(SPENT)
+        return SPENT
     if domain != np.inf:
         trees.domains[tree, near] = domain * (1.0 + CHANGE)
     _add(trees, tree, count, there, near)
@@ -179,14 +179,14 @@ def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
     if met:
         state[OF_START + tree], state[OF_START + other] = count - 1, aim
         gap[0] = 0.0
-        return np.int64(MET)
+        return MET
     left = 0.0
     for c in range(joints):
         way = trees.nodes[other, c, aim] - here[c]
         way -= TURN * _turns(space, c, way)
         left += way * way
     gap[0] = min(gap[0], np.sqrt(left))
-    return np.int64(SPENT)
+    return SPENT
 
 
 @njit()
@@ -236,13 +236,13 @@ def connect_trees(
     capacity = nodes.shape[2]
     while state[ITERATION] < most:
         if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
-            return np.int64(FULL)
+            return FULL
         state[ITERATION] += 1
         if state[ITERATION] == 1:
             # Straight to the nearest goal, before anything is drawn.
-            outcome = _lead(judge, space, trees, state, gap, ends, points, squares, np.int64(0), np.int64(0))
+            outcome = _lead(judge, space, trees, state, gap, ends, points, squares, 0, 0)
         else:
             outcome = _iterate(judge, space, trees, state, gap, ends, points, squares)
         if outcome == MET:
-            return np.int64(MET)
-    return np.int64(SPENT)
+            return MET
+    return SPENT

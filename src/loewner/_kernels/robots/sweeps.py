@@ -137,7 +137,7 @@ def place_pieces(problem, pieces, body, to):
 @njit()
 def sweep(problem, pieces, to):
     """Write poses of all that moves, and bounds over the intervals, from the links that are placed."""
-    zero, one, nought = broadcast(0.0), broadcast(1.0), np.int64(0)
+    zero, one, nought = broadcast(0.0), broadcast(1.0), 0
     for body in range(problem.link.size):
         link = problem.link[body]
         R, t = rotation_of_link(to.links, link), translation_of_link(to.links, link)
@@ -146,7 +146,7 @@ def sweep(problem, pieces, to):
         upper = (R[0], R[1], R[2], t[0], R[3], R[4], R[5], t[1])
         scatter_transpose(to.poses, 16, to.numbers, nought, nought, upper)
         lower = (R[6], R[7], R[8], t[2], zero, zero, zero, one)
-        scatter_transpose(to.poses, 16, to.numbers, nought, np.int64(8), lower)
+        scatter_transpose(to.poses, 16, to.numbers, nought, 8, lower)
         p = pieces.piece_start[body]
         simple = pieces.piece_start[body + 1] - p == 1
         to.done[body] = np.int64(simple)

@@ -168,7 +168,7 @@ def link_jacobians(parent, kind, column, multiplier, offset, constants, Q, start
     for first in range(start, stop, LANES):
         for lane in range(LANES):
             rows[lane] = min(first + lane, stop - 1)  # filled up with repeats of the last
-        place_links(tree, Q, rows, np.int64(0), W)
+        place_links(tree, Q, rows, 0, W)
         at = image(rotation_of_link(W, link), translation_of_link(W, link), (point[0], point[1], point[2]))
         for row in range(6):
             unit = broadcast(1.0 * (row % 3 == 0)), broadcast(1.0 * (row % 3 == 1)), broadcast(1.0 * (row % 3 == 2))

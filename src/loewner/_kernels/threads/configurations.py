@@ -178,7 +178,7 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
     placed : float32
         Receives the links of the tile.
     """
-    link = np.int64(0)
+    link = 0
     while link < links:
         joint, c = joints + 4 * LINK_INTEGERS * link, constants + 4 * LINK_CONSTANTS * link
         R, t = _nine(c, ROTATION), _three(c, TRANSLATION)
@@ -337,8 +337,8 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
     if other < moving:
         there = _bounds_of(bounds, other * BOUNDS * S + s, S)
     else:
-        there = _bounds_of(standing, (other - moving) * BOUNDS, np.int64(1))
-    if near(here, there, number_at(margins, p), np.int64(1)) == 0:
+        there = _bounds_of(standing, (other - moving) * BOUNDS, 1)
+    if near(here, there, number_at(margins, p), 1) == 0:
         return
     at = add_to(count, 0, 1)
     if at < capacity:
@@ -401,18 +401,18 @@ def certify_survivor(
     more = astray * (UP / OFF)  # a length of which positions take that much for slack
     i, last_a = _pieces_of(bodies, one)
     first_b, last_b = _pieces_of(bodies, other)
-    found = np.int64(SO_FAR_FREE)
+    found = SO_FAR_FREE
     # With a margin the near points need the best s, in double precision.
     if holds(number_at(margins, p) > 0.0) or (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
-        found, i = np.int64(LEFT_OPEN), last_a
+        found, i = LEFT_OPEN, last_a
     while i < last_a:
         j = first_b
         while j < last_b and found != HIT:
             tier = tier_of_one(a, rows + 4 * HOT * i, b, rows + 4 * HOT * j, more)
             if tier == BY_INNER:
-                found = np.int64(HIT)
+                found = HIT
             elif tier not in (BY_SPHERE, BY_OUTER):
-                found = np.int64(LEFT_OPEN)
+                found = LEFT_OPEN
             j += 1
         i += 1
     if found != SO_FAR_FREE:

@@ -33,7 +33,7 @@ MOST_PIECE_PAIRS = 1024
 def _with(verdict, of_piece_pair):
     """Verdict of several piece pairs and one more: COLLIDING if any is, then LEFT, AMBIGUOUS, FREE."""
     if verdict == COLLIDING or of_piece_pair == COLLIDING:
-        return np.int64(COLLIDING)
+        return COLLIDING
     return max(verdict, of_piece_pair)
 
 
@@ -41,10 +41,10 @@ def _with(verdict, of_piece_pair):
 def _verdict_of(tier, of_open):
     """Verdict of a piece pair by its tier; `of_open` is that of OPEN ones."""
     if tier in (BY_SPHERE, BY_OUTER):
-        return np.int64(FREE)
+        return FREE
     if tier == BY_INNER:
-        return np.int64(COLLIDING)
-    return np.int64(of_open) if tier == OPEN else np.int64(LEFT)
+        return COLLIDING
+    return np.int64(of_open) if tier == OPEN else LEFT
 
 
 @inline
@@ -58,7 +58,7 @@ def _pose_at(poses, row):
 @inline
 def _row_of(k, plan, axes, operand):
     """Row that an operand contributes to pair k: `pipeline.verdicts.row_of`, of a plan of int32."""
-    row = np.int64(0)
+    row = 0
     axis = axes - 1
     while axis > 0:
         length = integer_at(plan, axis)
@@ -119,7 +119,7 @@ def classify_pieces(
     """
     i, pose_a, j, pose_b = _rows_of_pair(thread, plan, axes, rows, total)
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
-    verdict = np.int64(LEFT)
+    verdict = LEFT
     if a.rigid and b.rigid:
         verdict = _verdict_of(tier_of_one(a, packed_a + ROW * i, b, packed_b + ROW * j, lane_of(0.0)), of_open)
     _tell(thread, verdict, verdicts, left, count)
@@ -138,9 +138,9 @@ def classify_bodies(
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
     i, last_a = integer_at(start_a, body_a), integer_at(start_a, body_a + 1)
     first_b, last_b = integer_at(start_b, body_b), integer_at(start_b, body_b + 1)
-    verdict = np.int64(FREE)
+    verdict = FREE
     if not (a.rigid and b.rigid) or (last_a - i) * (last_b - first_b) > MOST_PIECE_PAIRS:
-        verdict, i = np.int64(LEFT), last_a
+        verdict, i = LEFT, last_a
     while i < last_a:
         j = first_b
         while j < last_b and verdict != COLLIDING:
