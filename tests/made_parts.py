@@ -3,8 +3,6 @@
 import numpy as np
 import trimesh
 
-KINDS = ("gear", "bracket", "mug", "screw")
-
 
 def extruded(outline, height):
     """A solid over an outline that is star-shaped about the mean of its corners, shape (n, 2)."""
@@ -81,6 +79,19 @@ def screw(rng):
     return trimesh.util.concatenate([head, shank])
 
 
+MAKERS = (gear, bracket, mug, screw)
+
+
+def part(number):
+    """The part that `write` makes as that number, whole."""
+    rng = np.random.default_rng(0)
+    for k in range(number + 1):
+        made = MAKERS[k % len(MAKERS)](rng)
+        if k % 20 == 1:
+            rng.choice(len(made.faces), 2, replace=False)
+    return made
+
+
 def write(folder, count):
     """Write parts; return the paths of all, and of those that are damaged, which nothing can be made of.
 
@@ -89,9 +100,9 @@ def write(folder, count):
     folder.mkdir()
     rng, paths, damaged = np.random.default_rng(0), [], []
     for k in range(count):
-        kind = KINDS[k % len(KINDS)]
-        mesh = {"gear": gear, "bracket": bracket, "mug": mug, "screw": screw}[kind](rng)
-        path = folder / f"{kind}{k:03}.stl"
+        make = MAKERS[k % len(MAKERS)]
+        mesh = make(rng)
+        path = folder / f"{make.__name__}{k:03}.stl"
         if k % 20 == 1:
             keep = np.ones(len(mesh.faces), dtype=bool)
             keep[rng.choice(len(mesh.faces), 2, replace=False)] = False

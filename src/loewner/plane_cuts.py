@@ -189,9 +189,11 @@ def _cut(cell: Cell, solid: Solid, plate: float, rng: np.random.Generator) -> li
     if len(cell.triangles) > MANY:
         with suppress(GeometryError):
             some = _cell(cell.triangles[rng.choice(len(cell.triangles), MANY, replace=False)], plate)
-    whole = _volume(some.hull)
+    whole, corners = _volume(some.hull), cell.triangles.reshape(-1, 3)
     planes, options, shares = [], [], []
     for plane in _planes(cell, solid, plate):
+        if np.ptp(corners @ plane[0]) < plate:
+            continue  # both halves would stick out as far, up to that width, and be cut like that without end
         halves = _halves(some.triangles, plane, solid, plate)
         if halves is None:
             continue
