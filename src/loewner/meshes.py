@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 
 class Surface(Protocol):
-    """What a `trimesh.Trimesh` is here: vertices, and triangles as indices of them."""
+    """The part of a `trimesh.Trimesh` that is used: vertices, and triangles as indices of them."""
 
     @property
     def vertices(self) -> ArrayLike:
@@ -47,14 +47,14 @@ class Surface(Protocol):
 
 
 class Surfaces(Protocol):
-    """What a `trimesh.Scene` is here: something that can be joined."""
+    """The part of a `trimesh.Scene` that is used: it can be joined."""
 
     def to_mesh(self) -> Surface:
         """All of it as one."""
 
 
 class Loaded(Protocol):
-    """What `trimesh.load` is said to return; whether it is a surface shows when it is read."""
+    """The declared result of `trimesh.load`; whether it is a surface shows when it is read."""
 
     @property
     def bounds(self) -> ArrayLike | None:
@@ -69,7 +69,7 @@ SUFFIXES = mesh_files.SUFFIXES
 # that are hulls, then simplified and stored in float32, are off by up to 1e-3.
 CONVEX_VOLUME_TOLERANCE = 1e-3
 
-# A mesh smaller or larger than that across [m] is asked about: hardly any body is, except one in another unit. Meshes
+# A mesh smaller or larger than that across [m] causes a warning: hardly any body is, except one in another unit. Meshes
 # of landscapes are, and a filter of warnings is for them; a part of 0.5 m in millimetres, 500 m, is not noticed.
 USUAL_SIZES = (1e-4, 1e3)
 
@@ -99,9 +99,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Raises
     ------
     FileError
-        If the file is missing, empty, cut short, larger than 2 GiB, no regular file or no mesh, or if it holds
-        anything else than what it says of itself; the message names the line or element. (An OBJ file does not say
-        how long it is: one that was cut between two lines cannot be told from a whole one.)
+        If the file is missing, empty, cut short, larger than 2 GiB, no regular file or no mesh, or if its contents do
+        not match its declarations; the message names the line or element. (An OBJ file does not declare its length: a
+        file that was cut between two lines cannot be distinguished from a whole one.)
     GeometryError
         If a vertex is not finite, or there is no triangle.
 
@@ -200,7 +200,7 @@ def convex_pieces(
         Grow the pieces of a decomposition until they hold the mesh's whole surface.
     tolerance : float, optional
         How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
-        they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning says by how much.
+        they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning states by how much.
         A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as near as a
         limited amount of work comes.
     threshold : float
@@ -269,7 +269,7 @@ def convex_pieces(
 
 
 def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
-    """Read a mesh as `load` does, in the unit that a factor makes metres of; ask about sizes that look like a slip."""
+    """Read a mesh as `load` does, in the unit that a factor converts to metres; warn about doubtful sizes."""
     factors = _validate.float_array(scale, "scale")
     factors = _validate.finite_array(factors, "scale", (3,) if factors.ndim else ())
     if not factors.all():
@@ -289,12 +289,12 @@ def name_of(source: Source) -> str:
 
 
 def _path(source: str | PathLike[str]) -> Path:
-    """The path of a source; what is wrong with a name, the reader of the file says."""
+    """The path of a source; the reader of the file reports an invalid name."""
     return Path(source) if isinstance(source, str | Path) else _validate.path(source, "source")
 
 
 def _naming(fit: Callable[..., T]) -> Callable[..., T]:
-    """Have what is wrong with a shape begin with the name of the mesh, wherever it is noticed."""
+    """Make every error about a shape begin with the name of the mesh."""
 
     @wraps(fit)
     def call(source: Source, **options: Any) -> T:
@@ -367,7 +367,7 @@ def convex_polytopes(
         surfaces = [vertices[part.triangles] for part in parts] if hulls else [vertices[triangles]]
         cells = pieces_within(surfaces, solid, within, most, progress, np.inf if solid.closed else WORK)
         pieces = [cell.hull for cell in cells]
-        # Each cell lies in its hull as it stands; there is nothing to grow.
+        # Each cell lies in its hull already; there is nothing to grow.
         surface = np.concatenate([cell.triangles for cell in cells])
         _, covering = covered(surface, pieces, _size(vertices), grow=False)
         reached = min(_protrusion(pieces, solid), max(cell.bound for cell in cells))
@@ -483,7 +483,8 @@ def _hulls_of_parts(vertices: Floats, parts: list[ClosedPart], hull: Polytope) -
 def _interruptible(work: Callable[[], T]) -> T:
     """Return work() of foreign code that may take minutes, and raise an interrupt at once.
 
-    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, for nobody.
+    The code itself cannot be stopped: after an interrupt it runs to its end on a thread of its own, and the result is
+    discarded.
     """
     done: list[T] = []
     errors: list[BaseException] = []
@@ -533,7 +534,7 @@ def _coacd_by_parts(
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
     """Join pieces until there are no more than a limit, those first whose common box is smallest.
 
-    CoACD keeps parts apart that are not connected, whatever limit it is given.
+    CoACD keeps parts apart that are not connected, independent of the limit.
     """
     pieces = list(pieces)
     while most is not None and len(pieces) > most:

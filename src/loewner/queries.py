@@ -33,10 +33,10 @@ else:
 
     Number, Exact, Vector = TypeVar("Number"), TypeVar("Exact"), TypeVar("Vector")
 
-# What a result holds where nothing more was asked for: None, for type variables that may stand for it.
+# Value of a result's fields that were not requested: None, for type variables that may stand for it.
 NOTHING: Any = None
 
-# What a pair takes in bytes in `collide`: a verdict and two flags. In a list of pairs: two numbers.
+# Bytes that a pair takes in `collide`: a verdict and two flags. In a list of pairs: two numbers.
 COLLIDE_BYTES, LIST_BYTES = 3, 16
 
 # Where a body or several are, as users give it.
@@ -77,8 +77,8 @@ class Distance(Generic[Number, Exact, Vector]):
 
     Everything here is about the nearest, or else the deepest, two pieces. For bodies of several pieces a
     negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
-    other, and parting them can take more, since another pair may then be in the way. Of a surface that is a strict
-    lower bound; the depth of two convex pieces is theirs to the accuracy of an exact distance.
+    other, and parting them can take more, since another pair may then be in the way. For a surface it is a strict lower
+    bound; for two convex pieces it is as accurate as an exact distance.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ Measured = Distance[Number, Number, Floats]
 
 
 class _Pairs(NamedTuple):
-    """Operands of a query, broadcast: what the kernels take."""
+    """Operands of a query, broadcast, as the kernels take them."""
 
     shape: tuple[int, ...]
     total: int
@@ -178,8 +178,8 @@ def _prepare(
 ) -> _Pairs:
     """Check the operands and work out how they broadcast; the poses are left to the kernel unless `check`.
 
-    `each` is how many bytes of results a pair takes: what does not fit into memory is refused. `chosen` are rows of
-    pairs, instead of broadcasting.
+    `each` is the number of bytes of results per pair: a call that does not fit into memory is refused. `chosen` are
+    rows of pairs, instead of broadcasting.
     """
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
@@ -227,7 +227,7 @@ def plan_of(
     each: int = 1,
     chosen: ArrayLike | None = None,
 ) -> Plan:
-    """Work out how bodies and poses of these shapes broadcast, or what listed pairs are; see `_prepare`."""
+    """Work out how bodies and poses broadcast by their shapes, or the shape of listed pairs; see `_prepare`."""
     if chosen is not None:
         return _listed(chosen, a, of_poses_a, b, of_poses_b, each)
     of_a = (len(a),) if isinstance(a, Bodies) else ()
@@ -373,8 +373,8 @@ def classify(
         Metres that the bodies must keep: FREE then means farther apart than `margin`, COLLIDING
         within it.
     pairs : array_like of int, shape (..., 2), optional
-        Which of a to ask about with which of b, instead of broadcasting: row i of a is body i at pose i (of one body,
-        or one pose, always that). Nothing is copied. All of n with all of m: ``np.indices((n, m)).T``, result (m, n).
+        Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i (a single body or pose
+        serves all rows). Nothing is copied. All of n with all of m: ``np.indices((n, m)).T``, result (m, n).
 
     Returns
     -------
@@ -585,7 +585,7 @@ def distance(
     -------
     Distance
         Separation is positive, penetration negative, touching zero. The signed distance of two
-        bodies is the least over their piece pairs; see `Distance` for what that means for depths.
+        bodies is the least over their piece pairs; see `Distance` for the meaning of depths.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Scenes: named bodies in the world, what hangs on a robot's links, what may touch, and the margins kept.
+"""Scenes: named bodies in the world, bodies attached to a robot's links, allowed contacts, and margins.
 
-A `Scene` is what changes between two questions: bodies are added, moved, grasped and put down by name. The bodies
-themselves never change, so all of this costs dictionary entries; nothing is fitted again. A scene knows no robot.
-Names of links are taken on trust here, and checked by whoever pairs the scene with a robot (`CollisionChecker`).
+A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
+never change, so all of this costs dictionary entries; nothing is fitted again. A scene has no robot. Names of links are
+not checked here, but by `CollisionChecker`, which pairs the scene with a robot.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Contact:
         ----------
         names : iterable of pairs of str
         found : Distance
-            Of as many pairs, with ``exact=True``.
+            For as many pairs, with ``exact=True``.
 
         Returns
         -------
@@ -98,7 +98,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """How a body hangs on a robot.
+    """How a body is attached to a robot.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Attachment:
     T_link_body : ndarray, shape (4, 4)
         Where it sits in the frame of the link; translation in metres.
     touch_links : tuple of str
-        Links that it may touch while it hangs there: those asked for and the one that carries it, sorted.
+        Links that it may touch while it is attached: the given ones and the link that carries it, sorted.
 
     Examples
     --------
@@ -135,11 +135,11 @@ class Scene:
     Notes
     -----
     A scene is iterated over by name, in the order in which the bodies were added. Its own queries (`pairs`, `collide`,
-    `distance`) are about the bodies that stand in the world; where a body that is attached to a link is, only a
-    robot's configuration tells.
+    `distance`) are about the static bodies in the world; the pose of a body that is attached to a link depends on a
+    robot's configuration.
 
-    Any thread may change a scene while others ask: each change is seen whole or not at all, and each query is about the
-    scene as it was at one moment. A body that seems not to be in metres is told when it is added, once a scene.
+    Any thread may change a scene while others query it: each change is seen whole or not at all, and each query uses
+    one consistent state. A body that seems not to be in metres causes a warning when it is added, once per scene.
 
     Examples
     --------
@@ -176,7 +176,7 @@ class Scene:
     def __repr__(self) -> str:
         return f"Scene({len(self)} bodies, {len(self._attachments)} of them attached)"
 
-    # -- what is in it ------------------------------------------------------------------------
+    # -- contents -----------------------------------------------------------------------------
 
     def __len__(self) -> int:
         return len(self._bodies)
@@ -197,7 +197,7 @@ class Scene:
 
     @property
     def static_names(self) -> tuple[str, ...]:
-        """Names of the bodies that stand in the world, in the same order: all but the attached ones."""
+        """Names of the static bodies in the world, in the same order: all except the attached ones."""
         with _CHANGING:
             return tuple(name for name in self._bodies if name not in self._attachments)
 
@@ -219,18 +219,18 @@ class Scene:
 
     @property
     def attachments(self) -> dict[str, Attachment]:
-        """How each attached body hangs on the robot, by name of the body."""
+        """How each attached body is fixed to the robot, by name of the body."""
         with _CHANGING:
             return {name: self._attachments[name] for name in self._bodies if name in self._attachments}
 
     @property
     def version(self) -> int:
-        """A number that grows with every change, so that whoever prepared something from the scene notices."""
+        """A number that grows with every change, which reveals that data prepared from the scene is stale."""
         return self._version
 
     @property
     def structure_version(self) -> int:
-        """The same, except for changes by `move`, which leave everything else that was prepared as it is."""
+        """A number that grows with every change except by `move`, which keeps all other prepared data valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -267,12 +267,12 @@ class Scene:
         return other
 
     def snapshot(self) -> Scene:
-        """A copy that also has the versions, of one moment: what queries look at while other threads change this one.
+        """A copy of one moment, with the versions: queries use it while other threads change this scene.
 
         Returns
         -------
         Scene
-            It shares with this one what is packed already.
+            It shares the arrays that are packed already.
         """
         other = Scene()
         with _CHANGING:
@@ -333,7 +333,7 @@ class Scene:
             self._doubt(name, body, T)
 
     def _doubt(self, name: str, body: Body, T: Floats) -> None:
-        """Say what speaks against metres, once."""
+        """Warn once if the body seems not to be in metres."""
         radius = float(body._packed.kernel.table[:, OUTER_RADIUS].max(initial=0.0))
         doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
         if doubt:
@@ -364,7 +364,7 @@ class Scene:
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
-        """Put another body in the place of one, as the next image of a camera: all else that is said of it stays.
+        """Put another body in the place of one, as the next image of a camera; everything else stays.
 
         Parameters
         ----------
@@ -445,7 +445,7 @@ class Scene:
         touch_links : iterable of str
             Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
         leave : iterable of str
-            Bodies or links that it touches now and has to leave, such as the table that it stands on: see `leave`.
+            Bodies or links that it touches now and has to leave, such as the table below it: see `leave`.
         reach : iterable of str
             Bodies or links that it may touch where a motion ends, such as the shelf that it is put on: see `reach`.
 
@@ -575,8 +575,8 @@ class Scene:
         Parameters
         ----------
         a, b : str
-            Names of bodies or links, made of convex pieces: a can and the table that it stands on, a finger and the
-            can that it let go.
+            Names of bodies or links, made of convex pieces: a can and the table below it, a finger and the can that it
+            let go.
 
         See Also
         --------
@@ -587,8 +587,8 @@ class Scene:
         -----
         The rule is about motions, see `CollisionChecker.certify_edges`: one that starts with the two in contact is
         FREE if it is proven that, on a first stretch, no two of their pieces get deeper into each other than at the
-        start, or nearer while they are within their margin, and that the two keep their margin on the rest. It goes
-        before `allow`. At a single configuration contact is a collision, as for all pairs.
+        start, or nearer while they are within their margin, and that the two keep their margin on the rest. It takes
+        precedence over `allow`. At a single configuration contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -613,7 +613,7 @@ class Scene:
 
         See Also
         --------
-        leave : What the rule says, with start and end of the motion exchanged.
+        leave : The same rule with start and end of the motion exchanged.
 
         Examples
         --------
@@ -630,7 +630,7 @@ class Scene:
             self._changed()
 
     def _end_contacts(self, name: str) -> None:
-        """Forget what `leave` and `reach` said about a body: its contacts are no longer the same."""
+        """Drop the rules of `leave` and `reach` about a body: its contacts are no longer the same."""
         for rules in (self._leaving, self._reaching):
             rules.difference_update([pair for pair in rules if name in pair])
 
@@ -663,8 +663,8 @@ class Scene:
     ) -> None:
         """Set the margin of a pair, of one body or link, of the whole scene, or of links among themselves.
 
-        It takes the place of the margin that was set for the same before. It never makes smaller what another margin
-        demands, unless `lower` says so (see `margin_of`).
+        It replaces the margin that was set for the same names before. It never reduces a larger margin that applies to
+        a pair, unless `lower` is set (see `margin_of`).
 
         Parameters
         ----------
@@ -673,10 +673,10 @@ class Scene:
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
         against : "links", optional
-            The margin holds against links only: that of `a`, or without it that of all links among themselves, which do
-            not keep the scene's.
+            The margin applies against links only: the margin of `a`, or without `a` the margin of all links among
+            themselves, which do not keep the scene's.
         lower : bool
-            Whether this margin goes before more general ones, and lets two come closer together than those demand.
+            Whether this margin overrides more general ones, and lets two come closer together than these allow.
 
         Raises
         ------
@@ -736,7 +736,7 @@ class Scene:
         least = _validate.positive_scalar(least, "least", zero=True)
         with _CHANGING:
             self._margin = max(least, self._margin)
-            # All pairs with bodies keep that now, but for what was lowered.
+            # All pairs with bodies keep that now, except for lowered margins.
             for key in [key for key in self._lowered if self._margins[key] < least]:
                 if any(name in self._bodies for name in key):
                     self._margins[key] = least
@@ -747,11 +747,11 @@ class Scene:
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """Metres that two bodies or links keep: the largest margin that holds for them.
+        """Metres that two bodies or links keep: the largest margin that applies to them.
 
-        The scene's margin holds for every pair with a body of the scene, that of links (``against="links"``) for two
-        links; then each one's own, and the pair's. Only one set with ``lower=True`` goes before more general ones: each
-        one's own before the scene's and that of links, the pair's before all others.
+        The scene's margin applies to every pair with a body of the scene, the links' margin (``against="links"``) to
+        two links; then each one's own, and the pair's. Only a margin set with ``lower=True`` overrides more general
+        ones: each one's own overrides the scene's and the links' margin, the pair's overrides all others.
 
         Parameters
         ----------
@@ -830,7 +830,7 @@ class Scene:
         Parameters
         ----------
         a, b : str
-            Names of bodies that stand in the world.
+            Names of static bodies in the world.
         exact : bool
             Also compute the distance or depth, witnesses and normal.
 
@@ -855,13 +855,13 @@ class Scene:
         """A snapshot whose bodies are packed; the packing is kept for the next one."""
         now = self.snapshot()
         _ = now.static_bodies
-        self._packed = now._packed  # it says itself which version it is of
+        self._packed = now._packed  # it carries its own version
         return now
 
     def _meeting(self) -> Ints:
         """Pairs of bodies in the world that count as colliding, as places in `static_names`, shape (m, 2)."""
         bodies, poses, names = self.static_bodies, self.static_poses, self.static_names
-        # The broad phase has one margin for all; the largest loses no pair, and what it adds is dropped below.
+        # The broad phase has one margin for all; the largest loses no pair, and additional pairs are dropped below.
         widest = max([self._margin, *self._margins.values()])
         found = crowds.overlapping_pairs(bodies, poses, margin=widest)
         if self._allowed:
@@ -912,7 +912,7 @@ def _names(given: Any, what: str) -> list[str]:
 def _pair_as_given(pair: Any) -> Pair:
     try:
         a, b = pair
-    except Exception:  # other than two, or what an object of the caller's raises
+    except Exception:  # other than two, or an error from the caller's object
         raise InputError(f"names: expected pairs of names, found {_validate.short(pair)}") from None
     return _check_name(a, "names"), _check_name(b, "names")
 
@@ -927,7 +927,7 @@ def _pair(a: Any, b: Any) -> Pair:
 
 
 def _margin_key(a: Any, b: Any, against: Any) -> MarginKey:
-    """What a margin is kept under; () is that of the whole scene."""
+    """Key of a margin; () is the key of the whole scene's."""
     if a is None and b is not None:
         raise InputError(f"a: expected a name with b = {b!r}, found None")
     if against is not None:

@@ -23,7 +23,7 @@ from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, box_hull, hulls
 
-# Edge of the largest half-space [m]: contact is told to about 1e-12 of it.
+# Edge of the largest half-space [m]: contact is accurate to about 1e-12 of it.
 LARGEST_EXTENT = 1e9
 
 
@@ -34,8 +34,8 @@ class Piece:
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; or, of `Body.from_surface`, "surface" for
-        triangles alone and "solid" for triangles with what they enclose.
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; or, from `Body.from_surface`, "surface" for
+        triangles alone and "solid" for triangles with the space they enclose.
     vertices : ndarray, shape (v, 3), or None
         Extreme points, or the vertices of a surface; None for curved pieces.
     normals, offsets : ndarray, shapes (f, 3) and (f,), or None
@@ -44,8 +44,8 @@ class Piece:
         Indices into `vertices`: a polytope's surface, counter-clockwise from outside, or the triangles of a surface as
         the mesh has them.
     inner, outer : Ellipsoids
-        Largest ellipsoid inside, smallest around. Of a surface the inner one is any that is inside: without a radius it
-        is a point, with semi-axes of zero.
+        Largest ellipsoid inside, smallest around. For a surface, `inner` is some ellipsoid inside, not the largest:
+        without a radius it is a point, with semi-axes of zero.
     inner_gap, outer_gap : float
         Certified bounds on the log-volume distance from the optimum; for the inner ellipsoid of a surface there is
         none, and `inner_gap` is 0.
@@ -71,7 +71,7 @@ class Piece:
 
 
 class _Unmade:
-    """What stands for the arrays of a body whose constructor was left out; once they are there, it is not looked at."""
+    """Placeholder for the arrays of a body whose constructor was skipped; unused once the arrays exist."""
 
     def __get__(self, body: Any, kind: type) -> Any:
         if body is None:
@@ -162,7 +162,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """What the pieces hold of the mesh that they were made of; None if they were made of none."""
+        """How well the pieces cover the mesh that they were made from; None if there was no mesh."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -249,8 +249,8 @@ class Body(_Bodies):
         source : path, trimesh.Trimesh or trimesh.Scene
             STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres.
         decompose : bool
-            True: split a non-convex mesh into convex pieces (CoACD, or planes); the pieces approximate the
-            mesh, and `body.covering` says how well. False: the convex hull, which contains it.
+            True: split a non-convex mesh into convex pieces (CoACD, or planes); the pieces approximate the mesh, and
+            `body.covering` states how well. False: the convex hull, which contains it.
         tol : float
             Certified log-volume gap of all fits.
         scale : float, or array_like of shape (3,)
@@ -259,9 +259,9 @@ class Body(_Bodies):
             Grow the pieces of a decomposition until they hold the mesh's whole surface.
         tolerance : float, optional
             How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
-            they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning says by how
-            much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as
-            near as a limited amount of work comes.
+            they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning states by how
+            much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as near
+            as a limited amount of work comes.
         threshold : float
             CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. For meshes without holes.
         max_pieces : int, optional
@@ -336,9 +336,10 @@ class Body(_Bodies):
         radius : float
             Of the ball around each point of the triangles, in metres.
         solid : bool, optional
-            Whether what the mesh encloses belongs to the body: all points that it winds around. A body inside a solid
-            collides with it, one in a cavity does not. Default: if the mesh is closed, that is, if all its edges are
-            passed as often one way as the other. A warning tells of a mesh that is so only nearly: it has no inside.
+            Whether the enclosed space, all points that the mesh winds around, belongs to the body. A body inside a
+            solid collides with it, a body in a cavity does not. Default: if the mesh is closed, that is, if its
+            triangles pass each edge equally often in both directions. A mesh that is only nearly closed causes a
+            warning and counts as open.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
 
@@ -487,7 +488,7 @@ class Body(_Bodies):
         centers : array_like, shape (n, 3)
             In metres.
         edges : float, or array_like of shape (3,) or (n, 3)
-            Full edge lengths along x, y, z, in metres: those of cubes, of all boxes, or of each.
+            Full edge lengths along x, y, z, in metres: of cubes, of all boxes, or of each box.
 
         Raises
         ------
@@ -516,14 +517,14 @@ class Body(_Bodies):
         radius : float, optional
             Of the ball around each point, in metres. Building the body of 50,000 points takes some 40 ms.
         voxel : float, optional
-            Edge of the cubes of a grid through the origin, in metres; those with a point in them are the body, as in
+            Edge of the cubes of a grid through the origin, in metres; cubes with a point in them are the body, as in
             `from_voxels`. Give either this or the radius.
 
         Returns
         -------
         Body
-            Of one piece with a tree over the points; with voxels, of boxes, as `from_voxels`. FREE is proven for the
-            union as it is. Proofs of motions see the points as boxes around up to 128 parts of them.
+            One piece with a tree over the points; with voxels, boxes, as `from_voxels`. FREE is proven for the exact
+            union. Proofs of motions replace the points by boxes around up to 128 parts of them.
 
         Raises
         ------
@@ -551,7 +552,7 @@ class Body(_Bodies):
 
     @classmethod
     def from_voxels(cls, grid: ArrayLike, size: float, *, origin: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-        """Occupancy grid: the union of the occupied cells, those in a row as one box.
+        """Occupancy grid: the union of the occupied cells, with each row of cells as one box.
 
         Parameters
         ----------
@@ -652,7 +653,7 @@ class Body(_Bodies):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
-        """Floor, wall or ceiling: what lies below a plane, as far as a cube of edge `extent` reaches.
+        """Floor, wall or ceiling: the space below a plane, as far as a cube of edge `extent` reaches.
 
         Parameters
         ----------
@@ -662,8 +663,8 @@ class Body(_Bodies):
             Distance of the plane from the origin along the normal, in metres; negative behind it.
         extent : float
             Edge of the cube, in metres, at most 1e9. One of its sides is in the plane, about the point nearest to the
-            origin. What gets out of it is free: choose it larger than all that moves. Contact is told to about 1e-12 of
-            it.
+            origin. Everything outside the cube is free: choose it larger than the moving bodies' range. Contact is
+            accurate to about 1e-12 times this length.
 
         Raises
         ------
@@ -747,7 +748,7 @@ class Body(_Bodies):
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
-        """Capsule about the origin along z; `length` is that of the straight part, in metres.
+        """Capsule about the origin along z; `length` is the length of the straight part, in metres.
 
         Parameters
         ----------
@@ -860,7 +861,7 @@ class Body(_Bodies):
         ------
         InputError
             If a piece is a surface, a height field or a cloud, whose convex hull MuJoCo would collide, and no
-            ellipsoids are asked for; or if the name is none.
+            ellipsoids are requested; or if the name is invalid.
         FileError
             If the file cannot be written.
 
@@ -892,9 +893,9 @@ class Body(_Bodies):
     ) -> None:
         """Write the body as a URDF of one link, with collision shapes alone.
 
-        Boxes, spheres and cylinders stay what they are, and a capsule becomes a cylinder and two spheres. Any other
-        piece becomes a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones become
-        polytopes around them; inner ellipsoids, polytopes inside.
+        Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
+        a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones become polytopes
+        around them; inner ellipsoids, polytopes inside.
 
         Parameters
         ----------
@@ -904,12 +905,12 @@ class Body(_Bodies):
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
-            What stands before the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
+            Prefix for the names of mesh files in the URDF, for instance ``"package://my_robot/meshes/"``.
 
         Raises
         ------
         InputError
-            If a piece is a surface, and no ellipsoids are asked for; if the stem is no name.
+            If a piece is a surface, and no ellipsoids are requested; if the stem is no name.
         FileError
             If a file cannot be written.
 
@@ -932,8 +933,8 @@ class Body(_Bodies):
         Parameters
         ----------
         what : {"pieces", "inner", "outer"}
-            The corners of what is curved lie on it, so that its triangles are inside: 48 corners a circle, at most 1280
-            triangles an ellipsoid.
+            For curved pieces the triangles' corners lie on the surface, so the triangles are inside: 48 corners per
+            circle, at most 1280 triangles per ellipsoid.
 
         Returns
         -------
@@ -1094,7 +1095,7 @@ class Bodies(_Bodies):
             return Body(take(self._packed, np.array([index % len(self)])))
         try:
             rows = np.arange(len(self))[index]
-        except Exception as error:  # an IndexError, or what an object of the caller's raises
+        except Exception as error:  # an IndexError, or an error from the caller's object
             found = _validate.short(index)
             raise BodyIndexError(
                 f"expected indices from {-len(self)} to {len(self) - 1}, found {found} ({error})"

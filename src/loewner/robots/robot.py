@@ -42,7 +42,7 @@ LEAST_SHARE = 1024
 
 
 def _described(path: str | os.PathLike[str] | None, text: str | None) -> Description:
-    """What a URDF says that is given in one of two ways."""
+    """The contents of a URDF that is given in one of two ways."""
     if path is None and text is None:
         raise InputError("path: expected a path to a URDF, found None, and no text of one (text=) either")
     if path is not None and text is not None:
@@ -56,7 +56,7 @@ def _described(path: str | os.PathLike[str] | None, text: str | None) -> Descrip
 
 
 def _model(meshes: str, decompose: bool) -> str:
-    """What meshes become, of both arguments that say so."""
+    """The representation of meshes, from the two arguments that choose it."""
     _validate.choice(meshes, "meshes", MODELS)
     if not _validate.flag(decompose, "decompose"):
         return meshes
@@ -84,12 +84,12 @@ class Robot:
     joint_names : tuple of str
         Joints that have values of their own (movable, and not mimicking another one), in the order of the URDF.
     configuration_names : tuple of str
-        What the entries of a configuration mean. A joint of one value (rad or m) gives its name; a planar joint j
-        has "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion
-        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF knows, has the last four.
+        Meaning of the entries of a configuration. A joint of one value (rad or m) gives its name; a planar joint j has
+        "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion "j/qw",
+        "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF has, has the last four.
     lower, upper : ndarray, shape (dof,)
         Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
-        outside are allowed everywhere; one that is far outside is told once (see `checked`).
+        outside are allowed everywhere; one that is far outside causes one warning (see `checked`).
     velocity : ndarray, shape (dof,)
         The fastest that each value may change [rad/s or m/s]: the URDF's limit, or less where a joint that mimics it
         would break its own. NaN where the URDF gives none above 0, and for planar and floating joints.
@@ -109,7 +109,7 @@ class Robot:
     tree : Tree
         What kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file it was read from: a URDF or an MJCF. Of a text, a name in the folder that was the working directory.
+        The file it was read from: a URDF or an MJCF. For a text, a name in the working directory of that time.
     package_dirs : tuple of Path
         Where else its meshes are sought.
 
@@ -145,7 +145,7 @@ class Robot:
     _mimics: dict[str, str] = field(repr=False)
     _only_visual: tuple[str, ...] = field(repr=False)
     _watch: Watch = field(repr=False)
-    # What it was made of: "URDF" or "MJCF"; and the text, if that was not in a file.
+    # Its source format, "URDF" or "MJCF"; and the text, if that was not in a file.
     _format: str = field(repr=False)
     _text: str | None = field(repr=False)
 
@@ -176,12 +176,12 @@ class Robot:
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
-            Folders of packages (or packages) for ``package://`` and ``model://``. Also searched are those that ROS
-            names in the environment, and the folders above the URDF.
+            Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
+            environment, and the folders above the URDF, are also searched.
         meshes : {"hull", "pieces", "surface"}
-            What each collision mesh becomes: its convex hull, which contains it; convex pieces, into which those that
-            are not convex are split (`Body.from_mesh`), once: see `cache`; or its triangles as they are
-            (`Body.from_surface`), with what they enclose if the mesh is closed.
+            Representation of each collision mesh: its convex hull, which contains it; convex pieces, into which a mesh
+            that is not convex is split (`Body.from_mesh`), once: see `cache`; or its triangles (`Body.from_surface`),
+            including the enclosed space if the mesh is closed.
         decompose : bool
             True: the same as ``meshes="pieces"``.
         tol : float
@@ -205,16 +205,16 @@ class Robot:
             the links are no tree, or a joint is not
             well defined; GeometryError if a shape is flat or has no size.
         UnknownNameError
-            If a joint names what does not exist, or the SRDF is another robot's.
+            If a joint refers to a name that does not exist, or the SRDF is another robot's.
         MissingExtraError
             If a mesh is to be decomposed and CoACD is not installed.
 
         Warns
         -----
         UserWarning
-            If the SRDF names some links or joints that the robot does not have, or none that it has; if it is said to
-            be for a robot of another name, or has elements that no SRDF has. If a body seems not to be in metres, or
-            an origin not in radians.
+            If the SRDF names some links or joints that the robot does not have, or none that it has; if it names
+            another robot, or has elements that no SRDF has. If a body seems not to be in metres, or an origin not in
+            radians.
 
         Examples
         --------
@@ -242,7 +242,7 @@ class Robot:
         format: str,
         text: str | None,
     ) -> Robot:
-        """Of what files say."""
+        """Build the robot from the parsed files."""
         columns, dof = columns_of(robot)
         kinds = {name: robot.joints[name].kind for name in columns}
         lower, upper = np.full(dof, -np.inf), np.full(dof, np.inf)
@@ -301,7 +301,7 @@ class Robot:
         -------
         Robot
             The root link is the world, and each geom that collides there a link of its own, fixed to it. Every body is
-            a link, in MuJoCo's frame. Links without bodies are above those that several joints move.
+            a link, in MuJoCo's frame. Links without bodies are above links that several joints move.
 
         Raises
         ------
@@ -350,7 +350,7 @@ class Robot:
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """The same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        Of a robot that is placed already, the new pose is that of the frame which the old one was given in.
+        If a robot is placed already, the new pose is given in the same frame as the old one.
 
         Parameters
         ----------
@@ -499,7 +499,7 @@ class Robot:
 
         Notes
         -----
-        Columns of a quaternion are those of the rotation it stands for: a quaternion that only changes its length turns
+        Columns of a quaternion are derivatives of its rotation: a change of the quaternion's length alone turns
         nothing.
 
         Examples
@@ -547,7 +547,7 @@ class Robot:
         UserWarning
             Once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn, a
             length by more than a metre and ten times the way between the limits; or if a joint that turns without
-            limit is beyond ±50 rad. It names the joint, and asks about degrees or millimetres.
+            limit is beyond ±50 rad. It names the joint, and suggests degrees or millimetres.
         """
         # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
         plain = type(Q) is np.ndarray and Q.dtype == np.float64 and Q.shape == (self.dof,) and self.runs_straight
@@ -801,7 +801,7 @@ class Robot:
 
     @kept
     def _unlimited(self) -> tuple[Bools, Bools, Bools]:
-        """Columns without a lower limit, without an upper one, and those that a whole turn brings back, without any.
+        """Columns without a lower limit, without an upper one, and columns of angles without any limit.
 
         What some programs write for no limit, 1e16 or the largest number, counts as none.
         """
@@ -843,6 +843,6 @@ def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> F
 
 
 def _nearer(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Of the quaternions q and -q those nearer to p, and the cosines of the angles between the two."""
+    """The nearer of the quaternions q and -q to p, and the cosines of the angles between the two."""
     cosine = (p * q).sum(axis=-1, keepdims=True)
     return np.where(cosine < 0, -q, q), np.abs(cosine)
