@@ -80,7 +80,7 @@ def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> t
         frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
     }
     touching, doubt = contacts(ready, q)
-    # What is at fault otherwise, the check of all starts and goals says in full.
+    # Any other fault is reported by the check of all starts and goals.
     if doubt or not touching or any(frozenset((contact.name_a, contact.name_b)) not in ruled for contact in touching):
         return q, ""
     way = _way(space, ready, q, touching)

@@ -1,7 +1,7 @@
 """Which pairs of a robot and a scene can meet at all, and the arrays about them that the kernel walks through.
 
-What costs time and stands still between two questions is done here, once: names, pairs, margins, balls about what
-moves, bounds and ellipsoids in world coordinates of what stands. `CollisionChecker` asks about it.
+Work that is the same for every query is done here, once: names, pairs, margins, balls about moving bodies, bounds and
+ellipsoids of static bodies in world coordinates.
 """
 
 from __future__ import annotations

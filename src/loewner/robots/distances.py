@@ -1,4 +1,4 @@
-"""Distances of a robot from what it may collide with: of its nearest pair, of all near pairs, and their gradients."""
+"""Distances of a robot from obstacles and from itself: the nearest pair, all near pairs, and their gradients."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class PairDistances:
     Attributes
     ----------
     configuration : ndarray of int64, shape (M,)
-        Which one, counted over all that were asked about.
+        Its number among all configurations of the query.
     pair : ndarray of int64, shape (M,)
         Its number in `CollisionChecker.checked_pairs`.
     names : ndarray of str, shape (M, 2)

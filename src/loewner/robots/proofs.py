@@ -1,4 +1,4 @@
-"""Proofs of motions: the kernel's planes, what it leaves to the exact test, starts inside solids, contact by a rule."""
+"""Proofs of motions: the kernel's planes, confirmed collisions, starts inside solids, contact by a rule."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def prove(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floa
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
+        How far joint values may be from the motion at the same fraction: FREE holds for all such configurations.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Verdicts of configurations, and of motions at samples: AMBIGUOUS is a value here, and raises only where users ask."""
+"""Verdicts of configurations, and of motions at samples: AMBIGUOUS is a value, and becomes an exception only in the checker."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Settled:
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
         Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
-        the pieces themselves, square to the contact normal of the ellipsoids; or the exact search.
+        the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
 
@@ -67,7 +67,7 @@ class Settled:
 
 
 class Verdicts(NamedTuple):
-    """What is known of N configurations.
+    """Verdicts of N configurations.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> b
 
 
 def expect_settled(ready: CheckedPairs, Q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Refuse verdicts of which one is AMBIGUOUS.
+    """Refuse verdicts if one is AMBIGUOUS.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
     verdicts : ndarray of int8, shape (N,)
         FREE if all samples are free.
     fractions : ndarray, shape (N,)
-        Of the way, where a sample is not; NaN where FREE.
+        Fraction of the way at which a sample is not free; NaN where FREE.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
 
 
 def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Refuse verdicts of pairs at a configuration of which one is AMBIGUOUS.
+    """Refuse verdicts of pairs at a configuration if one is AMBIGUOUS.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.in
 
 
 def unsettled(ready: CheckedPairs, pair: int, q: Floats) -> str:
-    """What to tell of a pair that could not be settled at a configuration."""
+    """Message about a pair that could not be settled at a configuration."""
     a, b = (ready.names[k] for k in ready.pairs[pair])
     return (
         f"collide: {a} and {b} could not be settled at configuration {np.array2string(q, precision=17)}; treat it "
@@ -199,7 +199,7 @@ def unsettled(ready: CheckedPairs, pair: int, q: Floats) -> str:
 
 
 def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
-    """Return the pairs that collide at a configuration, and what to tell of one that could not be settled, if any."""
+    """Return the pairs that collide at a configuration, and a message if a pair could not be settled."""
     T = ready.poses(q[None])[0]
     verdicts = pair_verdicts(ready, T)
     a, b = ready.pairs[verdicts == Verdict.COLLIDING].T
