@@ -26,8 +26,11 @@ Ints = NDArray[np.int64]
 
 Bools = NDArray[np.bool_]
 
-# One value, or an array of them: the number of axes of an argument decides, which its type does not tell. A union would
-# make users convert every result, so that checkers of types let this one pass for either.
+# One value, or an array of them: the number of axes of an argument decides, which its type does not tell.
+FloatOrFloats = float | Floats
+BoolOrBools = bool | Bools
+
+# Likewise, where what checks types shall let it pass for either.
 OneOrMany = Any
 
 # What a dict of names holds.
