@@ -15,17 +15,6 @@ from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, array
 from loewner.bodies.surface_trees import Trees, around_point, surface_trees
 from loewner.errors import GeometryError
 
-KIND_NAMES = {
-    columns.SOLID: "solid",
-    columns.SURFACE: "surface",
-    columns.POLYTOPE: "polytope",
-    columns.ELLIPSOID: "ellipsoid",
-    columns.CYLINDER: "cylinder",
-    columns.CONE: "cone",
-    columns.SEGMENT: "capsule",
-    columns.POINT: "sphere",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Prepared(PieceArrays):
