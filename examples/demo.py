@@ -121,7 +121,7 @@ def check(a: loewner.Body, b: loewner.Body, poses: np.ndarray) -> np.ndarray:
     loewner.classify(a, None, b, poses[:1])  # compiles, if this machine has not before
     loewner.collide(a, None, b, poses[:1])
     started = time.perf_counter()
-    verdicts: np.ndarray = loewner.classify(a, None, b, poses)
+    verdicts = np.asarray(loewner.classify(a, None, b, poses))
     middle = time.perf_counter()
     exact = loewner.collide(a, None, b, poses)
     ended = time.perf_counter()

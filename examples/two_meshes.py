@@ -30,7 +30,7 @@ def main() -> None:
         verdict = loewner.classify(a, None, b, T_world_b)
         found = loewner.distance(a, None, b, T_world_b, exact=True)
         print(
-            f"x = {x:.1f} m: {verdict.name:9}  exact distance {found.distance:+.4f} m, "
+            f"x = {x:.1f} m: {verdict!s:9}  exact distance {found.distance:+.4f} m, "
             f"certified between {found.lower:+.4f} and {found.upper:+.4f}"
         )
 

@@ -19,7 +19,7 @@ from elftools.elf.elffile import ELFFile
 
 LARGEST = 3_000_000  # bytes
 ALLOWED = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0"}
-HOME, PTX = "loewner/_native/", "threads.ptx"
+HOME, PTX = "loewner/_native/", "threads.ptx.z"
 
 
 def faults(path: Path) -> list[str]:
@@ -56,7 +56,7 @@ def _belongs(name: str) -> bool:
     """Tell whether a file may be in a wheel."""
     top, _, rest = name.partition("/")
     if rest.startswith("_native/"):
-        return rest.endswith((".py", ".so", "built.json", "threads.ptx"))
+        return rest.endswith((".py", ".so", "built.json", "threads.ptx.z"))
     kinds = (".py", "py.typed", "_kernels/sources.zip")
     return top.endswith(".dist-info") or (top == "loewner" and rest.endswith(kinds))
 

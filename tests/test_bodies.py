@@ -1,5 +1,6 @@
 """Bodies: what they hold, that they travel through files unharmed, that moving one never fits again."""
 
+import dataclasses
 import inspect
 import itertools
 import os
@@ -15,6 +16,9 @@ import loewner
 from exact import halfspaces_crossed, hull_planes, points_outside, rational
 from families import FAMILIES, box_corners, pieces, random_poses
 from loewner import Bodies, Body, meshes, polytopes
+from loewner._kernels import columns
+from loewner.bodies import CURVED
+from loewner.bodies.triangulated import of_piece
 from oracles import hull
 
 ALL_KINDS = {
@@ -44,6 +48,42 @@ def test_inner_in_piece_in_outer(family: str):
         assert (reach <= offset + 1e-12 * np.abs(P).max()).all()
         u = np.linalg.solve(body.outer.factor[0], (P - body.outer.center[0]).T)
         assert np.linalg.norm(u, axis=0).max() <= 1 + 1e-13
+
+
+@pytest.mark.parametrize("number", CURVED)
+def test_a_kind_is_known_wherever_kinds_are_told_apart(number, tmp_path):
+    """Its row makes the body anew from what is stored of it; files, meshes, scenes and MJCF know it."""
+    kind = CURVED[number]
+    given = [0.3, 0.5][: len(kind.size_names)] or [0.1, 0.2, 0.3]
+    make = getattr(Body, kind.name)
+    body = make(**dict(zip(kind.size_names, given, strict=True))) if kind.size_names else make(given)
+    packed = body._packed
+    assert (int(packed.layout[0, columns.KIND]), body.pieces[0].kind) == (number, kind.name)
+    assert list(kind.sizes(packed.frames[0, 0], packed.frames[0, 4::4].tolist())) == given
+    assert (packed.frames[0, 0] > 0) == (kind.core is not None)
+    body.save(tmp_path / "body.npz")
+    loaded = Body.load(tmp_path / "body.npz")
+    points, triangles = of_piece(loaded._packed, 0)
+    assert (
+        np.linalg.norm((points - body.outer.center) @ np.linalg.inv(body.outer.factor[0]).T, axis=1) < 1 + 1e-9
+    ).all()
+    assert trimesh.Trimesh(points, triangles).volume > np.pi * np.linalg.det(body.inner.factor[0])
+    scene = loewner.Scene()
+    scene.add("body", loaded)
+    loewner.save_scene(scene, tmp_path / "scene.yaml")
+    assert f"{kind.name}:" in (tmp_path / "scene.yaml").read_text()
+    assert f'type="{kind.name if kind.in_mjcf else "mesh"}"' in body.to_mjcf()
+
+
+def test_no_kind_stands_for_an_unknown_one():
+    """A number without a row is an error where a shape is asked for, not another shape."""
+    packed = Body.cone(1.0, 1.0)._packed
+    layout = packed.layout.copy()
+    layout[0, columns.KIND] = 9
+    packed = dataclasses.replace(packed, layout=layout)
+    for ask in (lambda: of_piece(packed, 0), lambda: Body(packed).to_mjcf(), lambda: Body(packed).pieces):
+        with pytest.raises(KeyError):
+            ask()
 
 
 def test_ellipsoids_of_primitives():

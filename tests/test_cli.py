@@ -102,7 +102,10 @@ def test_check_meshes_without_saving(saved, capsys):
 
 
 def test_poses_in_every_form_agree(saved, capsys):
-    """Numbers with a quaternion, a .npy and a .txt matrix give the same answer; -x comes first without trouble."""
+    """Numbers with a quaternion, a .npy and a .txt matrix give the same answer; -x comes first without trouble.
+
+    So it does before a comma, and as an exponent.
+    """
     c, s = np.cos(0.3), np.sin(0.3)
     T = np.array([[c, -s, 0, -1.9], [s, c, 0, 0.1], [0, 0, 1, 0.2], [0, 0, 0, 1]])
     np.save("pose.npy", T)
@@ -110,7 +113,7 @@ def test_poses_in_every_form_agree(saved, capsys):
     typed = f"-1.9 0.1 0.2 {np.cos(0.15)} 0 0 {np.sin(0.15)}"
     distances = [
         json.loads(run(capsys, "check", "a.npz", "b.npz", "--pose-b", pose, "--json")[1])["distance"]
-        for pose in ("pose.npy", "pose.txt", typed)
+        for pose in ("pose.npy", "pose.txt", typed, typed.replace(" ", ","), typed.replace("-1.9", "-19e-1"))
     ]
     expected = loewner.distance(loewner.Body.load("a.npz"), None, loewner.Body.load("b.npz"), T, exact=True).distance
     np.testing.assert_allclose(distances, expected, atol=1e-12)
@@ -140,6 +143,7 @@ def test_poses_in_every_form_agree(saved, capsys):
         (["a.npz", "b.npz", "--pose-b", "scaled.txt"], "expected a rotation"),
         (["a.npz", "b.npz", "--pose-b", "empty.npy"], "empty.npy: expected a 4x4 matrix"),
         (["a.npz", "b.npz", "--margin", "-1"], "margin: expected"),
+        (["a.npz", "b.npz", "--margin", "-1e-3"], "margin: expected"),
         (["a.npz", "b.npz", "--margin", "nan"], "margin: expected"),
         (["cube.stl", "b.npz", "--threshold", "7"], "threshold: expected"),
     ],
@@ -725,8 +729,9 @@ def test_plan_takes_states_files_and_numbers(with_end, capsys):
         ("left", "goals.npy", [-0.5, -0.5, 0.0], [0.5, -0.5, 0.5]),
         ("start.json", "left", [0.5, -0.5, 0.5], [-0.5, -0.5, 0.5]),
         ("-0.5,-0.5, 1", "left", [-0.5, -0.5, 1.0], [-0.5, -0.5, 1.0]),
+        ("-0.5,-0.5,1", "-.5,-5e-1,0.5", [-0.5, -0.5, 1.0], [-0.5, -0.5, 0.5]),
     ):
-        status, out, _ = run(capsys, *plan, f"--start={start}", "--goal", goal)
+        status, out, _ = run(capsys, *plan, "--start", start, "--goal", goal)
         rows = json.loads(out)["configurations"]
         assert (status, rows[0], rows[-1]) == (0, first, last)
 
@@ -804,10 +809,6 @@ def test_plan_with_a_planner_of_ompl(with_end, capsys):
         (["--start", HERE, "--goal", "names.json"], "names.json, column: expected one of x, y, turn; found 'turm'"),
         (["--start", HERE, "--goal", "narrow.json"], "narrow.json: expected 3 numbers for each configuration, found"),
         (["--start", HERE, "--goal", "words.json"], "words.json: expected"),
-        (["--start", "left", "--goal", THERE], "start: expected a free configuration within the limits, found a coll"),
-        (["--start", HERE, "--goal", "9 0 0"], "goal: expected a free configuration within the limits, found x = 9"),
-        (["--start", HERE, "--goal", THERE, "--joints", "x", "--timeout", "0.2"], "expected a path from start to goal"),
-        (["--start", HERE, "--goal", THERE, "--max-iterations", "1"], "none within 1 iterations"),
         (["--start", HERE, "--goal", THERE, "--max-iterations", "0"], "max_iterations: expected an integer >= 1"),
         (["--start", HERE, "--goal", THERE, "--timeout", "nan"], "timeout: expected a finite number > 0"),
         (["--start", HERE, "--goal", THERE, "--seed", "-1"], "seed: expected an integer >= 0, found -1"),
@@ -833,6 +834,25 @@ def test_plan_errors(with_end, capsys, arguments, message):
     status, out, err = run(capsys, "plan", *ROBOT, "--scene", "end.yaml", *arguments)
     assert (status, out) == (2, "")
     assert err.startswith("loewner: error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not list(Path().glob("*path*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--start", "left", "--goal", THERE], "start: expected a free configuration within the limits, found a coll"),
+        (["--start", HERE, "--goal", "9 0 0"], "goal: expected a free configuration within the limits, found x = 9"),
+        (["--start", HERE, "--goal", THERE, "--joints", "x", "--timeout", "0.2"], "expected a path from start to goal"),
+        (["--start", HERE, "--goal", THERE, "--max-iterations", "1"], "none within 1 iterations"),
+    ],
+)
+def test_plan_without_a_path_exits_with_1(with_end, capsys, arguments, message):
+    """That there is no path is an answer, not an error: status 1, one line on standard error, and no file."""
+    status, out, err = run(capsys, "plan", *ROBOT, "--scene", "end.yaml", *arguments, "-o", "path.csv")
+    assert (status, out) == (1, "")
+    assert err.startswith("loewner: no path: ")
     assert message in err
     assert err.count("\n") == 1
     assert not list(Path().glob("*path*"))

@@ -1,6 +1,7 @@
 """Hulls of many points: what is left out before Qhull, what a map leaves of vertices, fits with few of the faces."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from scipy.spatial import ConvexHull
 from exact import halfspaces_crossed, points_outside, rational
 from families import polygon
 from loewner import Body, MemoryLimitError, Polytope, _memory, fits, mvie, polytopes
-from loewner._kernels import tolerances
+from loewner._kernels import columns, tolerances
 from loewner._kernels.fits import many
 from loewner._native import entries
-from loewner.bodies import pack
+from loewner.bodies import layout, pack
 
 Maker = Callable[[np.random.Generator], np.ndarray]
 
@@ -222,13 +223,30 @@ def test_bodies_of_many_points(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal((points @ d.T).max(axis=0), (piece.vertices @ d.T).max(axis=0))
 
 
-def test_moved_bodies_touch_their_farthest_vertices(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Offsets of a moved body are those of all its vertices, in however many parts they are found."""
-    body = Body.from_points(sphere(rng, 60))
+@pytest.mark.parametrize("axes", [[1.0, 1.0, 1.0], [1000.0, 1.0, 1.0], [1000.0, 1000.0, 1.0]])
+def test_moved_bodies_touch_their_farthest_vertices(
+    axes: list[float], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Offsets of a moved body are those of all its vertices, in however many parts they are found.
+
+    For a large hull, thin or not, that takes a few tens of products for each face, however many vertices there are.
+    """
+    products = []
+
+    def counted(*arguments: Any) -> Any:
+        found = layout.heights_of(*arguments)
+        products.append(found[1])
+        return found
+
+    monkeypatch.setattr(layout, "AT_ONCE", 64)
+    monkeypatch.setattr(pack, "heights_of", counted)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = np.linalg.svd(rng.normal(size=(3, 3)))[0], [1.0, 2.0, 3.0]
+    T[:3, :3], T[:3, 3] = rotation(rng), [1.0, 2.0, 3.0]
     T[:3, :3] *= np.linalg.det(T[:3, :3])
-    monkeypatch.setattr(pack, "AT_ONCE", 7 * 60)
-    packed = body.transformed(T)._packed
-    farthest = (packed.points @ packed.planes[:, :3].T).max(axis=0)
-    np.testing.assert_allclose(packed.planes[:, 3], farthest, rtol=0, atol=1e-14)
+    for count in (60, 600, 6000):
+        packed = Body.from_points(sphere(rng, count) * axes).transformed(T)._packed
+        farthest = (packed.points @ packed.planes[:, :3].T).max(axis=0)
+        np.testing.assert_allclose(packed.planes[:, 3], farthest, rtol=0, atol=1e-14 * max(axes))
+        assert sum(products) < 50 * len(packed.planes)
+        assert len(products) == (count > columns.LARGE)
+        products.clear()

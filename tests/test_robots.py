@@ -1,5 +1,6 @@
 """Robots: read whole or refused with a reason; links where the joints put them; bodies where the shapes are."""
 
+import copy
 import os
 import pickle
 import subprocess
@@ -296,13 +297,23 @@ def test_robots_can_be_pickled(tmp_path):
     np.testing.assert_array_equal(again.forward_kinematics(q), robot.forward_kinematics(q))
 
 
-def test_a_body_of_no_link_is_an_unknown_name(tmp_path):
-    """A misspelt link among the bodies is told like any other name, also after the robot was pickled."""
-    robot = read(tmp_path, '<link name="a"/>')
-    for known in (robot, pickle.loads(pickle.dumps(robot))):
-        with pytest.raises(UnknownNameError, match=r"link with a body: expected one of \(there are none\); found 'a'"):
-            known.bodies["a"]
-        assert known.bodies.get("a") is None
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
+def test_names_that_a_robot_lacks_are_unknown_names(tmp_path, copied):
+    """A misspelt link, group or state is told with those that there are, also of a copy; `get` gives None."""
+    (tmp_path / "robot.srdf").write_text(
+        """<robot name="r"><group name="wrist"><joint name="ab"/></group>
+        <group_state name="ready" group="wrist"><joint name="ab" value="0.5"/></group_state></robot>"""
+    )
+    links = '<link name="a"/><link name="hand">' + shape('<sphere radius="0.5"/>') + "</link>"
+    robot = copied(read(tmp_path, links + joint("ab", "revolute", "a", "hand"), srdf=tmp_path / "robot.srdf"))
+    for what, known, name in (
+        ("link with a body", robot.bodies, "hand"),
+        ("group", robot.groups, "wrist"),
+        ("state", robot.states, "ready"),
+    ):
+        with pytest.raises(UnknownNameError, match=f"^{what}: expected one of {name}; found '{name}s' .*'{name}'"):
+            known[f"{name}s"]
+        assert known.get(f"{name}s") is None
 
 
 # -- bodies -------------------------------------------------------------------------------------

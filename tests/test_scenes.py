@@ -279,6 +279,8 @@ def test_what_hangs_on_a_link_is_replaced_there(scene):
     before = scene.attachments
     scene.replace("near", Body.sphere(0.3))
     assert scene.attachments == before
+    with pytest.raises(UnknownNameError, match="attached body: expected one of near; found 'naer'"):
+        before["naer"]
 
 
 def test_only_what_is_there_is_replaced(scene):

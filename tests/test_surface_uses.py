@@ -538,6 +538,8 @@ def test_check_answers_about_the_meshes(files, capsys):
         (["--model", "surface", "--threshold", "0.1"], "--threshold: expected it with --model pieces only"),
         (["--model", "pieces", "--radius", "0.1"], "--radius: expected it with --model surface only"),
         (["--max-pieces", "3", "--radius", "0.1"], "--max-pieces: expected it with --model pieces only"),
+        (["--model", "hull", "--tolerance", "0.1"], "--tolerance: expected it with --model pieces only, found it with"),
+        (["--hull", "--max-pieces", "3"], "--max-pieces: expected it with --model pieces only, found it with --mo"),
         (["--solid"], "solid: expected a closed mesh"),
         (["--radius", "-1"], "radius"),
     ],

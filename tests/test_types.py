@@ -9,9 +9,9 @@ from mypy import api
 
 ROOT = Path(__file__).parent.parent
 
-# What each query returns, as far as the types of its arguments decide. `Any` stands for one value or an array.
+# What each query returns, as far as the types of its arguments decide: where they do not, one value or an array.
 RESULTS = """
-from typing import Any, assert_type
+from typing import assert_type
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import loewner
 
 Bools = NDArray[np.bool_]
+Verdicts = NDArray[np.int8]
 Floats = NDArray[np.float64]
 body, several = loewner.Body.box([1, 1, 1]), loewner.Bodies.spheres([0.5, 1.0])
 assert_type(several[0], loewner.Body)
@@ -28,11 +29,20 @@ T = np.eye(4)
 assert_type(loewner.classify(several, None, body, T), NDArray[np.int8])
 assert_type(loewner.collide(body, T, several, None), Bools)
 assert_type(loewner.collide(several, None, several, None, pairs=[[0, 1]]), Bools)
-assert_type(loewner.collide(body, None, body, T), Any)
+assert_type(loewner.collide(body, None, body, T), bool | Bools)
+assert_type(loewner.collide(body, None, body, None), bool)
+assert_type(loewner.collide(body, T, body, T, pairs=[[0, 0]]), Bools)
+assert_type(loewner.classify(body, None, body, T), loewner.Verdict | Verdicts)
+assert_type(loewner.classify(body, None, body, None), loewner.Verdict)
+assert_type(loewner.classify(body, T, body, T, pairs=[[0, 0]]), Verdicts)
 assert_type(loewner.distance(several, None, body, T).lower, Floats)
 assert_type(loewner.distance(several, None, body, T).distance, None)
 assert_type(loewner.distance(several, None, body, T, exact=True).distance, Floats)
 assert_type(loewner.distance(body, None, body, T).witness_a, None)
+assert_type(loewner.distance(body, None, body, T).lower, float | Floats)
+assert_type(loewner.distance(body, None, body, T, exact=True).distance, float | Floats)
+assert_type(loewner.distance(body, None, body, None, exact=True).distance, float)
+assert_type(loewner.distance(body, T, body, T, pairs=[[0, 0]]).upper, Floats)
 assert_type(loewner.distance(body, None, body, T, exact=True).witness_a, Floats)
 assert_type(loewner.overlapping_pairs(several), NDArray[np.int64])
 assert_type(loewner.overlapping_pairs(several, depth=True), loewner.Overlaps)

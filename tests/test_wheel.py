@@ -112,4 +112,4 @@ def test_a_wheel_is_checked(tmp_path):
     assert "found loewner/_native/.build-x/first.o, tests/test_x.py" in done.stderr
     assert "expected a LICENSE" in done.stderr
     assert "expected the libraries" in done.stderr
-    assert "expected threads.ptx as it was built" in done.stderr
+    assert "expected threads.ptx.z as it was built" in done.stderr

@@ -8,6 +8,7 @@ it is. Otherwise it is made when it is first asked for, and kept as a sealed fil
 from __future__ import annotations
 
 import sys
+import zlib
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +19,7 @@ from loewner._kernels._sources import source_hash
 from loewner._native import library
 from loewner._native.entries import expect_numba
 
-NAME = "threads.ptx"
+NAME = "threads.ptx.z"  # compressed by zlib, to a sixth
 
 # The oldest GPUs that it is for (Turing, 2018), and PTX that drivers from 2020 on understand.
 OLDEST, VERSION = "sm_75", "ptx70"
@@ -42,7 +43,7 @@ def text() -> bytes:
     """
     shipped = library.shipped(NAME)
     if shipped is not None:
-        return shipped
+        return zlib.decompress(shipped)
     expect_numba()
     path = _kept()
     if path is not None:
@@ -157,4 +158,4 @@ def _caller(name: str, inner: str, count: int, machine: Any) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_bytes(compiled())
+    Path(sys.argv[1]).write_bytes(zlib.compress(compiled(), 9))

@@ -7,11 +7,11 @@ Arrays that come from here are finite float64 in C order. Poses are not always r
 import math
 import operator
 import os
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,9 +26,15 @@ Ints = NDArray[np.int64]
 
 Bools = NDArray[np.bool_]
 
-# One value, or an array of them: the number of axes of an argument decides, which its type does not tell. A union would
-# make users convert every result, so that checkers of types let this one pass for either.
+# One value, or an array of them: the number of axes of an argument decides, which its type does not tell.
+FloatOrFloats = float | Floats
+BoolOrBools = bool | Bools
+
+# Likewise, where what checks types shall let it pass for either.
 OneOrMany = Any
+
+# What a dict of names holds.
+Entry = TypeVar("Entry")
 
 # Names of two bodies or links.
 Pair = tuple[str, str]
@@ -401,6 +407,17 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
     return UnknownNameError(
         f"{what}: expected one of {', '.join(listed[:LISTED]) or '(there are none)'}{more}; found {short(name)}{hint}"
     )
+
+
+class Named(dict[str, Entry]):
+    """A dict for users to look names up in: of an unknown one, the error lists those that there are."""
+
+    def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
+        super().__init__(entries)
+        self._what = what
+
+    def __missing__(self, name: object) -> NoReturn:
+        raise unknown_name(self._what, name, self)
 
 
 def brief(record: Any) -> str:

@@ -147,8 +147,8 @@ def pair(
     # Look across the line between the two, so that neither hides the other.
     way = _corners(b, Tb).mean(axis=0) - _corners(a, Ta).mean(axis=0)
     ax.view_init(elev=15, azim=np.degrees(np.arctan2(way[1], way[0])) - 90)
-    verdict = classify(a, Ta, b, Tb)
-    title = str(verdict.name)
+    verdict = Verdict(int(classify(a, Ta, b, Tb)))
+    title = verdict.name
     if verdict == Verdict.AMBIGUOUS:
         title += ", exact: " + ("colliding" if collide(a, Ta, b, Tb) else "free")
     ax.set_title(title)

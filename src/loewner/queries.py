@@ -18,16 +18,16 @@ from loewner._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
 from loewner._native import entries, singles
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, Ints, OneOrMany
+from loewner._validate import BoolOrBools, Bools, FloatOrFloats, Floats, Ints, OneOrMany
 from loewner.bodies import Bodies, Body, Packed
 from loewner.errors import ConvergenceError, InputError, PoseError
 
 if TYPE_CHECKING:  # at runtime, defaults of type variables are of Python 3.13
     from typing_extensions import TypeVar
 
-    Number = TypeVar("Number", default=OneOrMany)
-    Exact = TypeVar("Exact", default=OneOrMany)
-    Vector = TypeVar("Vector", default=OneOrMany)
+    Number = TypeVar("Number", default=FloatOrFloats, covariant=True)
+    Exact = TypeVar("Exact", default=OneOrMany, covariant=True)
+    Vector = TypeVar("Vector", default=OneOrMany, covariant=True)
 else:
     from typing import TypeVar
 
@@ -69,6 +69,8 @@ class Verdict(IntEnum):
 
 
 VERDICTS = tuple(Verdict)
+
+VerdictOrVerdicts = Verdict | Verdicts
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,8 +351,16 @@ def classify(
 ) -> Verdicts: ...
 @overload
 def classify(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, margin: float = ..., pairs: None = ...,
+) -> Verdict: ...
+@overload
+def classify(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike,
+) -> Verdicts: ...
+@overload
+def classify(
     a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *, margin: float = ..., pairs: ArrayLike | None = ...,
-) -> OneOrMany: ...
+) -> VerdictOrVerdicts: ...
 # fmt: on
 def classify(
     a: Body | Bodies,
@@ -360,7 +370,7 @@ def classify(
     *,
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
-) -> OneOrMany:
+) -> VerdictOrVerdicts:
     """Certified verdict from the ellipsoids alone.
 
     Parameters
@@ -401,7 +411,7 @@ def classify(
     >>> classify(Body.sphere(1.0), None, Body.box([1, 1, 1]), T)
     <Verdict.FREE: 0>
     """
-    found = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
+    found: int | None = singles.classify(Body, a, T_world_a, b, T_world_b, margin, pairs)
     if found is not None:
         return VERDICTS[found]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
@@ -413,7 +423,7 @@ def classify(
 
 
 @guarded
-def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+def _classified(margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> VerdictOrVerdicts:
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, chosen=chosen)
     out, _ = _settle(codes.CERTIFY, margin, asked)
     return Verdict(int(out[0])) if asked.shape == () else out.reshape(asked.shape)
@@ -432,9 +442,18 @@ def collide(
 ) -> Bools: ...
 @overload
 def collide(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, method: str = ..., margin: float = ..., pairs: None = ...,
+) -> bool: ...
+@overload
+def collide(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    method: str = ..., margin: float = ..., pairs: ArrayLike,
+) -> Bools: ...
+@overload
+def collide(
     a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
     method: str = ..., margin: float = ..., pairs: ArrayLike | None = ...,
-) -> OneOrMany: ...
+) -> BoolOrBools: ...
 # fmt: on
 def collide(
     a: Body | Bodies,
@@ -445,7 +464,7 @@ def collide(
     method: str = "exact",
     margin: float = 0.0,
     pairs: ArrayLike | None = None,
-) -> OneOrMany:
+) -> BoolOrBools:
     """Decide whether two bodies touch, overlap, or come within `margin` of each other.
 
     Parameters
@@ -489,7 +508,7 @@ def collide(
     >>> collide(Body.box([1, 1, 1]), None, Body.box([1, 1, 1]), None)
     True
     """
-    found = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
+    found: bool | None = singles.collide(Body, a, T_world_a, b, T_world_b, method, margin, pairs)
     if found is not None:
         return found
     exact = _validate.choice(method, "method", METHODS) == "exact"
@@ -502,7 +521,7 @@ def collide(
 
 
 @guarded
-def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> Any:
+def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
     """Whether bodies collide: exactly, or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
     out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked)
@@ -546,14 +565,32 @@ def distance(
 ) -> Measured[Floats]: ...
 @overload
 def distance(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, exact: Literal[False] = ..., pairs: None = ...,
+) -> Bounds[float]: ...
+@overload
+def distance(
+    a: Body, T_world_a: None, b: Body, T_world_b: None, *, exact: Literal[True], pairs: None = ...,
+) -> Measured[float]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[False] = ..., pairs: ArrayLike,
+) -> Bounds[Floats]: ...
+@overload
+def distance(
+    a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,
+    exact: Literal[True], pairs: ArrayLike,
+) -> Measured[Floats]: ...
+@overload
+def distance(
     a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
     exact: Literal[False] = ..., pairs: ArrayLike | None = ...,
-) -> Bounds[OneOrMany]: ...
+) -> Bounds[FloatOrFloats]: ...
 @overload
 def distance(
     a: Body, T_world_a: Poses, b: Body, T_world_b: Poses, *,
     exact: Literal[True], pairs: ArrayLike | None = ...,
-) -> Measured[OneOrMany]: ...
+) -> Measured[FloatOrFloats]: ...
 @overload
 def distance(
     a: Body | Bodies, T_world_a: Poses, b: Body | Bodies, T_world_b: Poses, *,

@@ -221,7 +221,8 @@ class Scene:
     def attachments(self) -> dict[str, Attachment]:
         """How each attached body is fixed to the robot, by name of the body."""
         with _CHANGING:
-            return {name: self._attachments[name] for name in self._bodies if name in self._attachments}
+            held = {name: self._attachments[name] for name in self._bodies if name in self._attachments}
+        return _validate.Named("attached body", held)
 
     @property
     def version(self) -> int:

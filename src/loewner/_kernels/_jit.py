@@ -1,7 +1,7 @@
 """How kernels are compiled, and where the compiled code is kept.
 
 Numba's own cache on disk notices a change only in the file of the function itself, not in a function it calls from
-another file, and it trusts what it reads. Stale or damaged collision code is dangerous. So the cache here is our own:
+another file, and it trusts any file. Stale or damaged collision code is dangerous. So the cache here is our own:
 the folder's name carries a hash of every source file of this package, any edit starts from an empty folder, and each
 entry is a sealed file (`_sealed`) that is dropped and made anew when it is damaged.
 
@@ -233,7 +233,7 @@ def inline(function: Callable[..., Any]) -> Any:
 def inline_by_value(function: Callable[..., Any]) -> Any:
     """Compile such a function once for each whole number that callers write out.
 
-    Numba then knows that an index is not negative, which loops need that LLVM is to turn into vectors.
+    LLVM turns loops into vector code only if an index is known not to be negative.
     """
     return _compiled(function, by_value=True, forceinline=True)
 

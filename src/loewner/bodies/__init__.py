@@ -7,12 +7,13 @@ moved by handing a pose to a query; the fits are never computed again.
 """
 
 from loewner.bodies.body import Bodies, Body, Piece
+from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
-from loewner.bodies.pack import KIND_NAMES, Packed, take
+from loewner.bodies.pack import Packed, take
 
 __all__ = [
     "ARRAYS",
-    "KIND_NAMES",
+    "CURVED",
     "LARGEST",
     "SMALLEST",
     "Bodies",

@@ -15,9 +15,10 @@ from loewner._guard import guarded
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints, Progress
 from loewner.bodies import sensed, surfaces
+from loewner.bodies.kinds import KIND_NAMES
 from loewner.bodies.layout import PieceArrays, arrays_of
-from loewner.bodies.pack import KIND_NAMES, Packed, empty, join, moved, take
-from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, around_capsules, primitives
+from loewner.bodies.pack import Packed, empty, join, moved, take
+from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.coverage import Covering
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
@@ -428,7 +429,7 @@ class Body(_Bodies):
         array([[0.5, 0.5, 0.5]])
         """
         r = _validate.positive_scalar(radius, "radius")
-        return _primitive(columns.POINT, r, [r, r, r], [r, r, r], [r, r, r], 0.0)
+        return _primitive(columns.POINT, r, [r, r, r])
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
@@ -450,7 +451,7 @@ class Body(_Bodies):
         Body(ellipsoid, 0 vertices)
         """
         s = _validate.positive_vector(semi_axes, "semi_axes", 3)
-        return _primitive(columns.ELLIPSOID, 0.0, s, s, s, 0.0)
+        return _primitive(columns.ELLIPSOID, 0.0, s)
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
@@ -719,8 +720,7 @@ class Body(_Bodies):
         """
         r = _validate.positive_scalar(radius, "radius")
         h = _validate.positive_scalar(length, "length") / 2
-        wide = r * np.sqrt(1.5)
-        return _primitive(columns.CYLINDER, 0.0, [r, r, h], [r, r, h], [wide, wide, np.sqrt(3.0) * h], 0.0)
+        return _primitive(columns.CYLINDER, 0.0, [r, r, h])
 
     @classmethod
     def cone(cls, radius: float, length: float) -> Body:
@@ -742,9 +742,8 @@ class Body(_Bodies):
         array([[ 0.,  0., -1.]])
         """
         r = _validate.positive_scalar(radius, "radius")
-        H = _validate.positive_scalar(length, "length")
-        narrow, wide = r / np.sqrt(2.0), 3 * r / np.sqrt(8.0)
-        return _primitive(columns.CONE, 0.0, [r, r, H / 2], [narrow, narrow, H / 4], [wide, wide, 0.75 * H], -H / 4)
+        h = _validate.positive_scalar(length, "length") / 2
+        return _primitive(columns.CONE, 0.0, [r, r, h])
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> Body:
@@ -767,8 +766,7 @@ class Body(_Bodies):
         """
         r = _validate.positive_scalar(radius, "radius")
         h = _validate.positive_scalar(length, "length") / 2
-        a, b = around_capsules(np.array(r), np.array(h))
-        return _primitive(columns.SEGMENT, r, [r, r, h], [r, r, h + r], [a, a, b], 0.0)
+        return _primitive(columns.SEGMENT, r, [r, r, h])
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
@@ -1057,7 +1055,7 @@ class Bodies(_Bodies):
         """
         r = _validate.positive_vector(radii, "radii", None)
         axes = np.repeat(r[:, None], 3, axis=1)
-        return cls._wrap(primitives(columns.POINT, r, axes, axes, axes, 0.0))
+        return cls._wrap(primitives(columns.POINT, r, axes))
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
@@ -1074,7 +1072,7 @@ class Bodies(_Bodies):
         Bodies(2 bodies, 2 pieces)
         """
         s = _validate.positive_array(semi_axes, "semi_axes", (None, 3))
-        return cls._wrap(primitives(columns.ELLIPSOID, np.zeros(len(s)), s, s, s, 0.0))
+        return cls._wrap(primitives(columns.ELLIPSOID, np.zeros(len(s)), s))
 
     def __len__(self) -> int:
         return len(self._packed.piece_start) - 1
@@ -1201,10 +1199,9 @@ def _assemble_polytopes(
     return Packed.of(pieces)
 
 
-def _primitive(kind: int, rounding: float, frame: ArrayLike, inner: ArrayLike, outer: ArrayLike, lift: float) -> Body:
-    """One curved piece: image of a unit shape, ellipsoids in closed form centred at height `lift`."""
-    image, smaller, larger = (np.array([axes], dtype=float) for axes in (frame, inner, outer))
-    return Body(primitives(kind, np.array([rounding]), image, smaller, larger, lift))
+def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
+    """One curved piece: image of a unit shape, and the radius of the ball added to it."""
+    return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
 
 
 def _piece(p: Packed, i: int) -> Piece:

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner._kernels import columns, tolerances
-from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies import surfaces
-from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps
-from loewner.bodies.pack import KIND_NAMES, Packed
+from loewner.bodies.kinds import CURVED, KIND_NAMES
+from loewner.bodies.layout import ARRAYS, LARGEST, Maps, PieceArrays, direction_maps, heights_of
+from loewner.bodies.pack import Packed
 from loewner.bodies.primitives import ellipsoids_in_frame
 from loewner.errors import InputError
 
@@ -308,9 +308,8 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
     centers, factors = arrays["inner_center"][rows], arrays["inner_factor"][rows]
     for i in np.flatnonzero(counts[:, 0] > columns.LARGE):
         faces = slice(from_plane[i], from_plane[i] + counts[i, 1])
-        its = (points[from_point[i] : from_point[i] + counts[i, 0]] - centers[i]) @ np.linalg.inv(factors[i]).T
-        most, looked = _farthest(its, normals[faces] @ factors[i], left)
-        farthest[faces] = most + normals[faces] @ centers[i]
+        its = points[from_point[i] : from_point[i] + counts[i, 0]]
+        farthest[faces], looked = heights_of(its, normals[faces], centers[i], factors[i], left)
         left -= looked
     x, y, z = np.abs(points.T)
     largest = np.append(np.maximum(np.maximum(x, y), z), 0.0)
@@ -318,45 +317,6 @@ def _check_planes(arrays: dict[str, Any], rows: Ints, doubt: Floats) -> None:
     allowed = np.repeat(np.where(counts[:, 0] > columns.LARGE, doubt, DOUBT) * reach, counts[:, 1])
     off = np.abs(planes[:, 3] - farthest)
     _refuse(~(off <= allowed), "planes: expected each to touch its piece", off)
-
-
-def _farthest(vertices: Floats, normals: Floats, most: int) -> tuple[Floats, int]:
-    """Largest normal·vertex for each normal, and how many were looked at.
-
-    By a direction map, in coordinates where the piece is round: there it leaves few candidates, whatever the piece.
-    """
-    chosen, nodes = entries.direction_map(np.array(vertices))
-    node, s, t = _cells(normals)
-    for bit in reversed(range(columns.DEEPEST)):
-        inner = nodes[node, 1] < 0
-        child = nodes[node, 0].astype(np.int64) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
-        node = np.where(inner, child, node)
-    first, last = nodes[node].astype(np.int64).T
-    total = int((last - first).sum())
-    if total > most:
-        raise InputError("points: expected the vertices of convex pieces, found too many that are none")
-    farthest = np.empty(len(normals))
-    order = np.argsort(node, kind="stable")
-    for same in np.split(order, np.flatnonzero(np.diff(node[order])) + 1):
-        leaf = vertices[chosen[first[same[0]] : last[same[0]]]]
-        step = max(1, 1_000_000 // len(leaf))
-        for k in range(0, len(same), step):
-            farthest[same[k : k + step]] = (normals[same[k : k + step]] @ leaf.T).max(axis=1)
-    return farthest, total
-
-
-def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
-    """Face of the cube and grid cell that each direction goes through, as `directions` numbers them."""
-    axis = np.argmax(np.abs(normals), axis=1)
-    one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
-    each = np.arange(len(normals))
-    major = normals[each, axis]
-    grid = columns.GRID
-    cells = [
-        np.clip(normals[each, k] / np.abs(major) * (grid / 2) + grid / 2, 0, grid - 1).astype(np.int64)
-        for k in (one, two)
-    ]
-    return 2 * axis + (major < 0), cells[0], cells[1]
 
 
 # -- surfaces ---------------------------------------------------------------------------------
@@ -437,7 +397,7 @@ def _check_curved(arrays: dict[str, Any]) -> None:
         return
     kind, frames = kind[rows], arrays["frames"][rows]
     rounding, center, image = frames[:, 0], frames[:, 1:4], frames[:, 4:].reshape(-1, 3, 3)
-    round_kind = kind >= columns.SEGMENT
+    round_kind = np.isin(kind, [number for number, known in CURVED.items() if known.core is not None])
     _refuse((rounding > 0) != round_kind, "frames: expected a radius of capsules and spheres only", rounding, rows)
     _refuse(rounding < 0, "frames: expected a radius >= 0", rounding, rows)
 

@@ -23,7 +23,8 @@ from loewner._files import replacing
 from loewner._kernels import columns
 from loewner._rotations import to_rpy
 from loewner._validate import Floats
-from loewner.bodies.pack import KIND_NAMES, Packed
+from loewner.bodies.kinds import CURVED
+from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import SEGMENTS, Mesh, ball, ellipsoids_of, of_pieces
 from loewner.errors import InputError
 
@@ -173,24 +174,18 @@ def _ellipsoid(center: Floats, factor: Floats) -> Shape:
 
 
 def _piece(packed: Packed, number: int, mesh: Mesh) -> Shape:
-    kind, frame = KIND_NAMES[int(packed.layout[number, columns.KIND])], packed.frames[number]
-    if kind == "polytope":
+    if packed.layout[number, columns.KIND] == columns.POLYTOPE:
         return _box(mesh[0]) or _mesh(mesh)
+    kind, frame = CURVED[int(packed.layout[number, columns.KIND])], packed.frames[number]
     radius, center, factor = float(frame[0]), frame[1:4], frame[4:].reshape(3, 3)
     lengths = np.linalg.norm(factor, axis=0)
     rotation = _proper(factor / lengths)
-    if kind == "cone":
+    if not kind.in_mjcf:
         # The circle is the one inside its polygon.
         wider = OUTWARD / np.cos(np.pi / SEGMENTS)
         unit = np.linalg.solve(factor, (mesh[0] - center).T).T * [wider, wider, OUTWARD]
         return _mesh((unit @ factor.T + center, mesh[1]))
-    sizes = {
-        "sphere": (radius,),
-        "capsule": (radius, 2 * lengths[2]),
-        "cylinder": (lengths[0], 2 * lengths[2]),
-        "ellipsoid": tuple(lengths.tolist()),
-    }
-    return Shape(kind, tuple(map(float, sizes[kind])), rotation, center)
+    return Shape(kind.name, tuple(kind.sizes(radius, lengths.tolist())), rotation, center)
 
 
 def _proper(axes: Floats) -> Floats:

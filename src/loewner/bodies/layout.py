@@ -13,7 +13,7 @@ from loewner._native import entries
 from loewner._validate import Floats, Ints
 from loewner.bodies.boxes import least_box_axes
 from loewner.bodies.surface_trees import Trees
-from loewner.errors import GeometryError
+from loewner.errors import GeometryError, InputError
 
 Maps = dict[int, tuple[Ints, Floats]]
 
@@ -32,6 +32,9 @@ SINGULAR_ROUNDINGS = 32 * 2.0**-53
 
 # A product with a matrix that is orthonormal but for rounding, and the one back: 3 entries each, and LAPACK's own.
 TURN_ROUNDINGS = 128 * 2.0**-53
+
+# Products of directions and vertices that are formed at a time.
+AT_ONCE = 1_000_000
 
 # Of the corners of a box, which end each has along the axes.
 _CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T
@@ -137,6 +140,64 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
         int(i): entries.direction_map(points[first[i] : last[i]].copy())
         for i in np.flatnonzero((last - first > columns.LARGE) & (layout[:, columns.KIND] == columns.POLYTOPE))
     }
+
+
+def heights_of(
+    points: Floats, normals: Floats, center: Floats, factor: Floats, most: float = np.inf
+) -> tuple[Floats, int]:
+    """Largest normal·vertex of a large polytope for each normal, and how many products it took.
+
+    By a direction map, in coordinates where the inner ellipsoid is a ball: there it leaves few candidates, whatever the
+    piece.
+
+    Parameters
+    ----------
+    points : ndarray, shape (v, 3)
+    normals : ndarray, shape (f, 3)
+    center, factor : ndarray, shape (3,) and (3, 3)
+        Of the inner ellipsoid.
+    most : float
+        Limit on the products.
+
+    Raises
+    ------
+    InputError
+        If it is reached.
+    """
+    vertices, nodes = entries.direction_map((points - center) @ np.linalg.inv(factor).T)
+    node, s, t = _cells(normals @ factor)
+    for bit in reversed(range(columns.DEEPEST)):
+        inner = nodes[node, 1] < 0
+        child = nodes[node, 0].astype(np.int64) + ((s >> bit) & 1) + 2 * ((t >> bit) & 1)
+        node = np.where(inner, child, node)
+    first, last = nodes[node].astype(np.int64).T
+    total = int((last - first).sum())
+    if total > most:
+        raise InputError("points: expected the vertices of convex pieces, found too many that are none")
+    heights = np.empty(len(normals))
+    order = np.argsort(node, kind="stable")
+    for same in np.split(order, np.flatnonzero(np.diff(node[order])) + 1):
+        leaf = points[vertices[first[same[0]] : last[same[0]]]]
+        step = max(1, AT_ONCE // len(leaf))
+        for k in range(0, len(same), step):
+            some = same[k : k + step]
+            twice = some if len(some) > 1 else some.repeat(2)  # a row alone would be rounded in another way
+            heights[some] = (normals[twice] @ leaf.T).max(axis=1)[: len(some)]
+    return heights, total
+
+
+def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
+    """Face of the cube and grid cell that each direction goes through, as `directions` numbers them."""
+    axis = np.argmax(np.abs(normals), axis=1)
+    one, two = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    each = np.arange(len(normals))
+    major = normals[each, axis]
+    grid = columns.GRID
+    cells = [
+        np.clip(normals[each, k] / np.abs(major) * (grid / 2) + grid / 2, 0, grid - 1).astype(np.int64)
+        for k in (one, two)
+    ]
+    return 2 * axis + (major < 0), cells[0], cells[1]
 
 
 def starts(lengths: Ints) -> Ints:

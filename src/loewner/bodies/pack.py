@@ -11,24 +11,9 @@ import numpy as np
 from loewner import _memory, _validate
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
-from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, starts
+from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, heights_of, starts
 from loewner.bodies.surface_trees import Trees, around_point, surface_trees
 from loewner.errors import GeometryError
-
-KIND_NAMES = {
-    columns.SOLID: "solid",
-    columns.SURFACE: "surface",
-    columns.POLYTOPE: "polytope",
-    columns.ELLIPSOID: "ellipsoid",
-    columns.CYLINDER: "cylinder",
-    columns.CONE: "cone",
-    columns.SEGMENT: "capsule",
-    columns.POINT: "sphere",
-}
-
-
-# Products of normals and vertices that are formed at a time.
-AT_ONCE = 2**24
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,15 +208,15 @@ def moved(p: Packed, T: Floats) -> Packed:
     points = p.points @ R.T + t + 0.0  # without negative zeros
     normals = p.planes[:, :3] @ R.T
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    centers, factors = p.inner_center @ R.T + t, R @ p.inner_factor
     offsets = np.empty(len(normals))
-    for row in p.layout:
-        faces = slice(row[columns.PLANES_FROM], row[columns.PLANES_TO])
-        if row[columns.KIND] == columns.POLYTOPE:
-            its = points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]]
-            step = max(1, AT_ONCE // len(its))
-            for first in range(faces.start, faces.stop, step):
-                some = slice(first, min(first + step, faces.stop))
-                offsets[some] = (normals[some] @ its.T).max(axis=1)
+    for i in np.flatnonzero(p.layout[:, columns.KIND] == columns.POLYTOPE):
+        its = points[p.layout[i, columns.POINTS_FROM] : p.layout[i, columns.POINTS_TO]]
+        faces = slice(p.layout[i, columns.PLANES_FROM], p.layout[i, columns.PLANES_TO])
+        if len(its) > columns.LARGE:
+            offsets[faces], _ = heights_of(its, normals[faces], centers[i], factors[i])
+        else:
+            offsets[faces] = (normals[faces] @ its.T).max(axis=1)
     frames = p.frames.copy()
     curved = p.layout[:, columns.KIND] > columns.POLYTOPE
     frames[curved, 1:4] = p.frames[curved, 1:4] @ R.T + t
@@ -260,8 +245,8 @@ def moved(p: Packed, T: Floats) -> Packed:
         points=points,
         planes=np.column_stack([normals, offsets]),
         frames=frames,
-        inner_center=p.inner_center @ R.T + t,
-        inner_factor=(R @ p.inner_factor) * shrink[:, None, None],
+        inner_center=centers,
+        inner_factor=factors * shrink[:, None, None],
         outer_center=p.outer_center @ R.T + t,
         outer_factor=(R @ p.outer_factor) * grow[:, None, None],
         gaps=p.gaps + 3 * np.column_stack([-np.log(shrink), np.log(grow)]),

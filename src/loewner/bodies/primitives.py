@@ -6,28 +6,23 @@ import numpy as np
 
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
+from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import PieceArrays
 from loewner.bodies.pack import Packed
 
 # Relative allowance for the rounding of a closed form and of a stored factor.
 CLOSED_FORM_ROUNDING = 16 * 2.0**-53
 
-# Semi-axes of the inner and the outer ellipsoid in the coordinates of the unit shape, and the height of their center.
-IN_UNITS = {
-    columns.ELLIPSOID: ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0),
-    columns.CYLINDER: ((1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0),
-    columns.CONE: ((0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5),
-}
 
-
-def primitives(kind: int, rounding: Floats, frame: Floats, inner: Floats, outer: Floats, lift: float) -> Packed:
-    """Bodies of one curved piece each; `frame`, `inner` and `outer` are semi-axes, one row per body."""
+def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
+    """Bodies of one curved piece each; `frame` are semi-axes of images of the unit shape, one row per body."""
     n = len(frame)
     # An ellipsoid is its own fit exactly; the others' closed forms are rounded, so step to the safe side.
-    slack = 0.0 if kind in (columns.ELLIPSOID, columns.POINT) else CLOSED_FORM_ROUNDING
+    slack = 0.0 if CURVED[kind].is_ball else CLOSED_FORM_ROUNDING
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = kind
-    center = np.tile([0.0, 0.0, lift], (n, 1))
+    inner, outer, lift = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
+    center = lift[:, None] * [0.0, 0.0, 1.0]
     pieces = PieceArrays(
         layout=layout,
         points=np.zeros((0, 3)),
@@ -76,10 +71,11 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
         Of both centers along the third axis.
     """
     inner, outer, lift = np.empty((len(kinds), 3)), np.empty((len(kinds), 3)), np.zeros(len(kinds))
-    for kind, (smaller, larger, height) in IN_UNITS.items():
-        these = kinds == kind
-        inner[these], outer[these] = lengths[these] * smaller, lengths[these] * larger
-        lift[these] = lengths[these, 2] * height
+    for kind, known in CURVED.items():
+        if known.fitted is not None:
+            these, (smaller, larger, height) = kinds == kind, known.fitted
+            inner[these], outer[these] = lengths[these] * smaller, lengths[these] * larger
+            lift[these] = lengths[these, 2] * height
     balls, capsules = kinds == columns.POINT, kinds == columns.SEGMENT
     inner[balls] = outer[balls] = rounding[balls, None]
     r, h = rounding[capsules], lengths[capsules, 2]

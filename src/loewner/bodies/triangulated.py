@@ -10,8 +10,8 @@ import numpy as np
 
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
-from loewner.bodies.pack import KIND_NAMES, Packed
-from loewner.errors import InputError
+from loewner.bodies.kinds import CURVED, Kind
+from loewner.bodies.pack import Packed
 
 Mesh = tuple[Floats, Ints]
 
@@ -91,21 +91,16 @@ def of_piece(packed: Packed, number: int) -> Mesh:
     if row[columns.KIND] <= columns.POLYTOPE:
         triangles = packed.triangles[packed.triangle_start[number] : packed.triangle_start[number + 1]]
         return packed.points[row[columns.POINTS_FROM] : row[columns.POINTS_TO]], triangles
-    return _curved(KIND_NAMES[int(row[columns.KIND])], float(frame[0]), frame[1:4], frame[4:].reshape(3, 3))
+    return _curved(CURVED[int(row[columns.KIND])], float(frame[0]), frame[1:4], frame[4:].reshape(3, 3))
 
 
-def _curved(kind: str, rounding: float, center: Floats, factor: Floats) -> Mesh:
-    """A curved piece: the image of a unit shape, and a ball added to it (see `loewner._kernels.pieces.shapes`)."""
-    if kind in ("cylinder", "cone"):
-        unit, triangles = _cylinder(0.0 if kind == "cone" else 1.0)
+def _curved(kind: Kind, rounding: float, center: Floats, factor: Floats) -> Mesh:
+    """A curved piece: the image of a unit shape, and a ball added to it."""
+    unit, triangles = ball(3) if kind.top is None else _cylinder(kind.top)
+    if kind.core is None:
         return unit @ factor.T + center, triangles
-    unit, triangles = ball(3)
-    if kind == "ellipsoid":
-        return unit @ factor.T + center, triangles
-    if kind not in ("sphere", "capsule"):
-        raise InputError(f"expected a kind of piece that can be drawn, found {kind}")
     lengths = np.linalg.norm(factor, axis=0)
-    half = lengths[2] if kind == "capsule" else 0.0
+    half = kind.core * lengths[2]
     core = np.where(unit[:, 2:] >= 0, half, -half) * [0.0, 0.0, 1.0]
     return (rounding * unit + core) @ (factor / lengths).T + center, triangles
 

@@ -45,7 +45,7 @@ def add(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     Ta, Tb = inputs.pose(options.pose_a, "--pose-a"), inputs.pose(options.pose_b, "--pose-b")
     a, b = inputs.body(options.a, options), inputs.body(options.b, options)
-    certified = loewner.classify(a, Ta, b, Tb, margin=options.margin)
+    certified = loewner.Verdict(int(loewner.classify(a, Ta, b, Tb, margin=options.margin)))
     found = loewner.distance(a, Ta, b, Tb, exact=options.method == "exact")
     verdict = certified
     if options.method != "certified" and certified == loewner.Verdict.AMBIGUOUS:
@@ -59,7 +59,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _answer(
-    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+    options: argparse.Namespace,
+    a: Any,
+    b: Any,
+    certified: loewner.Verdict,
+    verdict: loewner.Verdict,
+    found: loewner.Distance,
 ) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "verdict": verdict.name,
@@ -82,7 +87,12 @@ def _answer(
 
 
 def _print_answer(
-    options: argparse.Namespace, a: Any, b: Any, certified: Any, verdict: Any, found: loewner.Distance
+    options: argparse.Namespace,
+    a: Any,
+    b: Any,
+    certified: loewner.Verdict,
+    verdict: loewner.Verdict,
+    found: loewner.Distance,
 ) -> None:
     how = {"certified": "the ellipsoids cannot tell", "estimate": "estimated", "exact": "exact"}[options.method]
     if certified == verdict != loewner.Verdict.AMBIGUOUS:

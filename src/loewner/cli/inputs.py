@@ -117,10 +117,10 @@ def model(options: argparse.Namespace) -> str:
     chosen = "hull" if options.hull else options.model
     if chosen is None:
         chosen = "surface" if of_surfaces else "pieces" if of_pieces else options.usual_model
-    alien = of_pieces if chosen == "surface" else of_surfaces
-    for name in alien:
-        only = "--model pieces" if chosen == "surface" else "--model surface"
-        raise InputError(f"--{name.replace('_', '-')}: expected it with {only} only, found it with --model {chosen}")
+    for only, alien in (("pieces", of_pieces), ("surface", of_surfaces)):
+        if alien and chosen != only:
+            name = next(iter(alien)).replace("_", "-")
+            raise InputError(f"--{name}: expected it with --model {only} only, found it with --model {chosen}")
     return str(chosen)
 
 

@@ -1,7 +1,7 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more); 2 error, or one or more
-of many meshes failed; 3 ambiguous (only for ``loewner check --method certified`` and ``loewner plan``).
+Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more), or no path; 2 error, or one
+or more of many meshes failed; 3 ambiguous (only for ``loewner check --method certified`` and ``loewner plan``).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit status: 0 for free or done, 1 for colliding, 2 for an error, 3 for ambiguous.
+        The exit status: 0 for free or done, 1 for colliding or no path, 2 for an error, 3 for ambiguous.
 
     Examples
     --------
@@ -86,8 +87,19 @@ def _words(arguments: Any) -> list[str]:
     return words
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser, and its commands' parsers, to which what begins like a negative number is none of the options.
+
+    Before Python 3.14, argparse takes "-0.5" for a number, but "-0.5,0.3" and "-5e-1" for options that it lacks.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="loewner", description=loewner.__doc__)
+    parser = _Parser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (fit, check, clearance, robot, plan, view, compile, info, paper):

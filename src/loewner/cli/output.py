@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 # Exit status: done, or free; one or more colliding; an error; the ellipsoids cannot tell.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
+# That there is no path is an answer, as a collision is: what was asked for was understood.
+NO_PATH = COLLIDING
+
 
 class PlainTable:
     """A table in plain text, where Rich is not installed."""

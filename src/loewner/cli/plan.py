@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ import loewner
 from loewner import Verdict, _tables, planners
 from loewner._validate import Floats, unknown_name
 from loewner.cli import configurations, inputs
-from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table, progress_bar
-from loewner.errors import FileError, InputError
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
+from loewner.errors import FileError, InputError, PlanningError
 
 # Configurations of each motion at which the distance to the nearest pair is measured, its ends among them.
 MEASURED = 33
@@ -32,8 +33,8 @@ configurations: the name of a state of the SRDF; a .npy, .csv or .json file, as 
 Every motion of the path is proven free at every one of its configurations. With --sampled, motions are looked at
 in steps while the planner searches; the path is certified afterwards, and printed and written in any case.
 
-exit status: 0 every motion proven free, 1 one or more collide (--sampled only), 2 error, or no path was found,
-  3 none collides, but one or more are ambiguous
+exit status: 0 every motion proven free, 1 no path: start or goal is not free, or none was found, or one or more of
+  its motions collide (--sampled only), 2 error, 3 none collides, but one or more are ambiguous
 """
 
 
@@ -91,7 +92,11 @@ def _run(options: argparse.Namespace) -> int:
     start = robot.checked_one(_configurations(options.start, "--start", options, robot, None), "--start")
     goal = _configurations(options.goal, "--goal", options, robot, start)
     inputs.refuse_no_pairs(checker, options.urdf)
-    path, seconds = _found(checker, start, goal, options)
+    try:
+        path, seconds = _found(checker, start, goal, options)
+    except PlanningError as error:
+        print(f"loewner: no path: {error}", file=sys.stderr)
+        return NO_PATH
     if options.out is not None:
         configurations.write(options.out, robot, path)
     answer = _answer(checker, path, seconds, options)

@@ -20,7 +20,7 @@ from loewner._kernels.records import Tree
 from loewner._native import entries
 from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
 from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, OneOrMany, Pair, Progress
+from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -65,13 +65,6 @@ def _model(meshes: str, decompose: bool) -> str:
     return "pieces"
 
 
-class _LinkBodies(dict[str, Body]):
-    """The bodies by link name; of another name, the error lists the links that have one."""
-
-    def __missing__(self, name: object) -> Body:
-        raise _validate.unknown_name("link with a body", name, self)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A tree of links on joints; read one by `from_urdf` or `from_mjcf`.
@@ -94,8 +87,8 @@ class Robot:
         The fastest that each value may change [rad/s or m/s]: the URDF's limit, or less where a joint that mimics it
         would break its own. NaN where the URDF gives none above 0, and for planar and floating joints.
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry. Any other name is an
-        UnknownNameError.
+        Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next
+        two, any other name is an UnknownNameError that lists those that there are.
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
@@ -265,9 +258,9 @@ class Robot:
             lower=lower,
             upper=upper,
             velocity=velocity,
-            bodies=_LinkBodies(bodies),
-            groups=semantics.groups,
-            states=semantics.states,
+            bodies=Named("link with a body", bodies),
+            groups=Named("group", semantics.groups),
+            states=Named("state", semantics.states),
             disabled_pairs=semantics.disabled_pairs,
             adjacent_pairs=adjacent,
             tree=tree_of(robot, columns),

@@ -15,10 +15,11 @@ import numpy as np
 from loewner import _validate
 from loewner._files import read_regular, replacing
 from loewner._guard import guarded
+from loewner._kernels import columns
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
-from loewner.bodies import ARRAYS, Body
+from loewner.bodies import ARRAYS, CURVED, Body
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
@@ -43,10 +44,7 @@ MODELS = ("hull", "pieces", "surface")
 # Shapes given by lengths along the axes, and shapes given by named lengths.
 AXIS_SHAPES: dict[str, Maker] = {"box": Body.box, "ellipsoid": Body.ellipsoid}
 ROUND_SHAPES: dict[str, tuple[Maker, tuple[str, ...]]] = {
-    "sphere": (Body.sphere, ("radius",)),
-    "cylinder": (Body.cylinder, ("radius", "length")),
-    "capsule": (Body.capsule, ("radius", "length")),
-    "cone": (Body.cone, ("radius", "length")),
+    kind.name: (getattr(Body, kind.name), kind.size_names) for kind in CURVED.values() if kind.size_names
 }
 SHAPES = (*AXIS_SHAPES, *ROUND_SHAPES, "points", *SENSOR_SHAPES, "mesh", "saved")
 
@@ -451,21 +449,14 @@ def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[
 
 def _primitive_of(body: Body) -> dict[str, Any] | None:
     """The shape and sizes that make exactly this body, if there are any."""
-    if len(body._packed.layout) != 1 or body.covering is not None:
+    number = int(body._packed.layout[0, columns.KIND])
+    if len(body._packed.layout) != 1 or body.covering is not None or number < columns.POLYTOPE:
         return None
-    kind, vertices = body.pieces[0].kind, body.pieces[0].vertices
-    # Rounding radius and axes of the unit shape's image are the sizes, unrounded.
-    rounding, frame = float(body._packed.frames[0, 0]), body._packed.frames[0, 4::4].tolist()
-    guesses: dict[str, tuple[str, Any]] = {
-        "ellipsoid": ("ellipsoid", frame),
-        "sphere": ("sphere", [rounding]),
-        "cylinder": ("cylinder", [frame[0], 2 * frame[2]]),
-        "cone": ("cone", [frame[0], 2 * frame[2]]),
-        "capsule": ("capsule", [rounding, 2 * frame[2]]),
-    }
-    if vertices is not None:
-        guesses["polytope"] = "box", (2 * vertices.max(axis=0)).tolist()
-    shape, sizes = guesses.get(kind, ("", [0.0]))
+    if number == columns.POLYTOPE:
+        shape, sizes = "box", (2 * body._packed.points.max(axis=0)).tolist()
+    else:  # by the radius of a ball and the axes of the unit shape's image, unrounded
+        kind, frame = CURVED[number], body._packed.frames[0]
+        shape, sizes = kind.name, list(kind.sizes(float(frame[0]), frame[4::4].tolist()))
     if not min(sizes) > 0:
         return None
     if shape in AXIS_SHAPES:

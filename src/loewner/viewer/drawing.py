@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from loewner._kernels import columns
 from loewner._validate import Floats
-from loewner.bodies import Body
+from loewner.bodies import CURVED, Body
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import (
     MANY_PIECES,
@@ -283,7 +283,7 @@ def parts(body: Body) -> list[Part]:
     packed = body._packed
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
-    round_ones = np.isin(kinds, (columns.POINT, columns.ELLIPSOID))
+    round_ones = np.isin(kinds, [number for number, kind in CURVED.items() if kind.is_ball])
     copied = np.flatnonzero(round_ones) if round_ones.sum() > MANY_PIECES else np.array([], dtype=np.int64)
     others = np.setdiff1d(np.arange(len(kinds)), [*clouds, *copied])
     made: list[Part] = []
@@ -291,8 +291,7 @@ def parts(body: Body) -> list[Part]:
         made.append(Triangles(*joined(of_piece(packed, number) for number in others.tolist())))
     if len(copied):
         frames = packed.frames[copied]
-        # A sphere is a point with a ball around it.
-        radii = np.asarray(np.where(kinds[copied] == columns.POINT, frames[:, 0], 0.0))
+        radii = frames[:, 0]  # of a ball around a point, or 0 of an ellipsoid
         balls = radii[:, None, None] * np.eye(3)
         factors = np.where((radii > 0)[:, None, None], balls, frames[:, 4:].reshape(-1, 3, 3))
         made.append(Copies(frames[:, 1:4], factors))

@@ -1,0 +1,52 @@
+"""Kinds of pieces, with a row for each of the curved ones: what tells them apart goes by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from loewner._kernels import columns
+
+
+class Kind(NamedTuple):
+    """A kind of curved piece: the image of a unit shape, and a ball added to it (see `_kernels.pieces.shapes`).
+
+    The constructor of `Body` that has its `name` takes `sizes` of the ball's radius and the image's semi-axes, which
+    scene files call `size_names`, or give as one vector. A unit shape that is a cylinder or a cone has the radius `top`
+    at its upper end, and one that a ball is added to the half length `core`. `fitted` are the semi-axes of the inner
+    and the outer ellipsoid in the coordinates of the unit shape, and the height of their center; None of what a ball is
+    added to.
+    """
+
+    name: str
+    sizes: Callable[[float, Sequence[float]], Sequence[float]]
+    size_names: tuple[str, ...] = ("radius", "length")
+    top: float | None = None
+    core: float | None = None
+    fitted: tuple[tuple[float, float, float], tuple[float, float, float], float] | None = None
+    in_mjcf: bool = True
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether a piece is the image of a ball."""
+        return self.top is None and not self.core
+
+
+def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
+    return axes[0], 2 * axes[2]
+
+
+_BALL = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0
+_CYLINDER = (1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0
+_CONE = (0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5
+
+# By the numbers of kernels and files.
+CURVED = {
+    columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL),
+    columns.CYLINDER: Kind("cylinder", _upright, top=1.0, fitted=_CYLINDER),
+    columns.CONE: Kind("cone", _upright, top=0.0, fitted=_CONE, in_mjcf=False),
+    columns.SEGMENT: Kind("capsule", lambda radius, axes: (radius, 2 * axes[2]), core=1.0),
+    columns.POINT: Kind("sphere", lambda radius, _: (radius,), ("radius",), core=0.0),
+}
+FLAT = {columns.SOLID: "solid", columns.SURFACE: "surface", columns.POLYTOPE: "polytope"}
+KIND_NAMES = FLAT | {number: kind.name for number, kind in CURVED.items()}
