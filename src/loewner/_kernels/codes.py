@@ -11,7 +11,7 @@ MOST_INTERVALS = 7 * 2**16
 
 # How a search on two pieces ended: without a result; they are proven apart or touching; the distance is final; their
 # cores overlap; the depth is final.
-UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEEPEST = 0, 1, 2, 3, 4, 5
+UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEPTH_FOUND = 0, 1, 2, 3, 4, 5
 
 CERTIFY, EXACT = 0, 1
 

@@ -1,4 +1,4 @@
-"""Verdicts of configurations, and of motions at samples: AMBIGUOUS is a value, and becomes an exception only in the checker."""
+"""Verdicts of configurations and of sampled motions. AMBIGUOUS is a value; only the checker raises an exception."""
 
 from __future__ import annotations
 

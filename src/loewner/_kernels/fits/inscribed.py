@@ -68,9 +68,9 @@ NEAR = 4096
 LARGE = 200_000
 
 # Seeds that grow as far as they can, for one large ellipsoid counts most. Those after them stay out of the ellipsoids
-# there are, but for OVERLAP, in units of their semi-axes from their centers.
+# there are, except BEYOND, in units of their semi-axes from their centers.
 UNCUT = 3
-OVERLAP = 0.2
+BEYOND = 0.2
 
 # Gap in log-volume of the fits: what is left in is less than what planes leave out.
 FIT_TOLERANCE = 1e-3
@@ -621,7 +621,7 @@ def cut_off(seed, centers, factors, count, cuts):
         n = G[0] * w[0] + G[1] * w[1] + G[3] * w[2], G[2] * w[1] + G[4] * w[2], G[5] * w[2]
         for k in range(3):
             cuts[i, k] = n[k]
-        cuts[i, 3] = dot(n, center) + OVERLAP
+        cuts[i, 3] = dot(n, center) + BEYOND
 
 
 # -- choice and proof

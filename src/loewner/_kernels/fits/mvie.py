@@ -26,8 +26,6 @@ from loewner._kernels.fits.dense import (
 )
 from loewner._kernels.fits.mvce import CENTRING_FLOOR, MAX_ITERATIONS, ROUNDING, SQRT2, STEP_CAP
 
-UNBOUNDED = 3
-
 
 @njit()
 def balanced_gap(rows, slack, lam, m, n):

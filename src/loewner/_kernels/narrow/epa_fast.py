@@ -18,7 +18,7 @@ from numba.core.typing.templates import signature
 from numba.extending import intrinsic
 
 from loewner._kernels._jit import inline, njit
-from loewner._kernels.codes import DEEPEST, UNSETTLED
+from loewner._kernels.codes import DEPTH_FOUND, UNSETTLED
 from loewner._kernels.columns import POINTS_FROM, POINTS_TO
 from loewner._kernels.linalg3 import across, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW, plane_with_care
@@ -426,7 +426,7 @@ def _placed_depth(vectors_a, vectors_b, error, n, W, K, result):
             if not _witness(W, K, live, f, lower + WITNESS_WINDOW * error, result):
                 break
             K[_LEFT], K[_LEFT + 1], K[_LEFT + 2], K[_LEFT + 3] = live, used, vectors_a, vectors_b
-            return DEEPEST, lower, height
+            return DEPTH_FOUND, lower, height
         seen = _seen(W, live, _point(W, used), error) | (1 << f)
         live, f, lower = _expand(W, K, live, seen, used)
         if live == 0:

@@ -24,7 +24,7 @@ from loewner._kernels.tolerances import POSITION_ROUNDINGS
 # worst (all directions equally deep) and far better elsewhere.
 MAX_POINTS = 1500
 MAX_FACES = 2 * MAX_POINTS
-FLAT = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
+NO_VOLUME = -2e300  # in place of a depth: the Minkowski difference is a point, a segment or a polygon
 
 # Faces this close to the nearest, in rounding errors (1.4e-10 of the lengths), may supply the witnesses.
 WITNESS_WINDOW = 2e4
@@ -284,7 +284,7 @@ def penetration(A, B, shift, accuracy, work, result):
     Returns
     -------
     lower, upper : float
-        Both `FLAT` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
+        Both `NO_VOLUME` if the cores span no volume; `result` then holds a normal only. Else bounds on the depth,
         to within `rounding_error`; `upper` belongs to the normal and the points.
     """
     S, corners, neighbors, normals, offsets, alive, free, horizon, stack, count = work
@@ -297,7 +297,7 @@ def penetration(A, B, shift, accuracy, work, result):
     if _flat_normal(S, error, result):
         # Cores without a volume between them (points, parallel segments) penetrate by nothing: across
         # the flat they already touch. The deepest points are the caller's own, from GJK.
-        return FLAT, FLAT
+        return NO_VOLUME, NO_VOLUME
     # Faces 0..3 lie opposite corners 0..3, each counter-clockwise from outside once oriented.
     if _volume(S) < 0.0:  # swap two corners so that the fixed table below faces outward
         for c in range(9):

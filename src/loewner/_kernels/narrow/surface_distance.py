@@ -9,7 +9,7 @@ within the other says more: it has to come out.
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import APART, COLLIDING, DEEPEST, FREE, NEAREST
+from loewner._kernels.codes import APART, COLLIDING, DEPTH_FOUND, FREE, NEAREST
 from loewner._kernels.columns import (
     COLUMNS,
     FRAME_CENTER,
@@ -584,7 +584,7 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                     T = triangle_piece(B, leaf_b * LEAF + other, 0.0, memory + _PIECES + PIECE)
                     n = minus(corners_at(placed, BLOCK, other)[0], corners[0])
                     status, _, deep = overlap_depth(S, T, n, faces, edges, own)
-                    settled = status == DEEPEST and deep > found
+                    settled = status == DEPTH_FOUND and deep > found
                     deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
                     if deep > found:
                         found = deep
@@ -648,7 +648,7 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 deep = proven_depth(rounding, work) if deep > found else 0.0
             else:
                 status, _, deep = overlap_depth(S, B, (0.0, 0.0, 1.0), faces, edges, own)
-                settled = status == DEEPEST and deep > found
+                settled = status == DEPTH_FOUND and deep > found
                 deep = proven_of_polytopes(rounding, faces, edges, own) if settled else 0.0
             if deep > found:
                 found = deep

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, inline_by_value, njit
-from loewner._kernels.codes import DEEPEST, NEAREST, OVERLAPPING, TOUCHING, UNSETTLED
+from loewner._kernels.codes import DEPTH_FOUND, NEAREST, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.columns import COLUMNS, ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import descend_eight, is_round, round_distance, support
@@ -18,7 +18,7 @@ from loewner._kernels.narrow.epa_fast import SIZE as DEPTH_SIZE
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
 from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
-from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, FLAT, penetration, workspace
+from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, NO_VOLUME, penetration, workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, measure
 from loewner._kernels.narrow.gjk_robust import run, swollen_radii, write_simplex
 from loewner._kernels.narrow.surface_boxes import is_surface
@@ -173,10 +173,10 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
     # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
-    graze = k < 4 and deep != FLAT and deep <= SETTLED / POSITION_ROUNDINGS * error
+    graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
         shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
-    if deep != FLAT:
+    if deep != NO_VOLUME:
         if graze:
             # An expanding polytope that does not hold the origin need not hold the origin's foot in
             # its nearest face either; GJK's points may be the better ones.
@@ -317,7 +317,7 @@ def measure_near(count, queue, operands, S, searches, exact):
         plain = not (_is_curved(A) or _is_curved(B))
         if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEEPEST:
+            if searched == DEPTH_FOUND:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         error = position_error(size, UNIT_ROUNDOFF)
@@ -350,7 +350,7 @@ def measure_late(late, queue, operands, S, exact):
         curved = _is_curved(A) or _is_curved(B)
         if inside and not curved:
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
-            if searched == DEEPEST:
+            if searched == DEPTH_FOUND:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         value, gap = _distance_with_care(A, B, shift, n, error, inside, work, result)

@@ -9,7 +9,7 @@ import numpy as np
 from loewner._kernels._jit import njit
 from loewner._kernels.codes import AMBIGUOUS, APART, COLLIDING, FREE, INEXACT, TOUCHING
 from loewner._kernels.columns import KIND
-from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, FLAT, penetration, workspace
+from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, NO_VOLUME, penetration, workspace
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, rounding_error, run, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
 from loewner._kernels.narrow.surface_distance import PIECE, triangle_piece
@@ -178,7 +178,7 @@ def _piece_pair(A, B, margin, work):
         return COLLIDING
     # Curved pieces that barely overlap can make GJK creep. The expanding polytope sees the same contact from inside.
     shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, np.empty(9))
-    if deep == FLAT:  # a sentinel, not a depth: it must not pass for a separation
+    if deep == NO_VOLUME:  # a sentinel, not a depth: it must not pass for a separation
         return AMBIGUOUS
     if -deep - swollen - error > margin:
         return FREE

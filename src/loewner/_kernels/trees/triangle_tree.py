@@ -45,7 +45,7 @@ BINS, FEW_BINS, MANY = 16, 8, 256  # the fewer for so many triangles or less
 DEEP = 40  # splits above a range from which on ranges are halved, so that no tree is deeper than LEVELS
 LEVELS = DEEP + 28  # 2^31 triangles, halved down to leaves
 
-FULL = 80  # triangles below a node whose boxes are all leaves, or nearly
+MOST_BELOW = 80  # triangles below a node whose boxes are all leaves, or nearly
 
 # An ellipsoid is at least this thin, relative to its width, and this much wider than its corners; single precision can
 # turn it by a part in ten million.
@@ -236,13 +236,13 @@ def _write_diagonal(diagonals, at, row, opposite, sums):
 def _enough(count):
     """How many triangles the boxes of a node are to hold, so that all levels below it are filled alike."""
     levels = 0
-    held = float(FULL)
+    held = float(MOST_BELOW)
     while held < count:
         held *= WIDE
         levels += 1
     if levels == 0:
         return LEAF
-    parts = max(2.0, np.ceil((count / FULL) ** (1.0 / levels)))
+    parts = max(2.0, np.ceil((count / MOST_BELOW) ** (1.0 / levels)))
     return int(np.ceil(count / parts))
 
 
