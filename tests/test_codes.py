@@ -31,7 +31,7 @@ def test_no_module_has_a_code_of_its_own_by_the_same_name(path):
     "family",
     [
         ("FREE", "COLLIDING", "AMBIGUOUS", "INEXACT", "LEFT", "TOO_LONG", "BY_CARE"),
-        ("UNSETTLED", "APART", "TOUCHING", "NEAREST", "OVERLAPPING", "DEEPEST"),
+        ("UNSETTLED", "APART", "TOUCHING", "NEAREST", "OVERLAPPING", "DEPTH_FOUND"),
         ("BY_SPHERE", "BY_OUTER", "BY_INNER", "BY_PLANE", "BY_SEARCH", "OPEN", "UNSURE"),
     ],
 )

@@ -26,14 +26,14 @@ Ints = NDArray[np.int64]
 
 Bools = NDArray[np.bool_]
 
-# One value, or an array of them: the number of axes of an argument decides, which its type does not tell.
+# One value or an array: the number of axes of an argument decides, which its type does not show.
 FloatOrFloats = float | Floats
 BoolOrBools = bool | Bools
 
-# Likewise, where what checks types shall let it pass for either.
+# Likewise, where a type checker shall accept it as either.
 OneOrMany = Any
 
-# What a dict of names holds.
+# The values of a dict of names.
 Entry = TypeVar("Entry")
 
 # Names of two bodies or links.
@@ -410,7 +410,7 @@ def unknown_name(what: str, name: Any, known: Iterable[str]) -> UnknownNameError
 
 
 class Named(dict[str, Entry]):
-    """A dict for users to look names up in: of an unknown one, the error lists those that there are."""
+    """A dict of names for users: the error for an unknown name lists the known ones."""
 
     def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
         super().__init__(entries)

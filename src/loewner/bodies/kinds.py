@@ -1,4 +1,4 @@
-"""Kinds of pieces, with a row for each of the curved ones: what tells them apart goes by it."""
+"""Kinds of pieces, with a row for each curved kind, in which all its properties are written."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Kind(NamedTuple):
     The constructor of `Body` that has its `name` takes `sizes` of the ball's radius and the image's semi-axes, which
     scene files call `size_names`, or give as one vector. A unit shape that is a cylinder or a cone has the radius `top`
     at its upper end, and one that a ball is added to the half length `core`. `fitted` are the semi-axes of the inner
-    and the outer ellipsoid in the coordinates of the unit shape, and the height of their center; None of what a ball is
-    added to.
+    and the outer ellipsoid in the coordinates of the unit shape, and the height of their center; None for kinds with a
+    ball added.
     """
 
     name: str

@@ -147,15 +147,14 @@ def heights_of(
 ) -> tuple[Floats, int]:
     """Largest normal·vertex of a large polytope for each normal, and how many products it took.
 
-    By a direction map, in coordinates where the inner ellipsoid is a ball: there it leaves few candidates, whatever the
-    piece.
+    A direction map leaves few candidates for any piece in coordinates where the inner ellipsoid is a ball.
 
     Parameters
     ----------
     points : ndarray, shape (v, 3)
     normals : ndarray, shape (f, 3)
     center, factor : ndarray, shape (3,) and (3, 3)
-        Of the inner ellipsoid.
+        The inner ellipsoid.
     most : float
         Limit on the products.
 
@@ -173,7 +172,7 @@ def heights_of(
     first, last = nodes[node].astype(np.int64).T
     total = int((last - first).sum())
     if total > most:
-        raise InputError("points: expected the vertices of convex pieces, found too many that are none")
+        raise InputError("points: expected the vertices of convex pieces, found too many that are not")
     heights = np.empty(len(normals))
     order = np.argsort(node, kind="stable")
     for same in np.split(order, np.flatnonzero(np.diff(node[order])) + 1):

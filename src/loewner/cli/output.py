@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Exit status: done, or free; one or more colliding; an error; the ellipsoids cannot tell.
 FREE, COLLIDING, ERROR, AMBIGUOUS = 0, 1, 2, 3
 
-# That there is no path is an answer, as a collision is: what was asked for was understood.
+# No path is an answer, like a collision, and not an error.
 NO_PATH = COLLIDING
 
 

@@ -88,7 +88,7 @@ class Robot:
         would break its own. NaN where the URDF gives none above 0, and for planar and floating joints.
     bodies : dict
         Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next
-        two, any other name is an UnknownNameError that lists those that there are.
+        two, any other name is an UnknownNameError that lists the known ones.
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
