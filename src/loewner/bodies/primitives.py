@@ -22,7 +22,7 @@ def primitives(kind: int, rounding: Floats, frame: Floats) -> Packed:
     layout = np.zeros((n, 5), dtype=np.int64)
     layout[:, columns.KIND] = kind
     inner, outer, lift = ellipsoids_in_frame(np.full(n, kind), rounding, frame)
-    center = lift[:, None] * [0.0, 0.0, 1.0]
+    center = np.column_stack([np.zeros((n, 2)), lift])
     pieces = PieceArrays(
         layout=layout,
         points=np.zeros((0, 3)),
