@@ -15,7 +15,7 @@ class Kind(NamedTuple):
     scene files call `size_names`, or give as one vector. A unit shape that is a cylinder or a cone has the radius `top`
     at its upper end, and one that a ball is added to the half length `core`. `fitted` are the semi-axes of the inner
     and the outer ellipsoid in the coordinates of the unit shape, and the height of their center; None for kinds with a
-    ball added.
+    ball added. The semi-axes are still to be divided by `divisors`.
     """
 
     name: str
@@ -24,6 +24,7 @@ class Kind(NamedTuple):
     top: float | None = None
     core: float | None = None
     fitted: tuple[tuple[float, float, float], tuple[float, float, float], float] | None = None
+    divisors: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
     in_mjcf: bool = True
 
     @property
@@ -38,13 +39,14 @@ def _upright(_: float, axes: Sequence[float]) -> Sequence[float]:
 
 _BALL = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0
 _CYLINDER = (1.0, 1.0, 1.0), (1.5**0.5, 1.5**0.5, 3.0**0.5), 0.0
-_CONE = (0.5**0.5, 0.5**0.5, 0.5), (1.125**0.5, 1.125**0.5, 1.5), -0.5
+_CONE = (1.0, 1.0, 0.5), (3.0, 3.0, 1.5), -0.5  # divided by _OF_CONE: 1 / √2 and 3 / √8 times the radius
+_OF_CONE = (2.0**0.5, 2.0**0.5, 1.0), (8.0**0.5, 8.0**0.5, 1.0)
 
 # By the numbers of kernels and files.
 CURVED = {
     columns.ELLIPSOID: Kind("ellipsoid", lambda _, axes: axes, (), fitted=_BALL),
     columns.CYLINDER: Kind("cylinder", _upright, top=1.0, fitted=_CYLINDER),
-    columns.CONE: Kind("cone", _upright, top=0.0, fitted=_CONE, in_mjcf=False),
+    columns.CONE: Kind("cone", _upright, top=0.0, fitted=_CONE, divisors=_OF_CONE, in_mjcf=False),
     columns.SEGMENT: Kind("capsule", lambda radius, axes: (radius, 2 * axes[2]), core=1.0),
     columns.POINT: Kind("sphere", lambda radius, _: (radius,), ("radius",), core=0.0),
 }

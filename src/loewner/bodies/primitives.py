@@ -74,7 +74,8 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
     for kind, known in CURVED.items():
         if known.fitted is not None:
             these, (smaller, larger, height) = kinds == kind, known.fitted
-            inner[these], outer[these] = lengths[these] * smaller, lengths[these] * larger
+            inner[these] = lengths[these] * smaller / known.divisors[0]
+            outer[these] = lengths[these] * larger / known.divisors[1]
             lift[these] = lengths[these, 2] * height
     balls, capsules = kinds == columns.POINT, kinds == columns.SEGMENT
     inner[balls] = outer[balls] = rounding[balls, None]
