@@ -6,7 +6,6 @@ wraps what `verdicts`, `proofs` and `distances` compute of them. Only here does 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import Any, Literal, overload
 
@@ -198,7 +197,7 @@ class CollisionChecker:
                 return VERDICTS[verdict]
         checked = self.robot.checked(Q)
         ready = self._ready()
-        out, _ = verdicts.classified(ready, codes.CERTIFY, _flat(checked))
+        out, _ = verdicts.classified(ready, codes.CERTIFY, edges.flat(checked))
         self._learn(ready, len(out))
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
@@ -283,7 +282,7 @@ class CollisionChecker:
                 return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        a, b, shape = _motions(a, b, 40)
+        a, b, shape = edges.ends(a, b, 40)
         ready = self._ready()
         found, fractions = verdicts.sampled(ready, a, b, step)
         for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
@@ -347,7 +346,7 @@ class CollisionChecker:
         if a.ndim == 1 and b.ndim == 1:
             a, b = a[None], b[None]
         else:
-            a, b, shape = _motions(a, b, 40)
+            a, b, shape = edges.ends(a, b, 40)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance)
         for k in np.flatnonzero(found.verdicts == codes.TOO_LONG)[:1]:
@@ -394,7 +393,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         ready = self._ready()
-        flat = _flat(checked)
+        flat = edges.flat(checked)
         _validate.fits_memory(
             len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
         )
@@ -459,7 +458,7 @@ class CollisionChecker:
         ready = self._ready()
         if len(ready.pairs) == 0:
             raise InputError("distance: expected a robot and a scene with pairs to check, found none")
-        flat = _flat(checked)
+        flat = edges.flat(checked)
         longest = max(map(len, ready.names))
         exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
         if gradient and not exact:
@@ -538,7 +537,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         softness, gradient = _validate.positive_scalar(softness, "softness"), _validate.flag(gradient, "gradient")
-        ready, flat = self._ready(), _flat(checked)
+        ready, flat = self._ready(), edges.flat(checked)
         if not ready.starts_matter:  # of a solid all is wanted, not its surface
             ready = ready.in_parts
         if len(ready.pairs) == 0:
@@ -588,14 +587,14 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
-        ready, flat = self._ready(), _flat(checked)
+        ready, flat = self._ready(), edges.flat(checked)
         return distances.by_pair(ready, flat, within, gradient)
 
     # -- inside -------------------------------------------------------------------------------
 
     def _exact(self, Q: Floats) -> Verdicts:
         """Verdict and tier of every configuration, in the scene as it is now; ConvergenceError if one is unsettled."""
-        ready, flat = self._ready(), _flat(Q)
+        ready, flat = self._ready(), edges.flat(Q)
         found = verdicts.classified(ready, codes.EXACT, flat)
         self._learn(ready, len(flat))
         verdicts.expect_settled(ready, flat, found.verdicts)
@@ -637,20 +636,3 @@ def prepared_of(checker: CollisionChecker) -> CheckedPairs:
 def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
     """Whether configurations collide, from their verdicts."""
     return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])
-
-
-def _motions(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Ends of motions broadcast together, in one column each, and their shape; `each` bytes a motion go with them."""
-    try:
-        a, b = np.broadcast_arrays(a, b)
-    except ValueError:
-        texts = _validate.shape_text(a.shape), _validate.shape_text(b.shape)
-        raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
-    shape = a.shape[:-1]
-    _validate.fits_memory(math.prod(shape) * (16 * a.shape[-1] + each), f"{_validate.shape_text(shape)} motions")
-    return np.ascontiguousarray(_flat(a)), np.ascontiguousarray(_flat(b)), shape
-
-
-def _flat(Q: Floats) -> Floats:
-    """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
-    return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

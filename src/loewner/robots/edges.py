@@ -1,4 +1,4 @@
-"""Where a motion is checked, and in which order: its ends, its middle, then ever finer.
+"""Motions as rows of their ends; and the samples of a motion in order: its ends, its middle, then ever finer.
 
 In that order collisions tend to be found early.
 """
@@ -13,6 +13,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from loewner import _validate
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
 
@@ -92,3 +93,20 @@ def coarse_first(parts: int) -> Floats:
     for k in range(digits):
         reversed_bits |= (numbers >> k & 1) << (digits - 1 - k)
     return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])
+
+
+def ends(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ...]]:
+    """Ends of motions broadcast together, in one column each, and their shape; `each` bytes a motion go with them."""
+    try:
+        a, b = np.broadcast_arrays(a, b)
+    except ValueError:
+        texts = _validate.shape_text(a.shape), _validate.shape_text(b.shape)
+        raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
+    shape = a.shape[:-1]
+    _validate.fits_memory(math.prod(shape) * (16 * a.shape[-1] + each), f"{_validate.shape_text(shape)} motions")
+    return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
+
+
+def flat(Q: Floats) -> Floats:
+    """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
+    return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])
