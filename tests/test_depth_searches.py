@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 import loewner
 from families import FAMILIES, box_corners, near_contact, pieces, random_poses, rotations, stretch, translation
 from loewner import Bodies, Body
+from loewner._kernels import codes
 from loewner._kernels.ellipsoids import signed_distance
 from loewner._kernels.narrow import epa_fast, epa_robust
 from loewner._kernels.records import Placed
@@ -277,7 +278,7 @@ def test_fast_depth_is_the_careful_one(family: str):
     bodies = Bodies.from_points(points)
     Ta, Tb = near_contact(rng, pool, i, pool, i[::-1], stretch=stretch(family))
     status, fast, careful = both_depths(bodies, Ta, bodies[i[::-1]], Tb)
-    settled = status == epa_fast.SETTLED
+    settled = status == codes.DEPTH_FOUND
     assert fast[settled] == pytest.approx(careful[settled], abs=1e-13)
     assert not settled[careful < -1e-9].any()
     overlapping = careful > 1e-9
@@ -293,7 +294,7 @@ def test_fast_depth_gives_up_on_too_much():
         T = translation(0.3, 0.2, 0.1)[None]
         status, _, careful = both_depths(Bodies([body]), np.eye(4)[None], Bodies([body]), T)
         if len(points) > epa_fast.MAX_CORNERS:
-            assert status[0] == epa_fast.UNSETTLED
+            assert status[0] == codes.UNSETTLED
         assert exact(body, None, body, T).distance == pytest.approx(-careful, abs=1e-12)
 
 
@@ -312,7 +313,7 @@ def test_fast_depth_of_boxes_by_hand():
         )
         depth = (0.5 * (a + b) - np.abs(t)).min()
         if depth > 1e-9:
-            assert status[0] == epa_fast.SETTLED
+            assert status[0] == codes.DEPTH_FOUND
             assert fast[0] == pytest.approx(depth, abs=1e-14)
 
 

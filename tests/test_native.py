@@ -30,7 +30,7 @@ def emit():
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
     """A copy of what was built, which the library is looked for in."""
-    for path in [library.HOME / library.LIST, *library.HOME.glob("*.so"), *library.HOME.glob("*.ptx")]:
+    for path in [library.HOME / library.LIST, *library.HOME.glob("*.so"), *library.HOME.glob("*.ptx.z")]:
         shutil.copy(path, tmp_path)
     monkeypatch.setattr(library, "HOME", tmp_path)
     monkeypatch.delitem(sys.modules, "loewner._native._call", raising=False)

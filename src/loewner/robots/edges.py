@@ -108,5 +108,5 @@ def ends(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ..
 
 
 def flat(Q: Floats) -> Floats:
-    """All configurations in one column; also of a robot without joints, where a length of -1 tells nothing."""
+    """All configurations in one column; also of a robot without joints, for which NumPy cannot infer a length of -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])
