@@ -37,7 +37,7 @@ class StateDistance(Generic[Exact, Vector]):
 
     Examples
     --------
-    >>> from loewner import Body, CollisionChecker
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
     >>> scene = Scene()
     >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     >>> found = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance([0.5, 0.0], exact=True)
@@ -77,7 +77,7 @@ class PairDistances:
 
     Examples
     --------
-    >>> from loewner import Body, CollisionChecker
+    >>> from loewner import Body, CollisionChecker, Robot, Scene
     >>> scene = Scene()
     >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     >>> near = CollisionChecker(Robot.from_urdf("arm.urdf"), scene).distance_by_pair([0.5, 0.0], within=0.4)

@@ -36,7 +36,7 @@ class Settled:
 
     Examples
     --------
-    >>> from loewner import CollisionChecker
+    >>> from loewner import CollisionChecker, Robot
     >>> robot = Robot.from_urdf("arm.urdf")
     >>> settled = CollisionChecker(robot).tiers(robot.random_configurations(100))
     >>> settled.total, settled.colliding
