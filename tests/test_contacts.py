@@ -316,3 +316,29 @@ def test_the_command_line_has_them(tmp_path: Path, capsys):
     assert "can and table" in capsys.readouterr().err
     assert main([*arguments, "--leave", "can", "table"]) == 0
     assert "proven free at every configuration" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+@pytest.mark.parametrize(("gap", "tolerance"), [(5e-6, 1e-5), (1e-6, 1e-5), (1e-7, 1e-5), (5e-4, 1e-3)])
+def test_a_contact_that_does_not_exist_yet_may_not_begin(margin, gap, tolerance):
+    """A motion that starts free, however near, has no contact to end: it is not FREE if it ends in one."""
+    checker = can_on_table(margin, -gap - margin, leave=["table"])
+    back = can_on_table(margin, -gap - margin, reach=["table"])
+    for x in (0.0, 0.3):
+        end = np.array([x, -gap - 0.6 * tolerance, 0.0])
+        assert not checker.collide(START)
+        assert checker.collide(end)
+        assert checker.certify_edges(START, end, tolerance=tolerance).verdict != Verdict.FREE
+        assert back.certify_edges(end, START, tolerance=tolerance).verdict != Verdict.FREE
+        assert checker.certify_edges(START, [x, gap, 0.0], tolerance=tolerance).verdict == Verdict.FREE
+
+
+def test_a_path_does_not_sink_by_many_motions():
+    """Each motion may get deeper by the tolerance, all of them together not more than that."""
+    checker = can_on_table(leave=["table"])
+    path = np.zeros((200, 3))
+    path[:-1, 1] = -0.65 * TOLERANCE * np.arange(199)
+    path[-1, 1] = 0.3
+    assert (checker.certify_edges(path[:-1], path[1:]).verdict == Verdict.FREE).all()
+    with pytest.raises(PlanningError, match="can and table deeper at row 2"):
+        planners.shorten(checker, path)

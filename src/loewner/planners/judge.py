@@ -21,6 +21,7 @@ from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, verdicts
 from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.checker import prepared_of
+from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.edges import MOST_STEPS
 from loewner.robots.proofs import prove, prove_by_rules
 
@@ -153,6 +154,14 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
         touching = np.flatnonzero(~free)  # in the order of the path, which is what the rules are about
         receding = prove_by_rules(judge.ready, path[touching], path[touching + 1], TOLERANCE)
         free[touching] = receding.verdicts == Verdict.FREE
+        rows = np.setdiff1d(np.append(touching, touching + 1), [0, len(path) - 1])
+        if free.all() and (deeper := deeper_than_ends(judge.ready, path, rows, TOLERANCE)) is not None:
+            row, pair = deeper
+            a, b = (judge.ready.names[k] for k in judge.ready.pairs[pair])
+            raise PlanningError(
+                f"{name}: expected contacts that get no deeper along the path than at its ends, found {a} and {b} "
+                f"deeper at row {row}"
+            )
     if free.all():
         return
     k = int(free.argmin())

@@ -35,6 +35,10 @@ FAR_ROUNDINGS = 1e-8
 # Share of the tolerance that is left for the proof; the rest is how far the plane is moved back.
 FOR_PROOF = 0.25
 
+# Pieces that are apart by less than this share of the robot's reach touch: `distance` is no more accurate than a
+# thousandth of it. Pieces that are farther apart have to keep their margin.
+TOUCHING = 1e-9
+
 
 def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
     """Settle a motion for one pair that may be in contact at its start, or at its end.
@@ -75,6 +79,23 @@ def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: floa
     return int(Verdict.FREE), np.nan
 
 
+def deeper_than_ends(ready: CheckedPairs, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
+    """Row of a path, of some, and pair in contact there that is deeper than a rule allows at the ends of the path.
+
+    Each motion of a path may get deeper by the tolerance; all of them together may not.
+    """
+    for pair in ready.ruled.tolist():
+        allowed = float(ready.margins[pair])
+        if ready.leaving[pair]:
+            allowed = min(allowed, _distance(ready, pair, path[0]))
+        if ready.reaching[pair]:
+            allowed = min(allowed, _distance(ready, pair, path[-1]))
+        for row in rows.tolist():
+            if _distance(ready, pair, path[row]) < allowed - tolerance:
+                return row, pair
+    return None
+
+
 def _leaves(
     ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
 ) -> tuple[list[float], float]:
@@ -92,20 +113,21 @@ def _leaves(
         return [float(found.fractions[0])], margin
     if at_start < -deepest:
         return [0.0], -deepest
-    beside, doubtful = _beside_planes(ready, pair, a, b, tolerance), []
+    least = at_start - tolerance if at_start <= margin + TOUCHING * _reach(ready, a, b) else margin
+    (beside, for_proof), doubtful = _beside_planes(ready, pair, a, b, tolerance), []
     for share in STRETCHES.tolist():
         middle = b if share == 1.0 else ready.robot.between(a, b, share)
-        found = motions.settle(beside, a[None], middle[None], FOR_PROOF * tolerance, off)
+        found = motions.settle(beside, a[None], middle[None], for_proof, off)
         if found.verdicts[0] == Verdict.FREE:
             break
         doubtful.append(share * float(found.fractions[0]))
     else:
-        return doubtful, at_start - tolerance
+        return doubtful, least
     if share < 1.0:
         found = motions.settle(alone, middle[None], b[None], FOR_PROOF * tolerance, off)
     if found.verdicts[0] == Verdict.FREE:
         return [], margin
-    return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], at_start - tolerance
+    return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least
 
 
 def _distance(ready: CheckedPairs, pair: int, q: Floats) -> float:
@@ -115,8 +137,20 @@ def _distance(ready: CheckedPairs, pair: int, q: Floats) -> float:
     return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
 
 
-def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float) -> CheckedPairs:
-    """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch."""
+def _reach(ready: CheckedPairs, a: Floats, b: Floats) -> float:
+    """How far points of the robot get from its origin on a motion, at most; and bodies of the scene from theirs."""
+    far = float(np.abs(ready.standing_poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1).max(initial=0.0))
+    return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum()) + far
+
+
+def _beside_planes(
+    ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float
+) -> tuple[CheckedPairs, float]:
+    """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch.
+
+    And the tolerance of the proof that they stay in front. The plane of pieces that touch leaves them most of the
+    tolerance; the plane of pieces that are apart leaves them their margin and nothing else.
+    """
     i, j = (int(k) for k in ready.pairs[pair])
     shares = np.append(0.0, STRETCHES[::-1])
     margin, T = float(ready.margins[pair]), ready.poses(ready.robot.between(a, b, shares))
@@ -125,7 +159,7 @@ def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, toleran
     at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
     touching = at_start <= margin + tolerance
     apart, planes = every[~touching], every[touching]
-    reach = float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[0, j, :3, 3]).sum())
+    reach = _reach(ready, a, b)
     # Two that just touch have no normal that could be computed; a little later on the way they have, or moved apart by
     # a little. Any will do, since the proof fails with a bad one.
     u, v = planes.T
@@ -142,7 +176,9 @@ def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, toleran
     far = 2 * float(theirs._packed.kernel.table[:, columns.REACH].max())
     walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
     reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[v], None, walls, None, exact=True).distance
-    offsets = reached + at_start[touching] - (1 - FOR_PROOF) * tolerance
+    gap = at_start[touching] - margin
+    back = np.where(gap > TOUCHING * reach, gap, (1 - FOR_PROOF) * tolerance)
+    offsets = reached + at_start[touching] - back
     behind = [Body.half_space(n, offset, extent=8 * reach) for n, offset in zip(normals, offsets, strict=True)]
     bodies = [*(ours[k] for k in range(len(ours))), *(theirs[k] for k in range(len(theirs))), *behind]
     first = len(ours)
@@ -156,7 +192,8 @@ def _beside_planes(ready: CheckedPairs, pair: int, a: Floats, b: Floats, toleran
         ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))), Bodies(bodies),
         link.astype(np.int64), pairs, np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
     )  # fmt: skip
-    return made._placed(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version)
+    for_proof = float(back.min(initial=tolerance)) * FOR_PROOF / (1 - FOR_PROOF)
+    return made._placed(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof
 
 
 def _pieces(ready: CheckedPairs, body: int) -> Bodies:
