@@ -220,8 +220,13 @@ def test_a_damaged_library_is_refused(installed, copy, levels):
 
 
 def test_a_library_of_other_sources_is_refused(installed, copy):
-    """A kernel was edited after the library was built."""
-    with (copy / "loewner" / "_kernels" / "linalg3.py").open("a") as file:
+    """A kernel was edited after the library was built, in the archive or beside it."""
+    kernels = copy / "loewner" / "_kernels"
+    with zipfile.ZipFile(kernels / "sources.zip", "a") as archive:
+        archive.writestr("another.py", "")
+    assert "built from other sources" in refused(installed, PYTHONPATH=str(copy))
+    shutil.copy(packages(installed) / "loewner" / "_kernels" / "sources.zip", kernels)
+    with (kernels / "codes.py").open("a") as file:
         file.write("\n")
     assert "built from other sources" in refused(installed, PYTHONPATH=str(copy))
 
