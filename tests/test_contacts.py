@@ -342,3 +342,15 @@ def test_a_path_does_not_sink_by_many_motions():
     assert (checker.certify_edges(path[:-1], path[1:]).verdict == Verdict.FREE).all()
     with pytest.raises(PlanningError, match="can and table deeper at row 2"):
         planners.shorten(checker, path)
+
+
+@pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
+def test_a_path_too_long_to_prove_is_refused():
+    """With the reason that `certify_edges` gives, whether there are rules or not."""
+    far = np.array([[0.0, 0.3, 0.0], [0.0, 0.3, 1e12]])
+    for rules in ({}, {"leave": ["table"]}):
+        checker = can_on_table(**rules)
+        with pytest.raises(loewner.InputError, match="short enough to be proven"):
+            planners.shorten(checker, far)
+        with pytest.raises(loewner.InputError, match="short enough to be proven"):
+            checker.certify_edges(*far)

@@ -166,6 +166,7 @@ def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
         return
     k = int(free.argmin())
     certified = prove_by_rules(judge.ready, path[k : k + 1], path[k + 1 : k + 2], TOLERANCE)
+    certified.expect_short(path[k : k + 1], path[k + 1 : k + 2])
     found = certified.of_shape((), judge.ready)
     seen = ""
     if found.verdict == Verdict.FREE:

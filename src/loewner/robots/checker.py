@@ -349,11 +349,7 @@ class CollisionChecker:
             a, b, shape = edges.ends(a, b, 40)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance)
-        for k in np.flatnonzero(found.verdicts == codes.TOO_LONG)[:1]:
-            raise InputError(
-                f"expected motions short enough to be proven in {codes.MOST_INTERVALS} intervals, found number {k}, "
-                f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
-            )
+        found.expect_short(a, b)
         return found.of_shape(shape, ready)
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:

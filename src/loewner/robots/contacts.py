@@ -113,7 +113,7 @@ def _leaves(
         return [float(found.fractions[0])], margin
     if at_start < -deepest:
         return [0.0], -deepest
-    least = at_start - tolerance if at_start <= margin + TOUCHING * _reach(ready, a, b) else margin
+    least = at_start - tolerance if at_start <= margin + TOUCHING * _reach(ready, pair, a, b) else margin
     (beside, for_proof), doubtful = _beside_planes(ready, pair, a, b, tolerance), []
     for share in STRETCHES.tolist():
         middle = b if share == 1.0 else ready.robot.between(a, b, share)
@@ -137,10 +137,10 @@ def _distance(ready: CheckedPairs, pair: int, q: Floats) -> float:
     return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
 
 
-def _reach(ready: CheckedPairs, a: Floats, b: Floats) -> float:
-    """How far points of the robot get from its origin on a motion, at most; and bodies of the scene from theirs."""
-    far = float(np.abs(ready.standing_poses.reshape(-1, 4, 4)[:, :3, 3]).sum(axis=1).max(initial=0.0))
-    return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum()) + far
+def _reach(ready: CheckedPairs, pair: int, a: Floats, b: Floats) -> float:
+    """How far points of the robot get from the second body of a pair on a motion, at most."""
+    T = ready.poses(a[None])[0, ready.pairs[pair, 1]]
+    return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[:3, 3]).sum())
 
 
 def _beside_planes(
@@ -159,7 +159,7 @@ def _beside_planes(
     at_start = queries.distance(ours, T[0, i], theirs, T[0, j], exact=True, pairs=every).distance
     touching = at_start <= margin + tolerance
     apart, planes = every[~touching], every[touching]
-    reach = _reach(ready, a, b)
+    reach = _reach(ready, pair, a, b)
     # Two that just touch have no normal that could be computed; a little later on the way they have, or moved apart by
     # a little. Any will do, since the proof fails with a bad one.
     u, v = planes.T

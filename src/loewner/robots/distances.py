@@ -143,16 +143,16 @@ def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
 
 def gradients(ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
     """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
-    gradients = np.empty((len(Q), ready.robot.dof))
+    slopes = np.empty((len(Q), ready.robot.dof))
 
     def run(first: int, last: int) -> None:
         entries.pair_gradients(
             first, last, Q, ready.bodies._packed.handle, ready.handle, workspace(ready.memory_of_clearances),
-            bodies, normal, witness, gradients,
+            bodies, normal, witness, slopes,
         )  # fmt: skip
 
     in_shares(run, len(Q), LEAST_SHARE)
-    return gradients
+    return slopes
 
 
 def by_pair(ready: CheckedPairs, Q: Floats, within: float, gradient: bool) -> PairDistances:

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loewner import _validate
+from loewner._kernels import codes
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
+from loewner.errors import InputError
 from loewner.queries import Verdict
 from loewner.robots.checked_pairs import CheckedPairs
 
@@ -77,6 +79,20 @@ class Found(NamedTuple):
     fractions: Floats
     pairs: Ints
     work: Ints
+
+    def expect_short(self, a: Floats, b: Floats) -> None:
+        """Refuse motions between a and b, shape (N, dof) each, that would take too many intervals.
+
+        Raises
+        ------
+        InputError
+            With the number of the first one.
+        """
+        for k in np.flatnonzero(self.verdicts == codes.TOO_LONG)[:1]:
+            raise InputError(
+                f"expected motions short enough to be proven in {codes.MOST_INTERVALS} intervals, found number {k}, "
+                f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
+            )
 
     def of_shape(self, shape: tuple[int, ...], ready: CheckedPairs) -> CertifiedMotions:
         """The same as users see it: of one motion, whose shape is (), no arrays."""
