@@ -21,6 +21,8 @@ Eight poses are twelve vectors a link in a flat array W of float64:
 W[(12 link + r) * 8 + lane], r = 0 .. 8 the rotation by rows, 9 .. 11 the translation.
 """
 
+from typing import Any
+
 import numpy as np
 
 from loewner._kernels._jit import borrowed, inline, njit
@@ -55,10 +57,12 @@ def quaternion_of(tree, link):
     return tree.column[link] if tree.kind[link] == BALL else -1
 
 
-@inline
-def workspace_size(links, dof):
+def link_entries(links: Any, dof: Any) -> Any:
     """Entries that `place_links` needs in W: the poses of all links, then eight configurations by columns."""
-    return (POSE * links + dof) * LANES
+    return (links * POSE + dof) * LANES
+
+
+workspace_size = inline(link_entries)
 
 
 @inline

@@ -22,7 +22,7 @@ import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, TOO_LONG, TOUCHING
-from loewner._kernels.columns import CACHE_LINE, OUTER_RADIUS
+from loewner._kernels.columns import OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
 from loewner._kernels.narrow import exact, gjk_swept
@@ -30,7 +30,7 @@ from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
-from loewner._kernels.robots.kinematics import place_links, workspace_size
+from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at
 from loewner._kernels.robots.sweeps import (
@@ -46,7 +46,7 @@ from loewner._kernels.robots.sweeps import (
     see_piece,
     sweep,
 )
-from loewner._kernels.simd.memory import floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw, sizes_of
 from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
@@ -69,7 +69,7 @@ WAITING = 256
 
 PARTS = 8  # that an interval is cut into at a time
 # A cut divides a width by eight, and seconds of 1 have 53 bits: after seventeen there is no number between the ends.
-DEPTH = 20
+DEPTH = 19
 STACK = 4 * DEPTH  # a halved interval leaves one, three times in a cut
 
 _POSES = 2 * (PARTS + 1)
@@ -87,7 +87,7 @@ class Motion(NamedTuple):
     skew : how far turned lengths may be off, as a share of them: that of what a pair keeps comes on top
     strays : whether values may be off the motion's; then pairs keep that much more
     counts : how much there is of everything
-    work : address of the memory that `_..._of` divide up
+    work : address of `MEMORY`
     """
 
     pack: Any
@@ -137,190 +137,50 @@ class Near(NamedTuple):
 # -- memory -----------------------------------------------------------------------------------
 
 
-# What does not depend on the robot comes first.
-_ROWS = 0
-_NUMBERS = _ROWS + whole_lines(8 * LANES)
-_TIMES = _NUMBERS + whole_lines(8 * LANES)
-_SCRATCH = _TIMES + whole_lines(8 * LANES)
-_NORMALS = _SCRATCH + whole_lines(8 * PIECE)
-_RELATIVE = _NORMALS + whole_lines(8 * 3 * LANES)
-_AT_WAITING = _RELATIVE + whole_lines(8 * 16 * 4)
-_WAITING_WAYS = _AT_WAITING + whole_lines(8 * 4 * WAITING)
-_CUT_TIMES = _WAITING_WAYS + whole_lines(8 * 8 * WAITING)
-_CUT_POSES = _CUT_TIMES + whole_lines(8 * (PARTS + 1) * DEPTH)
-_AT_STACK = _CUT_POSES + whole_lines(8 * 16 * _POSES * DEPTH)
-_STACK_NORMALS = _AT_STACK + whole_lines(8 * 3 * STACK)
-_GJK = _STACK_NORMALS + whole_lines(8 * 3 * STACK)
-_EXACT = _GJK + whole_lines(gjk_swept.SIZE)
-_CAREFUL = _EXACT + whole_lines(exact.SIZE)
-_REST = _CAREFUL + 2 * CACHE_LINE + whole_lines(8 * 4 * 9)
+LINKS, DOF, MOVING, MOVING_PIECES, _, PAIRS = sizes_of(Counts)
+_LINK_ENTRIES = link_entries(LINKS, DOF)
 
-
-@inline
-def _sizes(counts):
-    """Bytes of what does depend on it, in order."""
-    links, moving = counts.links, counts.moving
-    return (
-        lines(8 * 2 * counts.dof),
-        lines(8 * LANES * counts.dof),
-        lines(8 * workspace_size(links, counts.dof)),
-        lines(8 * workspace_size(links, counts.dof)),
-        lines(8 * 3 * links),
-        lines(8 * 2 * moving),
-        lines(8 * moving),
-        lines(8 * 16 * LANES * moving),
-        lines(8 * BODY * moving),
-        lines(8 * PIECE * counts.moving_pieces),
-        lines(8 * counts.pairs),
-        lines(8 * counts.dof),
-        lines(8 * 3 * links),
-    )
-
-
-@inline
-def _at(motion, k):
-    """Address of the k-th of these; of their end, if there are k."""
-    address = motion.work + _REST
-    sizes = _sizes(motion.counts)
-    for n in range(k):
-        address += sizes[n]
-    return address
-
-
-@inline
-def _rows_of(motion):
-    """Rows of the configurations."""
-    return integers_at(motion.work + _ROWS, (LANES,))
-
-
-@inline
-def _times_of(motion):
-    """Of the block."""
-    return floats_at(motion.work + _TIMES, (LANES,))
-
-
-@inline
-def _scratch_of(motion):
-    """A piece as another body sees it."""
-    return floats_at(motion.work + _SCRATCH, (PIECE,))
-
-
-@inline
-def _normals_of(motion):
-    """Directions from `sweeps.near_piece`."""
-    return floats_at(motion.work + _NORMALS, (3 * LANES,))
-
-
-@inline
-def _relative_of(motion):
-    """The identity, and two poses of a body as another one sees it."""
-    return floats_at(motion.work + _RELATIVE, (4, 4, 4))
-
-
-@inline
-def _waiting_of(motion):
-    """Piece pairs that wait to be halved: pair, i, j, the interval's number."""
-    return integers_at(motion.work + _AT_WAITING, (WAITING, 4))
-
-
-@inline
-def _waiting_ways_of(motion):
-    """Their normals, `Ways`, margin and slack."""
-    return floats_at(motion.work + _WAITING_WAYS, (WAITING, 8))
-
-
-@inline
-def _cut_times_of(motion):
-    """Of the intervals that are cut, by depth."""
-    return floats_at(motion.work + _CUT_TIMES, (DEPTH, PARTS + 1))
-
-
-@inline
-def _cut_poses_of(motion):
-    """For each depth the poses of both bodies at the times: those of the first in rows 0 .. 8, then the other's."""
-    return floats_at(motion.work + _CUT_POSES, (DEPTH * _POSES, 4, 4))
-
-
-@inline
-def _stack_of(motion):
-    """Intervals to be halved: depth, first and last time."""
-    return integers_at(motion.work + _AT_STACK, (STACK, 3))
-
-
-@inline
-def _stack_normals_of(motion):
-    """Their normals."""
-    return floats_at(motion.work + _STACK_NORMALS, (STACK, 3))
-
-
-@inline
-def _ends_of(motion):
-    """Both ends."""
-    return floats_at(_at(motion, 0), (2, motion.counts.dof))
-
-
-@inline
-def _configurations_of(motion):
-    """Eight configurations on the way."""
-    return floats_at(_at(motion, 1), (LANES, motion.counts.dof))
-
-
-@inline
-def _links_of(motion):
-    """Links at those of a block, see `kinematics`."""
-    return floats_at(_at(motion, 2), (workspace_size(motion.counts.links, motion.counts.dof),))
-
-
-@inline
-def _cut_links_of(motion):
-    """Links at those of an interval that is cut."""
-    return floats_at(_at(motion, 3), (workspace_size(motion.counts.links, motion.counts.dof),))
-
-
-@inline
-def _rates_of(motion):
-    """What joints do."""
-    rates = floats_at(_at(motion, 4), (3, motion.counts.links))
-    return Rates(rates[0], rates[1], rates[2])
-
-
-@inline
-def _off_of(motion):
-    """How far values may be off the motion's."""
-    return floats_at(_at(motion, 11), (motion.counts.dof,))
-
-
-@inline
-def _strays_of(motion):
-    """What that is of joints."""
-    strays = floats_at(_at(motion, 12), (3, motion.counts.links))
-    return Rates(strays[0], strays[1], strays[2])
-
-
-@inline
-def _ways_of(motion):
-    """How the bodies that move do, seen from the world: shape (moving, 2)."""
-    return floats_at(_at(motion, 5), (motion.counts.moving, 2))
-
-
-@inline
-def _swept_of(motion):
-    """Where everything is in a block."""
-    counts = motion.counts
-    return Swept(
-        floats_at(_at(motion, 7), (LANES * counts.moving, 4, 4)),
-        floats_at(_at(motion, 8), (BODY * counts.moving,)),
-        floats_at(_at(motion, 9), (PIECE * counts.moving_pieces,)),
-        integers_at(_at(motion, 6), (counts.moving,)),
-        _links_of(motion),
-        integers_at(motion.work + _NUMBERS, (LANES,)),
-    )
-
-
-@inline
-def _order_of(motion):
-    """Pairs in the order in which they are taken."""
-    return integers_at(_at(motion, 10), (motion.counts.pairs,))
+MEMORY = Arena(
+    rows=integers(LANES),  # of the configurations
+    times=floats(LANES),  # of the block
+    scratch=floats(PIECE),  # a piece as another body sees it
+    normals=floats(3 * LANES),  # directions from `sweeps.near_piece`
+    relative=floats(4, 4, 4),  # the identity, and two poses of a body as another one sees it
+    waiting=integers(WAITING, 4),  # piece pairs to be halved: pair, i, j, the interval's number
+    waiting_ways=floats(WAITING, 8),  # their normals, `Ways`, margin and slack
+    cut_times=floats(DEPTH, PARTS + 1),  # times at which intervals are cut, by depth
+    cut_poses=floats(DEPTH * _POSES, 4, 4),  # by depth, poses at these times: of the first body, then of the other one
+    alone=floats(2, 4, 4),  # poses of two bodies where a collision is confirmed
+    stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
+    stack_normals=floats(STACK, 3),
+    gjk=raw(gjk_swept.SIZE),
+    exact=raw(exact.SIZE),
+    vectors=floats(3, 4),  # for the careful search, like the next
+    simplex=floats(4, 9),
+    ends=floats(2, DOF),
+    configurations=floats(LANES, DOF),  # eight on the way
+    cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
+    rates=Arena(Rates, turn=floats(LINKS), slide=floats(LINKS), far=floats(LINKS)),
+    ways=floats(MOVING, 2),  # `Ways` of moving bodies, seen from the world
+    swept=Arena(
+        Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
+        done=integers(MOVING), links=floats(_LINK_ENTRIES), numbers=integers(LANES),
+    ),  # where everything is in a block
+    order=integers(PAIRS),  # in which pairs are taken
+    off=floats(DOF),  # how far values may be from the motion's
+    strays=Arena(Rates, turn=floats(LINKS), slide=floats(LINKS), far=floats(LINKS)),  # how far joints may be then
+)  # fmt: skip
+_rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
+    "rows times scratch normals relative waiting waiting_ways"
+)
+_cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
+    "cut_times cut_poses alone stack stack_normals gjk exact"
+)
+_vectors_of, _simplex_of, _ends_of, _configurations_of, _cut_links_of, _rates_of, _ways_of = MEMORY.accessors(
+    "vectors simplex ends configurations cut_links rates ways"
+)
+_swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors("swept order off strays")
+_size = MEMORY.sizing()
 
 
 @inline
@@ -334,8 +194,7 @@ def _counts(pieces, problem, dof):
 @njit()
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
-    counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
-    return _at(Motion(pack, problem_handle, 0, 0.0, False, 0.0, 0.0, False, counts, 0), 13)
+    return _size(_counts(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -370,7 +229,7 @@ def _proven_standing(motion, i, poses, first, last, j, still, row, keep, n):
     pieces, tables = pieces_of(motion.pack), motion_tables_of(motion.tables)
     return separated(
         placed(pieces, j, still, row), placed(pieces, i, poses, first), placed(pieces, i, poses, last), n, keep,
-        2.0 * tables.chain[2], motion.work + _GJK,
+        2.0 * tables.chain[2], _gjk_of(motion),
     )  # fmt: skip
 
 
@@ -391,11 +250,10 @@ def _collides(motion, i, poses, row, j, others, other_row, margin, n):
     """
     pieces = pieces_of(motion.pack)
     A, B = placed(pieces, i, poses, row), placed(pieces, j, others, other_row)
-    verdict, _ = exact_piece_pair(A, B, margin, n, motion.work + _EXACT)
+    verdict, _ = exact_piece_pair(A, B, margin, n, _exact_of(motion))
     if verdict == AMBIGUOUS:
-        V = floats_at(motion.work + _CAREFUL, (3, 4))
-        simplex = floats_at(motion.work + _CAREFUL + 2 * CACHE_LINE, (4, 9))
-        touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, simplex, V[0], V[1], V[2])
+        V = _vectors_of(motion)
+        touching, _, _, _ = run(A, B, shift_between(A, B), n, margin, True, _simplex_of(motion), V[0], V[1], V[2])
         verdict = BY_CARE if touching == TOUCHING else FREE
     return verdict
 
@@ -453,18 +311,17 @@ def _confirmed(motion, near, t, n):
     if not motion.confirmed:
         return COLLIDING
     problem = problem_of(motion.problem)
-    Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _cut_poses_of(motion)
+    Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _alone_of(motion)
     for lane in range(LANES):
         configuration_at(problem.tree, _ends_of(motion), t, Q, lane)
     _place_at(motion, W)
-    row = np.int64((DEPTH - 1) * _POSES)
-    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, row)
+    _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, 0)
     other = problem.pairs[near.pair, 1]
     if other < motion.counts.moving:
-        _copy_pose(W, problem.link[other], 0, poses, row + 1)
+        _copy_pose(W, problem.link[other], 0, poses, 1)
     else:
-        _copy_standing(problem, other - motion.counts.moving, poses, row + 1)
-    verdict = _collides(motion, near.i, poses, row, near.j, poses, row + 1, near.margin, n)
+        _copy_standing(problem, other - motion.counts.moving, poses, 1)
+    verdict = _collides(motion, near.i, poses, 0, near.j, poses, 1, near.margin, n)
     return AMBIGUOUS if verdict == FREE else verdict
 
 
@@ -557,7 +414,7 @@ def _halve(motion, near, swept, back, low, high, k, n, tally):
         n = normals[top, 0], normals[top, 1], normals[top, 2]
         if last - first == 1:
             a, b = times[depth, first], times[depth, last]
-            if depth + 1 >= DEPTH - 1 or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
+            if depth + 1 >= DEPTH or not (a < a + (b - a) / PARTS < a + (b - a) * (1.0 - 1.0 / PARTS) < b):
                 return AMBIGUOUS, a  # no number is left between the two
             at = depth * _POSES
             both = at + PARTS + 1
@@ -804,7 +661,7 @@ def _settle_block(motion, low, high, found, tally):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
         configuration_at(problem.tree, ends, times[k], Q, k)
     tally[0] += LANES
-    _place_at(motion, _links_of(motion))
+    _place_at(motion, swept.links)
     sweep(problem, pieces, swept)
     widest = 0.0
     for k in range(INTERVALS):
@@ -897,11 +754,12 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
-    rows, same, poses = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion)
+    rows, same, poses, alone = _rows_of(motion), _relative_of(motion), _cut_poses_of(motion), _alone_of(motion)
     for lane in range(LANES):
         rows[lane] = lane
     same[:] = 0.0
     poses[:] = 0.0
+    alone[:] = 0.0
     for c in range(4):
         same[0, c, c] = 1.0
 

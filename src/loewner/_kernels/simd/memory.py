@@ -1,60 +1,61 @@
-"""Memory by address: what Python owns, as arrays for kernels.
+"""Memory by address: arrays for kernels in memory that Python owns.
 
-A call from Python costs 150 ns for every array it hands over and 20 ns for a number; and an array that a kernel makes
-itself costs an allocation. So Python keeps the memory and hands over addresses. Whoever does must keep it alive.
+A call from Python costs 150 ns for every array that it passes and 20 ns for a number; and an array that a kernel makes
+itself costs an allocation. So Python owns the memory, passes its address, and keeps it alive.
+
+An `Arena` divides such memory into named fields. Its accessors are written in LLVM's code: as Python functions they
+would cost Numba some 5 ms a line.
 """
 
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import partial
+from math import prod
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core.typing.templates import signature
 from numba.extending import intrinsic
-from numba.np.numpy_support import carray
+from numba.np.arrayobj import populate_array
 
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import CACHE_LINE
 
+_INT64 = ir.IntType(64)
 
-def _pointer_to(kind: Any, entry: Any) -> Any:
+
+# -- single arrays ------------------------------------------------------------------------------
+
+
+def _array(context: Any, builder: Any, kind: Any, address: Any, shape: Any) -> Any:
+    """Numba's array over memory that it does not own; the address and the lengths of the axes are int64."""
+    strides = [_INT64(kind.dtype.bitwidth // 8)]
+    for length in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    array = context.make_array(kind)(context, builder)
+    data = builder.inttoptr(address, context.get_data_type(kind.dtype).as_pointer())
+    populate_array(array, data, shape, strides, strides[-1], meminfo=None)
+    return array._getvalue()
+
+
+def _arrays_of(entry: Any) -> Any:
     @intrinsic
-    def pointer(typingctx, address):
+    def array_at(typingctx, address, shape):
+        """Array in C order at an address; `shape` is a tuple."""
+        kind = types.Array(entry, len(shape), "C")
+
         def generate(context, builder, sig, args):
-            return builder.inttoptr(args[0], entry.as_pointer())
+            return _array(context, builder, kind, args[0], cgutils.unpack_tuple(builder, args[1]))
 
-        return signature(types.CPointer(kind), types.int64), generate
+        return signature(kind, types.int64, types.UniTuple(types.int64, len(shape))), generate
 
-    return pointer
-
-
-_integers = _pointer_to(types.int64, ir.IntType(64))
-_floats = _pointer_to(types.float64, ir.DoubleType())
-_singles = _pointer_to(types.float32, ir.FloatType())
-_bytes = _pointer_to(types.int8, ir.IntType(8))
+    return array_at
 
 
-@inline
-def integers_at(address, shape):
-    """Array of int64; `shape` is a tuple."""
-    return carray(_integers(address), shape)
-
-
-@inline
-def floats_at(address, shape):
-    """Array of float64."""
-    return carray(_floats(address), shape)
-
-
-@inline
-def singles_at(address, shape):
-    """Array of float32."""
-    return carray(_singles(address), shape)
-
-
-@inline
-def bytes_at(address, shape):
-    """Array of int8."""
-    return carray(_bytes(address), shape)
+integers_at, floats_at = _arrays_of(types.int64), _arrays_of(types.float64)
+singles_at, bytes_at = _arrays_of(types.float32), _arrays_of(types.int8)
 
 
 @inline
@@ -63,9 +64,179 @@ def held(array):
     return array.size
 
 
-def whole_lines(size: int) -> int:
+# -- arenas -------------------------------------------------------------------------------------
+
+
+class Size:
+    """A size that depends on a record of counts: one of its fields, or a sum or product of sizes."""
+
+    def __init__(self, of: Callable[[Any], Any]) -> None:
+        self.of = of
+
+    def __add__(self, other: Any) -> "Size":
+        return Size(lambda counts: self.of(counts) + _size_of(other, counts))
+
+    def __mul__(self, other: Any) -> "Size":
+        return Size(lambda counts: self.of(counts) * _size_of(other, counts))
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _size_of(size: Any, counts: Any) -> Any:
+    return size.of(counts) if isinstance(size, Size) else size
+
+
+def sizes_of(record: Any) -> Any:
+    """The fields of a record of counts, as sizes for the fields of an `Arena`."""
+    return record(*[Size(attrgetter(name)) for name in record._fields])
+
+
+class _Number:
+    """An int64 of compiled code, with the arithmetic of sizes."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self._builder, self.value = builder, value
+
+    def __add__(self, other: Any) -> "_Number":
+        return _Number(self._builder, self._builder.add(self.value, _value(other)))
+
+    def __mul__(self, other: Any) -> "_Number":
+        return _Number(self._builder, self._builder.mul(self.value, _value(other)))
+
+    def __and__(self, other: int) -> "_Number":
+        return _Number(self._builder, self._builder.and_(self.value, _value(other)))
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _value(number: Any) -> Any:
+    return number.value if isinstance(number, _Number) else _INT64(number)
+
+
+class _Field:
+    """An array in C order."""
+
+    def __init__(self, entry: Any, *shape: Any) -> None:
+        self.kind, self._shape = types.Array(entry, len(shape), "C"), shape
+
+    def size(self, counts: Any = None) -> Any:
+        return prod([_size_of(length, counts) for length in self._shape], start=self.kind.dtype.bitwidth // 8)
+
+    def read(self, context: Any, builder: Any, address: Any, counts: Any) -> Any:
+        shape = [_value(_size_of(length, counts)) for length in self._shape]
+        return _array(context, builder, self.kind, address.value, shape)
+
+
+integers, floats = partial(_Field, types.int64), partial(_Field, types.float64)
+singles, small_integers = partial(_Field, types.float32), partial(_Field, types.int8)
+
+
+class Arena:
+    """Memory of named fields, each of which begins at a cache line.
+
+    Sizes are numbers, or come from `sizes_of` a record of counts. An arena can be a field of another one.
+
+    Parameters
+    ----------
+    record : named tuple class, optional
+        What a kernel gets for the arena as a whole, made of its fields; its address otherwise.
+    fields : by name, in the order of memory
+        `floats(2, DOF)` and the like are arrays of that shape; `raw(size)` is that many bytes.
+    """
+
+    def __init__(self, record: Any = None, **fields: Any) -> None:
+        self._record, self._fields = record, fields
+        self.kind: Any = types.int64
+        if record:
+            self.kind = types.BaseTuple.from_types([fields[name].kind for name in record._fields], record)
+
+    def _starts(self, counts: Any) -> Iterator[tuple[str | None, Any]]:
+        """Yield the fields and their offsets, then None and where the last one ends."""
+        end = 0
+        for name, field in self._fields.items():
+            start = whole_lines(end)
+            yield name, start
+            end = start + field.size(counts)
+        yield None, end
+
+    def _start(self, name: str | None, counts: Any) -> Any:
+        return next(start for other, start in self._starts(counts) if other == name)
+
+    def size(self, counts: Any = None) -> Any:
+        """Bytes of the arena."""
+        return self._start(None, counts)
+
+    def read(self, context: Any, builder: Any, address: Any, counts: Any) -> Any:
+        """Code for what a kernel gets."""
+        if not self._record:
+            return address.value
+        starts = dict(self._starts(counts))
+        found = [
+            self._fields[name].read(context, builder, address + starts[name], counts) for name in self._record._fields
+        ]
+        return context.make_tuple(builder, self.kind, found)
+
+    def accessors(self, names: str) -> Any:
+        """Functions for kernels that return the fields of these names, which are words of one text.
+
+        Each takes the address of the arena; where sizes depend on counts, a record that has both as `work` and
+        `counts`.
+        """
+        return [_accessor(self._fields[name], partial(self._start, name)) for name in names.split()]
+
+    def whole(self) -> Any:
+        """The function for kernels that returns the arena as a whole."""
+        return _accessor(self, lambda counts: 0)
+
+    def sizing(self) -> Any:
+        """The function for kernels that returns the bytes of the arena from counts."""
+
+        @intrinsic
+        def size(typingctx, counts):
+            def generate(context, builder, sig, args):
+                return _value(self.size(_numbers(builder, counts, args[0])))
+
+            return signature(types.int64, counts), generate
+
+        return size
+
+
+def raw(size: Any) -> Any:
+    """Bytes, of which a kernel gets the address."""
+    return Arena(bytes=small_integers(size))
+
+
+class Place(NamedTuple):
+    """Where an arena is whose sizes depend on counts."""
+
+    work: Any
+    counts: Any
+
+
+def _accessor(field: Any, start: Any) -> Any:
+    @intrinsic
+    def accessor(typingctx, where):
+        def generate(context, builder, sig, args):
+            work, counts = args[0], None
+            if isinstance(where, types.BaseNamedTuple):
+                kind = where.types[where.fields.index("counts")]
+                counts = _numbers(builder, kind, builder.extract_value(work, where.fields.index("counts")))
+                work = builder.extract_value(work, where.fields.index("work"))
+            return field.read(context, builder, _Number(builder, work) + start(counts), counts)
+
+        return signature(field.kind, where), generate
+
+    return accessor
+
+
+def _numbers(builder: Any, kind: Any, record: Any) -> Any:
+    """A record of counts, each of them int64."""
+    return kind.instance_class(*[_Number(builder, builder.extract_value(record, at)) for at in range(len(kind))])
+
+
+def whole_lines(size: Any) -> Any:
     """Bytes of whole cache lines that hold `size` bytes; for Python, and as `lines` for kernels."""
-    return (size + (CACHE_LINE - 1)) // CACHE_LINE * CACHE_LINE
+    return (size + (CACHE_LINE - 1)) & -CACHE_LINE
 
 
 lines = inline(whole_lines)
