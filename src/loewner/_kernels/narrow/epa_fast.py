@@ -25,7 +25,6 @@ from loewner._kernels.narrow.epa_robust import DEPTH_ACCURACY, WITNESS_WINDOW, p
 from loewner._kernels.narrow.gjk_robust import rounding_error
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import rotation_of
-from loewner._kernels.simd.memory import floats_at, integers_at
 from loewner._kernels.simd.vectors import broadcast, load, mask_of, maximum, minimum, movemask, select, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS
 
@@ -44,7 +43,7 @@ _OFFSET = _NZ + MAX_FACES
 _POINT = _OFFSET + MAX_FACES
 _POINT_ROW = 4
 _LANE = _POINT + _POINT_ROW * MAX_POINTS
-_FLOATS = _LANE + 8
+FLOATS = _LANE + 8
 
 # The same for integers: a half-edge is 4 face + side; its twin, and the point it starts from; for each point its
 # corners of A and B, and the new face whose rim edge starts there; the rim, as half-edges beyond it and first points.
@@ -56,9 +55,7 @@ _START = _CORNER_B + MAX_POINTS
 _RIM = _START + MAX_POINTS
 _RIM_FROM = _RIM + 3 * MAX_FACES
 _LEFT = _RIM_FROM + 3 * MAX_FACES  # what `proven_depth` goes on with: faces, number of points, vectors of A and of B
-_INTEGERS = _LEFT + 4
-
-SIZE = 8 * (_FLOATS + _INTEGERS)  # bytes of both
+INTEGERS = _LEFT + 4
 
 # A face whose normal is shorter than this, relative to its longest side squared, has no direction worth the name.
 FLAT_FACE = 1e-10
@@ -507,10 +504,4 @@ def _measure_face(W, K, f, error):
 @njit()
 def workspace():
     """Arrays that `overlap_depth` writes to; one set serves any number of calls in turn."""
-    return np.empty(_FLOATS), np.empty(_INTEGERS, np.int64)
-
-
-@inline
-def workspace_at(address):
-    """The same at the address of `SIZE` bytes."""
-    return floats_at(address, (_FLOATS,)), integers_at(address + 8 * _FLOATS, (_INTEGERS,))
+    return np.empty(FLOATS), np.empty(INTEGERS, np.int64)

@@ -20,15 +20,15 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import APART, TOUCHING, UNSETTLED
-from loewner._kernels.columns import CACHE_LINE, HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels.columns import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
 from loewner._kernels.narrow import pair_list
 from loewner._kernels.narrow.certificate import rounded_size, single_pose_of, turns
 from loewner._kernels.narrow.gjk_fast import KEPT
-from loewner._kernels.narrow.pair_list import fill, pair_list_at
+from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.simd import support
-from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, singles_at
+from loewner._kernels.simd.memory import Arena, floats, integers, singles, small_integers
 from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
     SINGLE_ALL,
@@ -100,28 +100,13 @@ class Workspace(NamedTuple):
     found: Any
 
 
-_LIST, _NUMBERS = pair_list.size(SINGLE_LANES), 8 * SINGLE_LANES
-_VERTICES = 4 * 2 * MOST * VERTEX
-
-SIZE = _LIST + 8 * _NUMBERS + _VERTICES + CACHE_LINE  # bytes of a workspace
-
-
-@inline
-def workspace_at(address):
-    """The workspace at an address."""
-    rest = address + _LIST
-    vertices = rest + 8 * _NUMBERS
-    return Workspace(
-        pair_list_at(address, SINGLE_LANES),
-        integers_at(rest, (SINGLE_LANES,)),
-        integers_at(rest + _NUMBERS, (SINGLE_LANES,)),
-        integers_at(rest + 2 * _NUMBERS, (SINGLE_LANES,)),
-        integers_at(rest + 3 * _NUMBERS, (SINGLE_LANES,)),
-        integers_at(rest + 4 * _NUMBERS, (SINGLE_LANES,)),
-        floats_at(rest + 5 * _NUMBERS, (3 * SINGLE_LANES,)),
-        singles_at(vertices, (2 * MOST * VERTEX,)),
-        bytes_at(vertices + _VERTICES, (SINGLE_LANES,)),
-    )
+WORKSPACE = Arena(
+    Workspace, listed=pair_list.arena(SINGLE_LANES),
+    first_a=integers(SINGLE_LANES), last_a=integers(SINGLE_LANES),
+    first_b=integers(SINGLE_LANES), last_b=integers(SINGLE_LANES), here=integers(SINGLE_LANES),
+    directions=floats(3 * SINGLE_LANES), vertices=singles(2 * MOST * VERTEX), found=small_integers(SINGLE_LANES),
+)  # fmt: skip
+workspace_at = WORKSPACE.whole()
 
 
 @inline

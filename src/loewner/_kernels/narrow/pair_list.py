@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import inline
-from loewner._kernels.simd.memory import integers_at
+from loewner._kernels.simd.memory import Arena, integers
 from loewner._kernels.simd.vectors import SINGLE_LANES
 
 
@@ -26,22 +26,9 @@ class PairList(NamedTuple):
     pose_b: Any
 
 
-def size(capacity: int) -> int:
-    """Bytes of a list; its capacity is a multiple of eight."""
-    return 5 * 8 * capacity
-
-
-@inline
-def pair_list_at(address, capacity):
-    """The list at an address."""
-    step = 8 * capacity
-    return PairList(
-        integers_at(address, (capacity,)),
-        integers_at(address + step, (capacity,)),
-        integers_at(address + 2 * step, (capacity,)),
-        integers_at(address + 3 * step, (capacity,)),
-        integers_at(address + 4 * step, (capacity,)),
-    )
+def arena(capacity: int) -> Arena:
+    """Memory of a list; its capacity is a multiple of sixteen, or the list is not filled up."""
+    return Arena(PairList, **{name: integers(capacity) for name in PairList._fields})
 
 
 # Places are unsigned: a signed one might count from the end, a comparison that keeps loops from being vectors.

@@ -8,7 +8,7 @@ from loewner._kernels.columns import PART_INNER, PART_OUTER, PART_STOP, PARTS
 from loewner._kernels.narrow import certificate
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.gjk_robust import lengths
-from loewner._kernels.narrow.pair_list import fill, pair_list_at, put, size
+from loewner._kernels.narrow.pair_list import arena, fill, put
 from loewner._kernels.narrow.surface_boxes import is_solid
 from loewner._kernels.narrow.surfaces import OUTSIDE, parts_within
 from loewner._kernels.narrow.surfaces import SIZE as WALK
@@ -17,7 +17,8 @@ from loewner._kernels.simd.memory import held
 
 CHUNK = 16  # pairs at a time: one of the first mostly tells
 
-_LISTED = size(CHUNK) // 8
+_LISTED = arena(CHUNK)
+_SIZE, _listed_at = _LISTED.size() // 8, _LISTED.whole()
 
 
 @inline
@@ -42,8 +43,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
     if not (of_surface_a or of_surface_b):
         return OPEN
     rows_a, rows_b = a.parts if of_surface_a else a.hot, b.parts if of_surface_b else b.hot
-    memory, tier, normals = np.empty(_LISTED), np.empty(CHUNK, np.int8), np.empty(3 * BLOCK)
-    listed = pair_list_at(memory.ctypes.data, CHUNK)
+    memory, tier, normals = np.empty(_SIZE), np.empty(CHUNK, np.int8), np.empty(3 * BLOCK)
+    listed = _listed_at(memory.ctypes.data)
     found = OPEN
     for turn in range(2):
         # First all pairs of inner ellipsoids, any of which may overlap; then of outer ones, all of which must be apart.

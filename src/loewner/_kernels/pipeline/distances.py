@@ -14,10 +14,8 @@ from loewner._kernels.columns import COLUMNS, ELLIPSOID, FRAME_CENTER, FRAME_FAC
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import descend_eight, is_round, round_distance, support
 from loewner._kernels.linalg3 import apply, dot, minus, plus, product, scaled, selected
-from loewner._kernels.narrow.epa_fast import SIZE as DEPTH_SIZE
+from loewner._kernels.narrow import epa_fast
 from loewner._kernels.narrow.epa_fast import overlap_depth
-from loewner._kernels.narrow.epa_fast import workspace as depth_workspace
-from loewner._kernels.narrow.epa_fast import workspace_at as depth_workspace_at
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, NO_VOLUME, penetration, workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, measure
 from loewner._kernels.narrow.gjk_robust import run, swollen_radii, write_simplex
@@ -57,7 +55,7 @@ from loewner._kernels.pipeline.bounds import (
     write_bounds,
 )
 from loewner._kernels.pipeline.verdicts import rows_of
-from loewner._kernels.simd.memory import floats_at, integers_at, whole_lines
+from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, integers_at, raw
 from loewner._kernels.simd.support import LINE, ask_line
 from loewner._kernels.simd.vectors import LANES as EIGHT
 from loewner._kernels.simd.vectors import broadcast, gather_transpose, load, mask_of, select, sqrt, store
@@ -84,14 +82,6 @@ SETTLED_CURVED = 1e-3
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
-
-# The memory of a query: the scratch array of the bounds, the queue, and what the fast searches write to.
-_QUEUE = whole_lines(8 * ROWS * LANES)
-_VERTICES = _QUEUE + whole_lines(8 * QUEUE * LANES)
-_DEPTH = _VERTICES + whole_lines(8 * ENTRIES)
-_RESULT = _DEPTH + whole_lines(DEPTH_SIZE)
-_SURFACES = _RESULT + whole_lines(8 * 9)
-MEMORY = _SURFACES + whole_lines(SURFACE_SIZE)  # bytes
 
 
 class Bounds(NamedTuple):
@@ -127,7 +117,7 @@ class Exact(NamedTuple):
 
 
 class Searches(NamedTuple):
-    """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast.workspace`, and a result.
+    """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
 
     The result is a normal and two witnesses, nine numbers. `surfaces` is the address of memory for `surface_distance`.
     """
@@ -137,6 +127,18 @@ class Searches(NamedTuple):
     edges: Any
     result: Any
     surfaces: Any
+
+
+MEMORY = Arena(
+    scratch=floats(ROWS * LANES),  # of the bounds
+    queue=integers(QUEUE, LANES),  # of piece pairs
+    searches=Arena(
+        Searches, vertices=floats(ENTRIES), faces=floats(epa_fast.FLOATS), edges=integers(epa_fast.INTEGERS),
+        result=floats(9), surfaces=raw(SURFACE_SIZE),
+    ),
+)  # fmt: skip
+_BYTES = MEMORY.size()
+scratch_of, queue_of, searches_of = MEMORY.accessors("scratch queue searches")
 
 
 class Left(NamedTuple):
@@ -337,7 +339,7 @@ def measure_near(count, queue, operands, S, searches, exact):
 def measure_late(late, queue, operands, S, exact):
     """Exact distances of the lanes that the fast search left; only they need the large work space."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
-    faces, edges = depth_workspace()
+    faces, edges = epa_fast.workspace()
     result, work = np.empty(9), workspace(True)
     for m in range(late):
         lane, inside = queue[LATE, m], queue[INSIDE, m] == 1
@@ -453,20 +455,6 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
 
 
 @inline
-def queue_at(memory):
-    """The queue of piece pairs in the memory of a query."""
-    return integers_at(memory + _QUEUE, (QUEUE, LANES))
-
-
-@inline
-def searches_at(memory):
-    """What the fast searches write to, in the memory of a query."""
-    faces, edges = depth_workspace_at(memory + _DEPTH)
-    vertices, result = floats_at(memory + _VERTICES, (ENTRIES,)), floats_at(memory + _RESULT, (9,))
-    return Searches(vertices, faces, edges, result, memory + _SURFACES)
-
-
-@inline
 def _ask(pieces, piece, poses, row):
     """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
     for at in range(0, COLUMNS, LINE):
@@ -479,7 +467,7 @@ def _ask(pieces, piece, poses, row):
 @njit()
 def memory_of_distances():
     """Tell Python how many bytes the memory of `distance_range` has to have."""
-    return MEMORY
+    return _BYTES
 
 
 @njit()
@@ -488,7 +476,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     """Distances of pairs start .. stop.
 
     Operands as in `verdicts`; the arrays of `Exact`, the last five, are written only if `wanted`. `memory` is the
-    address of MEMORY bytes to write to; one thread uses them at a time.
+    address of `MEMORY` to write to; one thread uses them at a time.
 
     Returns
     -------
@@ -500,8 +488,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S = floats_at(memory, (ROWS * LANES,))
-    queue, searches = queue_at(memory), searches_at(memory)
+    S, queue, searches = scratch_of(memory), queue_of(memory), searches_of(memory)
     # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = 0, 0

@@ -27,9 +27,18 @@ from loewner._kernels.linalg3 import (
     selected,
 )
 from loewner._kernels.pieces.pack import pieces_of, problem_of
-from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
+from loewner._kernels.robots.kinematics import link_entries, place_links, rotation_of_link, translation_of_link
+from loewner._kernels.robots.placement import (
+    DOF,
+    LINKS,
+    MOVING,
+    MOVING_PIECES,
+    STANDING,
+    STANDING_PIECES,
+    counts_of,
+)
 from loewner._kernels.robots.wrenches import WRENCH, clear, powers, push
-from loewner._kernels.simd.memory import floats_at, integers_at, lines
+from loewner._kernels.simd.memory import Arena, Place, floats, integers
 from loewner._kernels.simd.vectors import (
     ALL,
     LANES,
@@ -76,47 +85,27 @@ class _Memory(NamedTuple):
     totals: Any
 
 
-@inline
-def _sizes(pieces, problem, dof):
-    """Numbers that there is room for, by the fields of `_Memory`."""
-    links, moving = problem.tree.parent.size, problem.link.size
-    bodies = len(pieces.piece_start) - 1
-    first = pieces.piece_start[moving]
-    return (
-        workspace_size(links, dof), LANES, _ROW * LANES * first, _ROW * (pieces.piece_start[bodies] - first),
-        _BODY * bodies, _MIDDLE * LANES * bodies, WRENCH * LANES * links, LANES * dof, np.int64(_ENTRY * LANES * RUN),
-        np.int64(_WHICH * RUN), np.int64(_TOTALS),
-    )  # fmt: skip
+MEMORY = Arena(
+    _Memory,
+    links=floats(link_entries(LINKS, DOF)),
+    rows=integers(LANES),
+    moving=floats(_ROW * LANES * MOVING_PIECES),
+    standing=floats(_ROW * STANDING_PIECES),
+    bodies=floats(_BODY * (MOVING + STANDING)),
+    middles=floats(_MIDDLE * LANES * (MOVING + STANDING)),
+    wrenches=floats(WRENCH * LANES * LINKS),
+    slopes=floats(LANES * DOF),
+    entries=floats(_ENTRY * LANES * RUN),
+    which=integers(_WHICH * RUN),
+    totals=floats(_TOTALS),
+)
+_memory_of, _size = MEMORY.whole(), MEMORY.sizing()
 
 
 @njit()
 def memory_of_clearances(pack, problem_handle, dof):
     """Bytes that `clearances` writes to."""
-    total = 0
-    for size in _sizes(pieces_of(pack), problem_of(problem_handle), dof):
-        total += lines(8 * size)
-    return total
-
-
-@inline
-def _memory_at(at, sizes):
-    """The memory at an address."""
-    at1 = at + lines(8 * sizes[0])
-    at2 = at1 + lines(8 * sizes[1])
-    at3 = at2 + lines(8 * sizes[2])
-    at4 = at3 + lines(8 * sizes[3])
-    at5 = at4 + lines(8 * sizes[4])
-    at6 = at5 + lines(8 * sizes[5])
-    at7 = at6 + lines(8 * sizes[6])
-    at8 = at7 + lines(8 * sizes[7])
-    at9 = at8 + lines(8 * sizes[8])
-    at10 = at9 + lines(8 * sizes[9])
-    return _Memory(
-        floats_at(at, (sizes[0],)), integers_at(at1, (sizes[1],)), floats_at(at2, (sizes[2],)),
-        floats_at(at3, (sizes[3],)), floats_at(at4, (sizes[4],)), floats_at(at5, (sizes[5],)),
-        floats_at(at6, (sizes[6],)), floats_at(at7, (sizes[7],)), floats_at(at8, (sizes[8],)),
-        integers_at(at9, (sizes[9],)), floats_at(at10, (sizes[10],)),
-    )  # fmt: skip
+    return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 @inline
@@ -171,7 +160,7 @@ def _placed(hot, piece, R, t):
 def _stand(pack, problem_handle, memory, dof):
     """What holds at all configurations: the ellipsoids of what stands still, and a ball about each body's centers."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    to = _memory_of(Place(memory, counts_of(pieces, problem, dof)))
     hot, piece_start, moving = pieces.hot, pieces.piece_start, problem.link.size
     for body in range(len(piece_start) - 1):
         first, last = piece_start[body], piece_start[body + 1]
@@ -216,7 +205,7 @@ def _place_links(problem, to, Q, first, last):
 def _place(pack, problem_handle, memory, Q, first, last):
     """Place what moves at the configurations first .. last, eight at most."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    to = _memory_at(memory, _sizes(pieces, problem, Q.shape[1]))
+    to = _memory_of(Place(memory, counts_of(pieces, problem, Q.shape[1])))
     hot, piece_start = pieces.hot, pieces.piece_start
     _place_links(problem, to, Q, first, last)
     for body in range(problem.link.size):
@@ -280,7 +269,7 @@ def _exponentials(to, x):
 def _sum_up(count, gradient, softness, pack, problem_handle, memory, dof):
     """Add a run of pairs of pieces to what was summed up before."""
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    to = _memory_of(Place(memory, counts_of(pieces, problem, dof)))
     moving, moving_pieces = problem.link.size, pieces.piece_start[problem.link.size]
     before = load(to.totals, _LEAST)
     least = before
@@ -336,7 +325,7 @@ def clearances(gradient, softness, start, stop, Q, pack, problem_handle, memory,
     """
     dof = Q.shape[1]
     pieces, problem = pieces_of(pack), problem_of(problem_handle)
-    to = _memory_at(memory, _sizes(pieces, problem, dof))
+    to = _memory_of(Place(memory, counts_of(pieces, problem, dof)))
     hot, piece_start, links = pieces.hot, pieces.piece_start, problem.tree.parent.size
     moving_pieces = piece_start[problem.link.size]
     _stand(pack, problem_handle, memory, dof)
@@ -401,7 +390,7 @@ def pair_gradients(start, stop, Q, pack, problem_handle, memory, bodies, force, 
     slopes : ndarray, shape (N, dof)
     """
     dof, problem = Q.shape[1], problem_of(problem_handle)
-    to = _memory_at(memory, _sizes(pieces_of(pack), problem, dof))
+    to = _memory_of(Place(memory, counts_of(pieces_of(pack), problem, dof)))
     for first in range(start, stop, LANES):
         last = min(first + LANES, stop) - 1
         _place_links(problem, to, Q, first, last)

@@ -33,28 +33,29 @@ from loewner._kernels.codes import (
     OPEN,
     UNSURE,
 )
-from loewner._kernels.columns import BOUNDS, CACHE_LINE
+from loewner._kernels.columns import BOUNDS
 from loewner._kernels.narrow import certificate, exact, pair_list
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import rounding_error
-from loewner._kernels.narrow.pair_list import fill, pair_list_at
+from loewner._kernels.narrow.pair_list import fill
 from loewner._kernels.narrow.surface_parts import has_parts, parts_tier
 from loewner._kernels.pieces.pack import pieces_of, placed, problem_of, shift_between
 from loewner._kernels.pieces.shapes import reach
 from loewner._kernels.robots.placement import (
+    DOF,
     MOST,
+    MOVING,
+    PLACEMENT,
     bounds_at,
     bounds_standing,
     counts_of,
     near,
     place_body,
     place_joints,
-    placement_at,
-    placement_size,
     stand,
 )
-from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.memory import Arena, floats, integers, raw, small_integers
 from loewner._kernels.simd.vectors import LANES, SINGLE_LANES, lowest_bit
 from loewner._kernels.tolerances import UP
 from loewner._kernels.trees import piece_tree
@@ -68,20 +69,36 @@ GROUPS = MOST // SINGLE_LANES  # of sixteen configurations, in a block
 TOGETHER, FIRST = 64, 4
 
 
-_LIST, _NUMBERS, _WAITING = pair_list.size(BLOCK), 8 * BLOCK, pair_list.size(WAITING)
-_PIECES = _LIST
-_FOUND = _PIECES + 2 * _NUMBERS
-_TIER = _FOUND + 2 * _NUMBERS
-_NORMALS = _TIER + BLOCK
-_AT_WAITING = _NORMALS + 3 * _NUMBERS
-_DIRECTIONS = _AT_WAITING + _WAITING
-_LIVE = _DIRECTIONS + 3 * 8 * WAITING
-_VERDICTS = _LIVE + CACHE_LINE
-_STEPS = _VERDICTS + 2 * MOST
-_TREE = _STEPS + whole_lines(8 * piece_tree.STEPS)
-_EXACT = _TREE + whole_lines(8 * piece_tree.NUMBERS)
-_NEAR = _EXACT + whole_lines(exact.SIZE)
-_WAY = _NEAR + 2 * 8 * TOGETHER * GROUPS
+MEMORY = Arena(
+    listed=pair_list.arena(BLOCK),  # for the certificate: `pair` is MOST p + s; other rows are the placement's
+    pieces_a=integers(BLOCK),  # rows of the listed pieces in the packed pieces
+    pieces_b=integers(BLOCK),
+    found_a=integers(BLOCK),  # pieces from trees
+    found_b=integers(BLOCK),
+    tier=small_integers(BLOCK),  # the certificate's result for each listed pair
+    normals=floats(3 * BLOCK),  # contact normals that the certificate writes
+    waiting=pair_list.arena(WAITING),  # pairs that wait for the exact search, by their rows in the packed pieces
+    directions=floats(WAITING, 3),  # normals of the waiting pairs
+    live=integers(GROUPS),  # configurations that may still be free, as bits
+    verdicts=small_integers(MOST),  # of the configurations
+    tiers=small_integers(MOST),  # that settled them
+    steps=integers(piece_tree.STEPS),
+    numbers=floats(piece_tree.NUMBERS),
+    exact=raw(exact.SIZE),
+    codes=integers(TOGETHER * GROUPS),  # pairs that bounds leave, with the first of their sixteen configurations
+    masks=integers(TOGETHER * GROUPS),  # which of the sixteen, as bits
+    way=floats(MOST, DOF),  # configurations of a motion
+    placed=integers(MOVING),  # whether moving bodies are placed
+    placement=PLACEMENT,
+)
+_listed_of, _pieces_a_of, _pieces_b_of, _found_a_of, _found_b_of, _tier_of, _normals_of, _waiting_of = MEMORY.accessors(
+    "listed pieces_a pieces_b found_a found_b tier normals waiting"
+)
+_directions_of, _live_of, _verdicts_of, _tiers_of, _steps_of, _numbers_of, _exact_of = MEMORY.accessors(
+    "directions live verdicts tiers steps numbers exact"
+)
+_codes_of, _masks_of, _way_of, _placed_of, _placement_of = MEMORY.accessors("codes masks way placed placement")
+(_placement_at,), _size = MEMORY.addresses("placement"), MEMORY.sizing()
 
 
 class Query(NamedTuple):
@@ -94,7 +111,7 @@ class Query(NamedTuple):
     pack, problem : handles of the pieces, see `pieces.pack`, and of what to check, see `pack.problem_of`
     counts : how much there is of everything
     hits : where to count the collisions found, by pair
-    work : address of the memory that the functions named ``_..._of`` divide up
+    work : address of `MEMORY`
     """
 
     mode: Any
@@ -104,110 +121,6 @@ class Query(NamedTuple):
     counts: Any
     hits: Any
     work: Any
-
-
-@inline
-def size(counts):
-    """Bytes that a query works in."""
-    return _WAY + lines(8 * MOST * counts.dof) + lines(8 * counts.moving) + placement_size(counts)
-
-
-@inline
-def _listed_of(work):
-    """PairList: piece pairs for the certificate.
-
-    `pair` is the number of the pair of bodies times MOST plus the configuration; pieces and poses are rows of the
-    placement.
-    """
-    return pair_list_at(work, BLOCK)
-
-
-@inline
-def _pieces_a_of(work):
-    """The listed pieces of a, by their rows in the packed pieces: int64, shape (BLOCK,)."""
-    return integers_at(work + _PIECES, (BLOCK,))
-
-
-@inline
-def _pieces_b_of(work):
-    """Those of b."""
-    return integers_at(work + _PIECES + _NUMBERS, (BLOCK,))
-
-
-@inline
-def _tier_of(work):
-    """What the certificate says of each listed pair: int8, shape (BLOCK,)."""
-    return bytes_at(work + _TIER, (BLOCK,))
-
-
-@inline
-def _normals_of(work):
-    """The contact normals that it writes: shape (3 * BLOCK,)."""
-    return floats_at(work + _NORMALS, (3 * BLOCK,))
-
-
-@inline
-def _waiting_of(work):
-    """PairList: piece pairs that wait for the exact search, by their rows in the packed pieces."""
-    return pair_list_at(work + _AT_WAITING, WAITING)
-
-
-@inline
-def _directions_of(work):
-    """The normals of those that wait: shape (WAITING, 3)."""
-    return floats_at(work + _DIRECTIONS, (WAITING, 3))
-
-
-@inline
-def _live_of(work):
-    """Configurations that may still be free, as bits: int64, shape (GROUPS,)."""
-    return integers_at(work + _LIVE, (GROUPS,))
-
-
-@inline
-def _verdicts_of(work):
-    """Verdicts of the configurations: int8, shape (MOST,)."""
-    return bytes_at(work + _VERDICTS, (MOST,))
-
-
-@inline
-def _tiers_of(work):
-    """What settled them: int8, shape (MOST,)."""
-    return bytes_at(work + _VERDICTS + MOST, (MOST,))
-
-
-@inline
-def _near_of(work):
-    """What the bounds leave of some pairs: the pair and the group of configurations, and which of these, as bits.
-
-    Two arrays of int64, shape (TOGETHER * GROUPS,).
-    """
-    step = 8 * TOGETHER * GROUPS
-    return integers_at(work + _NEAR, (TOGETHER * GROUPS,)), integers_at(work + _NEAR + step, (TOGETHER * GROUPS,))
-
-
-@inline
-def _way_of(work, counts):
-    """Configurations of a motion: shape (MOST, dof)."""
-    return floats_at(work + _WAY, (MOST, counts.dof))
-
-
-@inline
-def _placed_of(work, counts):
-    """Which bodies that move are placed: int64, shape (moving,)."""
-    return integers_at(work + _WAY + lines(8 * MOST * counts.dof), (counts.moving,))
-
-
-@inline
-def _placement_at(work, counts):
-    """Address of where everything is."""
-    return work + _WAY + lines(8 * MOST * counts.dof) + lines(8 * counts.moving)
-
-
-@inline
-def _placement_of(work, counts):
-    """Where everything is."""
-    return placement_at(_placement_at(work, counts), counts)
 
 
 @inline
@@ -255,7 +168,7 @@ def _improve(query, held):
     """Certify the pairs that wait once more, at the best s in double precision, margin 0."""
     work = query.work
     pieces = pieces_of(query.pack)
-    hot, poses = pieces.hot, _placement_of(work, query.counts).poses
+    hot, poses = pieces.hot, _placement_of(query).poses
     listed, waiting, tier, normals = _listed_of(work), _waiting_of(work), _tier_of(work), _normals_of(work)
     verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for first in range(0, held, BLOCK):
@@ -287,7 +200,7 @@ def _improve(query, held):
 def _search(query, held):
     """Settle the pairs that wait by the exact searches."""
     work, pieces, margins = query.work, pieces_of(query.pack), problem_of(query.problem).margins
-    poses, waiting, N = _placement_of(work, query.counts).poses, _waiting_of(work), _directions_of(work)
+    poses, waiting, N = _placement_of(query).poses, _waiting_of(work), _directions_of(work)
     verdicts, tiers = _verdicts_of(work), _tiers_of(work)
     for n in range(held):
         code = waiting.pair[n]
@@ -302,7 +215,7 @@ def _search(query, held):
             # Far beyond what single precision tells, where the squares of the search overflow.
             tiers[s] = max(tiers[s], BY_OUTER)
             continue
-        verdict, tier = exact_piece_pair(A, B, margin, (N[n, 0], N[n, 1], N[n, 2]), work + _EXACT)
+        verdict, tier = exact_piece_pair(A, B, margin, (N[n, 0], N[n, 1], N[n, 2]), _exact_of(work))
         if verdict == COLLIDING:
             _hit(query, s, p, tier)
             if query.first_hit != 0:
@@ -327,7 +240,7 @@ def _settle_waiting(query, held):
 def _certify(query, keep, count, held):
     """Certify listed piece pairs; those left join the ones that wait, and the number of these is returned."""
     work, pieces = query.work, pieces_of(query.pack)
-    placement = _placement_of(work, query.counts)
+    placement = _placement_of(query)
     poses, rows = placement.poses, placement.ellipsoids
     listed, tier, normals = _listed_of(work), _tier_of(work), _normals_of(work)
     pieces_a, pieces_b, waiting, directions = (
@@ -395,7 +308,7 @@ def _list(work, count, code, i, j, S, moving_pieces, pose_a, pose_b):
 def _place_pairs(query, start, stop, S):
     """Place the bodies of the pairs start .. stop of the order that are not placed yet, at eight configurations."""
     problem, counts = problem_of(query.problem), query.counts
-    placed, address = _placed_of(query.work, counts), _placement_at(query.work, counts)
+    placed, address = _placed_of(query), _placement_at(query)
     for number in range(start, stop):
         for side in range(2):
             body = problem.pairs[problem.order[number], side]
@@ -408,8 +321,8 @@ def _place_pairs(query, start, stop, S):
 def _cull(query, start, stop, groups, S):
     """Note what the bounds leave of the pairs start .. stop of the order; how many notes. No branch depends on that."""
     problem, counts = problem_of(query.problem), query.counts
-    bounds, live = _placement_of(query.work, counts).bounds, _live_of(query.work)
-    codes, masks = _near_of(query.work)
+    bounds, live = _placement_of(query).bounds, _live_of(query.work)
+    codes, masks = _codes_of(query), _masks_of(query)
     noted = np.uint64(0)
     for number in range(start, stop):
         p = problem.order[number]
@@ -435,21 +348,21 @@ def _settle_block(query, Q, first, last, S):
     One function for both entries, compiled once.
     """
     work, counts, pieces, problem = query.work, query.counts, pieces_of(query.pack), problem_of(query.problem)
-    placement = _placement_of(work, counts)
+    placement = _placement_of(query)
     piece_start, roots = pieces.piece_start, pieces.roots
     moving, moving_pieces, live = counts.moving, counts.moving_pieces, _live_of(work)
-    codes, masks = _near_of(work)
+    codes, masks = _codes_of(work), _masks_of(work)
     verdicts = _verdicts_of(work)
     # Of a few configurations bodies are placed when their first pair comes, and pairs are settled at once.
     few = last - first < LANES
     if few:
         place_joints(problem, Q, first, last, placement)
-        _placed_of(work, counts)[:] = 0
+        _placed_of(query)[:] = 0
     else:
         for at in range(0, last + 1 - first, LANES):
             place_joints(problem, Q, first + at, last, placement)
             for body in range(moving):
-                place_body(query.pack, query.problem, _placement_at(work, counts), counts, body, S, at)
+                place_body(query.pack, query.problem, _placement_at(query), counts, body, S, at)
     for group in range(GROUPS):
         rest = max(min(last + 1 - first - group * SINGLE_LANES, SINGLE_LANES), 0)
         live[group] = (1 << rest) - 1
@@ -508,9 +421,8 @@ def _settle_block(query, Q, first, last, S):
 def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
     """List the piece pairs that the trees of two bodies leave at a configuration; returns `count` and `held`."""
     work, counts, pieces = query.work, query.counts, pieces_of(query.pack)
-    poses, verdicts, s = _placement_of(work, counts).poses, _verdicts_of(work), _configuration(code)
-    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _TREE, (piece_tree.NUMBERS,))
-    found_a, found_b = integers_at(work + _FOUND, (BLOCK,)), integers_at(work + _FOUND + _NUMBERS, (BLOCK,))
+    poses, verdicts, s = _placement_of(query).poses, _verdicts_of(work), _configuration(code)
+    steps, numbers, found_a, found_b = _steps_of(work), _numbers_of(work), _found_a_of(work), _found_b_of(work)
     piece_tree.begin(pieces, one, poses, pose_a, pieces, other, poses, pose_b, steps, numbers)
     while verdicts[s] != COLLIDING:
         found = piece_tree.more(pieces, pieces, other, keep, steps, numbers, found_a[: BLOCK - count], found_b)
@@ -528,7 +440,7 @@ def _walk(query, keep, code, one, other, pose_a, pose_b, S, count, held):
 @njit()
 def memory_size(pack, problem_handle, dof):
     """Bytes that the two entries below write to."""
-    return size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
+    return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 @njit()
@@ -559,7 +471,7 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
     query = Query(mode, 0, pack, problem_handle, counts, hits, memory)
     verdicts, tiers = _verdicts_of(memory), _tiers_of(memory)
     S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
-    stand(problem, _placement_at(memory, counts), counts)
+    stand(problem, counts, _placement_of(query))
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
         _settle_block(query, Q, first, last, S)
@@ -593,8 +505,8 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
     dof, total = len(start), len(fractions)
     counts = counts_of(pieces, problem, dof)
     query = Query(EXACT, 1, pack, problem_handle, counts, hits, memory)
-    verdicts, way = _verdicts_of(memory), _way_of(memory, counts)
-    stand(problem, _placement_at(memory, counts), counts)
+    verdicts, way = _verdicts_of(memory), _way_of(query)
+    stand(problem, counts, _placement_of(query))
     # A motion that collides mostly does so at one of its first configurations.
     verdict, first, some = FREE, 0, LANES
     while first < total:

@@ -33,6 +33,7 @@ from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, pr
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import configuration_at
+from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
     BODY,
     INTERVALS,
@@ -46,7 +47,7 @@ from loewner._kernels.robots.sweeps import (
     see_piece,
     sweep,
 )
-from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw, sizes_of
+from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, raw
 from loewner._kernels.simd.vectors import LANES, highest_bit
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
@@ -102,17 +103,6 @@ class Motion(NamedTuple):
     work: Any
 
 
-class Counts(NamedTuple):
-    """How much there is of everything: decides the size of the memory."""
-
-    links: Any
-    dof: Any
-    moving: Any
-    moving_pieces: Any
-    standing: Any
-    pairs: Any
-
-
 class Near(NamedTuple):
     """Two pieces of a pair of bodies, and what is known of their ways.
 
@@ -137,7 +127,6 @@ class Near(NamedTuple):
 # -- memory -----------------------------------------------------------------------------------
 
 
-LINKS, DOF, MOVING, MOVING_PIECES, _, PAIRS = sizes_of(Counts)
 _LINK_ENTRIES = link_entries(LINKS, DOF)
 
 MEMORY = Arena(
@@ -153,7 +142,7 @@ MEMORY = Arena(
     alone=floats(2, 4, 4),  # poses of two bodies where a collision is confirmed
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
     stack_normals=floats(STACK, 3),
-    gjk=raw(gjk_swept.SIZE),
+    gjk=gjk_swept.MEMORY,
     exact=raw(exact.SIZE),
     vectors=floats(3, 4),  # for the careful search, like the next
     simplex=floats(4, 9),
@@ -183,18 +172,10 @@ _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors("swept order off st
 _size = MEMORY.sizing()
 
 
-@inline
-def _counts(pieces, problem, dof):
-    moving = problem.link.size
-    return Counts(
-        problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing), len(problem.pairs)
-    )  # fmt: skip
-
-
 @njit()
 def motion_memory(pack, problem_handle, dof):
     """Bytes that `certify_motions` writes to."""
-    return _size(_counts(pieces_of(pack), problem_of(problem_handle), dof))
+    return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 # -- single questions ---------------------------------------------------------------------------
@@ -743,7 +724,7 @@ def _certify(motion, tally):
 @inline
 def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, dof, memory):
     """A motion whose ends are still to be written, in memory that is ready."""
-    counts = _counts(pieces_of(pack), problem_of(problem_handle), dof)
+    counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
     return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, counts, memory)
 
 

@@ -18,7 +18,6 @@ from loewner._kernels.pipeline.bounds import (
     LANES,
     LATE,
     PAIR,
-    ROWS,
     Operands,
     enqueue,
     next_pieces,
@@ -31,21 +30,23 @@ from loewner._kernels.pipeline.distances import (
     Exact,
     measure_late,
     measure_near,
-    queue_at,
-    searches_at,
+    queue_of,
+    scratch_of,
+    searches_of,
 )
 from loewner._kernels.robots.placement import (
     MOST,
+    PAIRS,
+    PLACEMENT,
     bounds_at,
     bounds_standing,
     counts_of,
     place_body,
     place_joints,
-    placement_at,
-    placement_size,
+    placement_of,
     stand,
 )
-from loewner._kernels.simd.memory import bytes_at, floats_at, integers_at, lines, whole_lines
+from loewner._kernels.simd.memory import Arena, Place, floats, integers, small_integers
 from loewner._kernels.simd.vectors import LANES as EIGHT
 from loewner._kernels.simd.vectors import (
     SINGLE_LANES,
@@ -70,19 +71,30 @@ BODIES = LATE
 # What a lower bound in single precision loses to its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
 
-# The memory of a query: that of distances, then what is found in a block, walks through trees, bounds of the pairs.
-_FOUND = whole_lines(distances.MEMORY)
-_STATUS = _FOUND + 8 * S * (4 + 9 + 2)
-_STEPS = _STATUS + whole_lines(S)
-_NUMBERS = _STEPS + whole_lines(8 * piece_tree.STEPS)
-_LEAST = _NUMBERS + whole_lines(8 * piece_tree.NUMBERS)
+MEMORY = Arena(
+    distances=distances.MEMORY,
+    seeds=floats(S),  # the pair that looks nearest at each configuration
+    low=floats(S),
+    high=floats(S),
+    exact=Arena(
+        Exact, distance=floats(S), witness_a=floats(S, 3), witness_b=floats(S, 3), normal=floats(S, 3),
+        status=small_integers(S), pieces=integers(S, 2),
+    ),
+    steps=integers(piece_tree.STEPS),
+    numbers=floats(piece_tree.NUMBERS),
+    least=floats(S * PAIRS),  # lower bounds of the pairs
+    placement=PLACEMENT,
+)  # fmt: skip
+_distances_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
+    MEMORY.accessors("distances seeds low high exact steps numbers least placement")
+)
+(_placement_at,), _size = MEMORY.addresses("placement"), MEMORY.sizing()
 
 
 @njit()
 def memory_of_nearest(pack, problem_handle, dof):
     """Bytes that `nearest_pairs` writes to."""
-    problem = problem_of(problem_handle)
-    return _LEAST + lines(8 * S * len(problem.pairs)) + placement_size(counts_of(pieces_of(pack), problem, dof))
+    return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
 @inline
@@ -121,7 +133,7 @@ def _bound(count, queue, operands, work, least, lower, upper):
     Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
     of pairs, for it is farther than `upper`, then lowers nothing here either.
     """
-    W = floats_at(work, (ROWS * LANES,))
+    W = scratch_of(_distances_of(work))
     write_bounds(count, queue, operands, W)
     for lane in range(count):
         s = queue[PAIR, lane]
@@ -132,7 +144,7 @@ def _bound(count, queue, operands, work, least, lower, upper):
 @njit()
 def _measure(count, queue, operands, searches, work, exact):
     """Exact distances of queued piece pairs, merged into those of their configurations."""
-    W = floats_at(work, (ROWS * LANES,))
+    W = scratch_of(_distances_of(work))
     write_bounds(count, queue, operands, W)
     late = measure_near(count, queue, operands, W, searches, exact)
     if late > 0:
@@ -153,7 +165,7 @@ def _take(turn, count, queue, operands, searches, work, least, lower, upper, exa
 def _walk(turn, p, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, least, lower, upper, exact):
     """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
     pieces = pieces_of(operands.a)
-    steps, numbers = integers_at(work + _STEPS, (piece_tree.STEPS,)), floats_at(work + _NUMBERS, (piece_tree.NUMBERS,))
+    steps, numbers = _steps_of(work), _numbers_of(work)
     poses = operands.poses_a
     piece_tree.begin(pieces, body_a, poses, row_a, pieces, body_b, poses, row_b, steps, numbers)
     while True:
@@ -192,27 +204,19 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
     counts = counts_of(pieces, problem, Q.shape[1])
     moving, total = counts.moving, len(problem.pairs)
     piece_start, roots = pieces.piece_start, pieces.roots
-    least = floats_at(memory + _LEAST, (S * total,))
-    at_placement = memory + _LEAST + lines(8 * S * total)
-    to = placement_at(at_placement, counts)
+    place = Place(memory, counts)
+    least, to, at_placement = _least_of(place), _placement_of(place), _placement_at(place)
     operands = Operands(pack, to.poses, pack, to.poses)
-    queue, searches = queue_at(memory), searches_at(memory)
-    numbers = floats_at(memory + _FOUND, (4 * S,))
-    seeds, low, high, own = numbers[:S], numbers[S : 2 * S], numbers[2 * S : 3 * S], numbers[3 * S :]
-    at = memory + _FOUND + 8 * 4 * S
-    vectors = floats_at(at, (3 * S, 3))
-    exact = Exact(
-        own, vectors[:S], vectors[S : 2 * S], vectors[2 * S :], bytes_at(memory + _STATUS, (S,)),
-        integers_at(at + 8 * 9 * S, (S, 2)),
-    )  # fmt: skip
-    stand(problem, at_placement, counts)
+    queue, searches = queue_of(_distances_of(memory)), searches_of(_distances_of(memory))
+    seeds, low, high, exact = _seeds_of(memory), _low_of(memory), _high_of(memory), _exact_of(memory)
+    stand(problem, counts, to)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
         here = last + 1 - first
         _place(pack, problem_handle, at_placement, counts, Q, first, last)
         _bound_pairs(problem, to.bounds, moving, least, seeds)
         for s in range(S):
-            low[s] = high[s] = own[s] = np.inf
+            low[s] = high[s] = exact.distance[s] = np.inf
             exact.status[s], exact.pieces[s, 0] = SETTLED_DISTANCE, -1
         for s in range(here):
             p = np.int64(seeds[s])
@@ -265,7 +269,7 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
             k = first + s
             lower[k], upper[k] = low[s], high[s]
             if wanted:
-                distance[k], status[k] = own[s], exact.status[s] if exact.pieces[s, 0] >= 0 else NOT_SETTLED
+                distance[k], status[k] = exact.distance[s], exact.status[s] if exact.pieces[s, 0] >= 0 else NOT_SETTLED
                 for c in range(2):
                     pieces_out[k, c] = exact.pieces[s, c]
                 for c in range(3):
@@ -291,15 +295,14 @@ def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, cou
     """
     problem = problem_of(problem_handle)
     counts = counts_of(pieces_of(pack), problem, Q.shape[1])
-    total = len(problem.pairs)
-    least, seeds = floats_at(memory + _LEAST, (S * total,)), floats_at(memory + _FOUND, (S,))
-    at_placement = memory + _LEAST + lines(8 * S * total)
-    stand(problem, at_placement, counts)
+    place = Place(memory, counts)
+    least, seeds, to, at_placement = _least_of(place), _seeds_of(memory), _placement_of(place), _placement_at(place)
+    stand(problem, counts, to)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
         _place(pack, problem_handle, at_placement, counts, Q, first, last)
-        _bound_pairs(problem, placement_at(at_placement, counts).bounds, counts.moving, least, seeds)
-        for p in range(total):
+        _bound_pairs(problem, to.bounds, counts.moving, least, seeds)
+        for p in range(counts.pairs):
             for s in range(last + 1 - first):
                 if not least[p * S + s] > within:
                     if count < len(listed):
@@ -311,7 +314,7 @@ def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, cou
 @inline
 def _place(pack, problem_handle, at_placement, counts, Q, first, last):
     """Place what moves at the configurations first .. last, sixteen at most."""
-    problem, to = problem_of(problem_handle), placement_at(at_placement, counts)
+    problem, to = problem_of(problem_handle), placement_of(Place(at_placement, counts))
     for lane in range(0, last + 1 - first, EIGHT):
         place_joints(problem, Q, first + lane, last, to)
         for body in range(counts.moving):

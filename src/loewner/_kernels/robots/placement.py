@@ -22,8 +22,8 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, trace
 from loewner._kernels.pieces.pack import pieces_of, problem_of
-from loewner._kernels.robots.kinematics import place_links, rotation_of_link, translation_of_link, workspace_size
-from loewner._kernels.simd.memory import floats_at, integers_at, lines, singles_at
+from loewner._kernels.robots.kinematics import link_entries, place_links, rotation_of_link, translation_of_link
+from loewner._kernels.simd.memory import Arena, Place, floats, integers, singles, sizes_of
 from loewner._kernels.simd.vectors import (
     LANES,
     absolute,
@@ -70,7 +70,7 @@ class Placement(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How much there is of everything: decides the size of a placement."""
+    """How much there is of everything: decides the sizes of memory."""
 
     links: Any
     dof: Any
@@ -78,6 +78,7 @@ class Counts(NamedTuple):
     moving_pieces: Any
     standing: Any
     standing_pieces: Any
+    pairs: Any
 
 
 @inline
@@ -86,40 +87,21 @@ def counts_of(pieces, problem, dof):
     moving = problem.link.size
     return Counts(
         problem.tree.parent.size, dof, moving, pieces.piece_start[moving], len(problem.standing),
-        len(problem.standing_rows),
+        len(problem.standing_rows), len(problem.pairs),
     )  # fmt: skip
 
 
-@inline
-def placement_size(counts):
-    """Bytes of a placement."""
-    poses = counts.moving * MOST + counts.standing
-    rows = counts.moving_pieces * MOST + counts.standing_pieces
-    return (
-        lines(8 * 16 * poses)
-        + lines(4 * HOT * rows)
-        + lines(4 * BOUNDS * MOST * counts.moving)
-        + lines(8 * workspace_size(counts.links, counts.dof))
-        + lines(8 * LANES)
-    )
+LINKS, DOF, MOVING, MOVING_PIECES, STANDING, STANDING_PIECES, PAIRS = sizes_of(Counts)
 
-
-@inline
-def placement_at(address, counts):
-    """The placement at an address."""
-    poses = counts.moving * MOST + counts.standing
-    rows = counts.moving_pieces * MOST + counts.standing_pieces
-    at_rows = address + lines(8 * 16 * poses)
-    at_bounds = at_rows + lines(4 * HOT * rows)
-    at_links = at_bounds + lines(4 * BOUNDS * MOST * counts.moving)
-    links = workspace_size(counts.links, counts.dof)
-    return Placement(
-        floats_at(address, (poses, 4, 4)),
-        singles_at(at_rows, (rows, HOT)),
-        singles_at(at_bounds, (BOUNDS * MOST * counts.moving,)),
-        floats_at(at_links, (links,)),
-        integers_at(at_links + lines(8 * links), (LANES,)),
-    )
+PLACEMENT = Arena(
+    Placement,
+    poses=floats(MOVING * MOST + STANDING, 4, 4),
+    ellipsoids=singles(MOVING_PIECES * MOST + STANDING_PIECES, HOT),
+    bounds=singles(BOUNDS * MOST * MOVING),
+    links=floats(link_entries(LINKS, DOF)),
+    numbers=integers(LANES),
+)
+placement_of = PLACEMENT.whole()
 
 
 @inline
@@ -163,7 +145,7 @@ def place_body(pack, problem_handle, address, counts, body, S, at):
 
     It takes handles, since it is no part of its callers and a record's arrays would be copied for each call.
     """
-    pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_at(address, counts)
+    pieces, problem, to = pieces_of(pack), problem_of(problem_handle), placement_of(Place(address, counts))
     link, ball, piece_start, hot = problem.link, problem.ball, pieces.piece_start, pieces.hot
     W, numbers, bounds = to.links, to.numbers, to.bounds
     zero, one = broadcast(0.0), broadcast(1.0)
@@ -219,19 +201,16 @@ def _wider(x, y):
 
 
 @inline
-def stand(problem, address, counts):
-    """Write what stands still, for blocks of any number of configurations, into the placement at an address."""
-    behind = address + 8 * 16 * MOST * counts.moving
-    poses = floats_at(behind, (counts.standing, 16))
+def stand(problem, counts, to):
+    """Write what stands still, for blocks of any number of configurations."""
+    behind = counts.moving * MOST
     for k in range(counts.standing):
         for entry in range(16):
-            poses[k, entry] = problem.standing_poses[k, entry]
-    all_poses = counts.moving * MOST + counts.standing
-    behind = address + lines(8 * 16 * all_poses) + 4 * HOT * MOST * counts.moving_pieces
-    rows = singles_at(behind, (counts.standing_pieces, HOT))
+            to.poses[behind + k, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+    behind = counts.moving_pieces * MOST
     for k in range(counts.standing_pieces):
         for entry in range(HOT):
-            rows[k, entry] = problem.standing_rows[k, entry]
+            to.ellipsoids[behind + k, entry] = problem.standing_rows[k, entry]
 
 
 class Bounds(NamedTuple):

@@ -184,6 +184,10 @@ class Arena:
         """
         return [_accessor(self._fields[name], partial(self._start, name)) for name in names.split()]
 
+    def addresses(self, names: str) -> Any:
+        """The same functions for the addresses of fields."""
+        return [_accessor(Arena(), partial(self._start, name)) for name in names.split()]
+
     def whole(self) -> Any:
         """The function for kernels that returns the arena as a whole."""
         return _accessor(self, lambda counts: 0)
