@@ -14,7 +14,7 @@ from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, InputError, Robot, Scene, Verdict
 from loewner._kernels import columns
 from loewner._kernels.robots import motions, sweeps
-from loewner.robots import motion_tables
+from loewner.robots import courses, motion_tables
 from loewner.robots import motions as robots_motions
 from motion_oracle import (
     AFLOAT,
@@ -124,7 +124,8 @@ def test_values_off_the_motion(arms, tmp_path, kind, rng):
     Q = free_configurations(checker, 150)
     ends = steps(robot, rng, Q, 0.2)
     off = rng.uniform(0.0, 0.03, Q.shape) * (rng.random(Q.shape) < 0.5)
-    strays = loewner.robots.motions.settle(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, off).verdicts
+    straight = courses.straight(robot, Q, ends)
+    strays = robots_motions.settle(checker._ready(), straight, 1e-5, off).verdicts
     bare = checker.certify_edges(Q, ends).verdict
     hit = np.zeros(len(Q), dtype=bool)
     for _ in range(300):
@@ -136,7 +137,7 @@ def test_values_off_the_motion(arms, tmp_path, kind, rng):
     assert (hit & (bare == FREE)).any()
     assert (strays == FREE).sum() > 0.3 * (bare == FREE).sum()
     assert (bare[strays == FREE] == FREE).all()
-    same = loewner.robots.motions.settle(checker._ready(), Q, robot._on_the_way(Q, ends), 1e-5, np.zeros_like(off))
+    same = robots_motions.settle(checker._ready(), straight, 1e-5, np.zeros_like(off))
     assert (same.verdicts == bare).all()
 
 

@@ -1,5 +1,6 @@
 """The bounds that proofs of motions rest on hold for ways and poses computed without them, in extended precision."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from checker_oracle import random_robot, random_scene, simple_bodies
 from loewner import Body, CollisionChecker
 from loewner._kernels import columns
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
+from loewner._kernels.robots.motion_path import write_part
+from loewner.robots import courses
 from motion_oracle import AFLOAT, example, steps, written
 
 Real = np.longdouble
@@ -16,27 +19,53 @@ Real = np.longdouble
 far_outside = pytest.mark.filterwarnings("ignore:.*is it in .*:UserWarning")
 
 
-def rates(checker, a, b):
-    """What the kernel makes of a motion: rates of joints, and what its poses may be off by."""
-    robot, tables, b = checker.robot, checker._ready().motions.tables, checker.robot._on_the_way(a, b)
-    made = Rates(*(np.empty(len(robot.link_names)) for _ in range(3)))
-    travel, angles, places = rates_of(robot.tree, np.array([a, b]), made)
+def empty_rates(robot):
+    return Rates(*(np.empty(len(robot.link_names)) for _ in Rates._fields))
+
+
+def rates(checker, course, width=1.0):
+    """What the kernel makes of a course, or of a part: rates of joints, and what its poses may be off by."""
+    robot, tables, made = checker.robot, checker._ready().motions.tables, empty_rates(checker.robot)
+    travel, angles, places = rates_of(robot.tree, course, width, made)
     return tables, made, uncertainty(tables, travel, angles, places)[0]
 
 
-def real_poses(robot, a, b, times):
-    """Poses of all links on the real motion, in extended precision: (times, links, 4, 4)."""
-    tree, t = robot.tree, np.asarray(times, dtype=Real)
-    Q = a.astype(Real) + t[:, None] * (b.astype(Real) - a.astype(Real))
-    b = robot._on_the_way(a, b)
+def straight(robot, a, b):
+    return courses.straight(robot, a[None], b[None])[0]
+
+
+def bent(robot, rng, q, degree, length):
+    """A course of some degree that begins at q; its orientations turn by up to a right angle."""
+    points = q + np.cumsum(rng.uniform(-length, length, (degree + 1, robot.dof)), axis=0) / degree
+    points[0] = q
+    for at in robot._quaternions.values():
+        points[:, at] = q[at] + rng.uniform(-0.2, 0.2, (degree + 1, 4))
+    return points
+
+
+def real_configurations(robot, course, t):
+    """Configurations on a course, in extended precision."""
+    degree, points = len(course) - 1, course.astype(Real)
+    weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
+    Q = np.stack(weights, axis=1) @ points
     for quaternion in robot._quaternions.values():
-        p, q = (end[quaternion].astype(Real) / np.sqrt((end[quaternion].astype(Real) ** 2).sum()) for end in (a, b))
+        if degree > 1:
+            Q[:, quaternion] /= np.sqrt((Q[:, quaternion] ** 2).sum(axis=1))[:, None]
+            continue
+        p, q = (end[quaternion] / np.sqrt((end[quaternion] ** 2).sum()) for end in points)
         half = np.arcsin(np.sqrt(((p - q) ** 2).sum()) / 2)  # of the angle between the two
         across = p + q
         across /= np.sqrt((across**2).sum())
         along = (q - p) / max(np.sqrt(((q - p) ** 2).sum()), Real(1e-30))
         angle = (2 * t - 1)[:, None] * half
         Q[:, quaternion] = np.cos(angle) * across + np.sin(angle) * along
+    return Q
+
+
+def real_poses(robot, course, times):
+    """Poses of all links on the real course, in extended precision: (times, links, 4, 4)."""
+    tree, t = robot.tree, np.asarray(times, dtype=Real)
+    Q = real_configurations(robot, course, t)
     out = np.zeros((len(t), len(tree.parent), 4, 4), dtype=Real)
     out[..., 3, 3] = 1
     for link, row in enumerate(tree.constants.astype(Real)):
@@ -88,21 +117,32 @@ def points_of(checker):
     return ready, found
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
 @pytest.mark.parametrize("seed", range(8))
 @far_outside
-def test_speed_and_curvature(tmp_path, seed):
-    """No point of a body is faster, or its way more bent, than the bound, as seen from any other body or the world."""
+def test_speed_and_curvature(tmp_path, seed, degree):
+    """No point of a body is faster, or its way more bent, than the bound, as seen from any other body or the world.
+
+    The same holds of a part of a course and the bounds of that part.
+    """
     rng, checker = checkers(tmp_path, seed)
     robot, (ready, points) = checker.robot, points_of(checker)
     if robot.dof == 0:
         pytest.skip("nothing moves")
-    t = np.linspace(0.0, 1.0, 401)
-    h = Real(t[1])
     closest = 0.0
     for q in robot.random_configurations(3, seed):
-        end = steps(robot, rng, q[None], rng.uniform(0.5, 6.0))[0]
-        tables, made, _ = rates(checker, q, end)
-        poses = real_poses(robot, q, end, t)
+        length = rng.uniform(0.5, 6.0)
+        course = straight(robot, q, steps(robot, rng, q[None], length)[0])
+        low, high = 0.0, 1.0
+        if degree > 1:
+            course = bent(robot, rng, q, degree, length)
+            low, high = rng.choice([[0.0, 1.0], [0.25, 0.375], [0.9, 1.0]])
+        part = np.empty_like(course)
+        write_part(course, low, high, np.empty(degree + 1), part)
+        tables, made, _ = rates(checker, part, high - low)
+        t = np.linspace(low, high, 401).astype(Real)
+        h = t[1] - t[0]
+        poses = real_poses(robot, course, t)
         for a in range(len(ready.names)):
             for b in range(len(ready.link)):
                 if a == b:
@@ -128,13 +168,14 @@ def test_speed_and_curvature(tmp_path, seed):
     assert closest > 0.2 or not np.isin(robot.tree.kind, (columns.REVOLUTE, columns.PLANAR, columns.FLOATING)).any()
 
 
-def largest_error(checker, a, b, times):
-    """How far points at the longest reach are from the real motion, in units of the bound."""
+def largest_error(checker, course, times):
+    """How far points at the longest reach are from the real course, in units of the bound."""
     ready = checker._ready()
     table = ready.bodies._packed.kernel.table
-    _, _, bound = rates(checker, a, b)
-    real = real_poses(checker.robot, a, b, times)[:, ready.link]
-    found = checker.robot.forward_kinematics(checker.robot.between(a, b, times))[:, ready.link]
+    _, _, bound = rates(checker, course)
+    real = real_poses(checker.robot, course, times)[:, ready.link]
+    Q = courses.configurations(checker.robot, np.broadcast_to(course, (len(times), *course.shape)), times)
+    found = checker.robot.forward_kinematics(Q)[:, ready.link]
     start = ready.bodies._packed.piece_start
     reach = np.array([table[start[k] : start[k + 1], columns.REACH].max() for k in range(len(ready.link))])
     off = found.astype(Real) - real
@@ -156,7 +197,9 @@ def test_rounding_of_poses(tmp_path, seed, scale):
     for quaternion in robot._quaternions.values():
         start[:, quaternion] /= np.linalg.norm(start[:, quaternion], axis=1, keepdims=True)
     for a, b in zip(start, steps(robot, rng, start, 3.0 * scale), strict=True):
-        assert largest_error(checker, a, b, rng.uniform(size=200)) < 1.0
+        assert largest_error(checker, straight(robot, a, b), rng.uniform(size=200)) < 1.0
+        for degree in (2, 3, 5, 7):
+            assert largest_error(checker, bent(robot, rng, a, degree, scale), rng.uniform(size=50)) < 1.0
 
 
 def test_rounding_of_a_long_chain():
@@ -165,7 +208,7 @@ def test_rounding_of_a_long_chain():
     rng = np.random.default_rng(0)
     start = checker.robot.random_configurations(40)
     found = [
-        largest_error(checker, a, b, rng.uniform(size=100))
+        largest_error(checker, straight(checker.robot, a, b), rng.uniform(size=100))
         for a, b in zip(start, steps(checker.robot, rng, start, 1.0), strict=True)
     ]
     assert 0.002 < max(found) < 1.0
@@ -187,7 +230,7 @@ def test_orientations(tmp_path, angle, astray):
         b[at] = (np.cos(angle / 2) * p + np.sin(angle / 2) * other) * rng.choice([-1.0, 1.0])
         a[at] *= 1 + astray * rng.uniform(-1, 1)
         b[at] *= 1 + astray * rng.uniform(-1, 1)
-        assert largest_error(checker, a, b, rng.uniform(size=50)) < 1.0
+        assert largest_error(checker, straight(robot, a, b), rng.uniform(size=50)) < 1.0
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -201,16 +244,16 @@ def test_strays(tmp_path, seed):
     closest = 0.0
     for q in robot.random_configurations(4, seed):
         end = steps(robot, rng, q[None], 0.1)[0]
-        tables, made, _ = rates(checker, q, end)
-        strays = Rates(*(np.empty(len(robot.link_names)) for _ in range(3)))
+        tables, made, _ = rates(checker, straight(robot, q, end))
+        strays = empty_rates(robot)
         off = rng.uniform(0.0, 0.05, robot.dof) * (rng.random(robot.dof) < 0.5)
         write_strays(robot.tree, off, made, strays)
         start = robot.between(q, robot._on_the_way(q, end), 0.5)
         there = start + off * rng.choice([-1.0, 1.0], (20, robot.dof))
         for at in robot._quaternions.values():
             there[:, at] /= np.linalg.norm(there[:, at], axis=1, keepdims=True)
-        before = real_poses(robot, start, start, [0.0])
-        after = np.concatenate([real_poses(robot, x, x, [0.0]) for x in there])
+        before = real_poses(robot, np.stack([start, start]), [0.0])
+        after = np.concatenate([real_poses(robot, np.stack([x, x]), [0.0]) for x in there])
         for a in range(len(ready.link)):
             for b in range(len(ready.link)):
                 if a == b:

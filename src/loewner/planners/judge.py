@@ -22,6 +22,7 @@ from loewner.robots import CollisionChecker, Robot, verdicts
 from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.checker import prepared_of
 from loewner.robots.contacts import deeper_than_ends
+from loewner.robots.courses import straight
 from loewner.robots.edges import MOST_STEPS
 from loewner.robots.proofs import prove, prove_by_rules
 
@@ -108,14 +109,13 @@ class Judge:
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Which motions of a batch are free; what cannot be settled is not."""
         if not self.resolution:
-            return self.proven(Q0, Q1)
+            return self.proven(straight(self.ready.robot, Q0, Q1))
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
-    def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
-        """Which motions of a batch are proven free; with `off`, all that is so far away from them too."""
-        Q0, Q1 = np.array(Q0, order="C"), np.array(Q1, order="C")  # kernels take no views
-        return np.asarray(prove(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
+    def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
+        """Which courses of a batch are proven free; with `off`, all configurations so far away from them too."""
+        return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
@@ -123,7 +123,7 @@ def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float)
     ready = prepared_of(checker)
     if resolution:
         return verdicts.is_sampled_free(ready, a, b, resolution)
-    return bool(prove(ready, a[None].copy(), b[None].copy(), TOLERANCE).verdicts[0] == Verdict.FREE)
+    return bool(prove(ready, straight(ready.robot, a[None], b[None]), TOLERANCE).verdicts[0] == Verdict.FREE)
 
 
 def checked_path(robot: Robot, path: ArrayLike) -> Floats:

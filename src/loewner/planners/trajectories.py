@@ -32,9 +32,6 @@ from loewner.robots import CollisionChecker, Robot
 # Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
 UP_IN = 1.0
 
-# How far a blend may be from its chords in one joint [rad or m], and into how many chords it is cut at most.
-OFF_CHORD, MOST_CHORDS = 2e-4, 64
-
 # A blend that is not proven is halved so often; then the robot stops at the corner.
 HALVINGS = 5
 
@@ -627,20 +624,10 @@ def _proven_blends(judge: Judge, straights: Straights, share: float) -> list[Flo
 def _free(judge: Judge, first: Floats, corner: Floats, last: Floats, astray: Floats) -> Bools:
     """Which parabolas from `first` to `last`, whose tangents there meet in `corner`, are proven free.
 
-    Each is cut into chords, and a chord is proven with what the parabola, and `astray`, may be off it:
-    docs/certified.md, "Blends".
+    Computed positions may be off by `astray` and by rounding: docs/certified.md, "Blends".
     """
-    bend = np.abs(first - 2 * corner + last)
-    chords = 1
-    while chords < MOST_CHORDS and bend.max(initial=0.0) > 4 * OFF_CHORD * chords**2:
-        chords *= 2
-    s = np.arange(chords + 1)[:, None, None] / chords
-    points = (1 - s) ** 2 * first + 2 * s * (1 - s) * corner + s**2 * last
-    size = np.maximum(np.maximum(np.abs(first), np.abs(corner)), np.abs(last))
-    off = np.tile(bend / (4 * chords**2) + BLEND_ROUNDINGS * size + astray, (chords, 1))
-    dof = first.shape[1]
-    free = judge.proven(points[:-1].reshape(-1, dof), points[1:].reshape(-1, dof), off)
-    return np.asarray(free.reshape(chords, -1).all(axis=0))
+    courses = np.stack([first, corner, last], axis=1)
+    return judge.proven(courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1) + astray)
 
 
 def _shortest(straights: Straights, proven: list[Floats]) -> Floats:

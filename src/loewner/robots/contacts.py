@@ -106,7 +106,7 @@ def _leaves(
     off = OFF * np.maximum(np.maximum(np.abs(a), np.abs(b)), 1.0)[None]
     alone = ready.only(np.array([pair]))
     margin, at_start = float(ready.margins[pair]), _distance(ready, pair, a)
-    found = motions.settle(alone, a[None], b[None], FOR_PROOF * tolerance, off)
+    found = motions.settle(alone, np.stack([a, b])[None], FOR_PROOF * tolerance, off)
     if found.verdicts[0] == Verdict.FREE:
         return [], margin
     if at_start > margin + tolerance:  # no contact that could end
@@ -117,14 +117,14 @@ def _leaves(
     (beside, for_proof), doubtful = _beside_planes(ready, pair, a, b, tolerance), []
     for share in STRETCHES.tolist():
         middle = b if share == 1.0 else ready.robot.between(a, b, share)
-        found = motions.settle(beside, a[None], middle[None], for_proof, off)
+        found = motions.settle(beside, np.stack([a, middle])[None], for_proof, off)
         if found.verdicts[0] == Verdict.FREE:
             break
         doubtful.append(share * float(found.fractions[0]))
     else:
         return doubtful, least
     if share < 1.0:
-        found = motions.settle(alone, middle[None], b[None], FOR_PROOF * tolerance, off)
+        found = motions.settle(alone, np.stack([middle, b])[None], FOR_PROOF * tolerance, off)
     if found.verdicts[0] == Verdict.FREE:
         return [], margin
     return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least

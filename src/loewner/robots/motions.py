@@ -109,35 +109,35 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def settle(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
-    """Have the kernel settle the motions between configurations a and b, shape (N, dof) each.
+def settle(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+    """Have the kernel settle motions along courses.
 
     Parameters
     ----------
     ready : CheckedPairs
-    a, b : ndarray, shape (N, dof)
-        Quaternions of b have the sign with which `Robot.between` goes to them.
+    courses : ndarray, shape (N, degree + 1, dof)
+        See `courses`. In C order, writeable.
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
+        How far values may be from the course's at the same fraction: FREE holds for all such configurations.
 
     Notes
     -----
     Where `ready.starts_matter`, FREE supposes that the motion is free at its start.
     """
     ready = ready.in_parts
-    total = len(a)
+    total, _, dof = courses.shape
     found = Found(
         np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
         np.empty((total, 2), dtype=np.int64),
     )  # fmt: skip
     prepared = ready.motions
-    strays = np.empty((0, a.shape[1])) if off is None else off
+    strays = np.empty((0, dof)) if off is None else off
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(
-            first, last, a, b, strays, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
+            first, last, courses, strays, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
             workspace(prepared.memory),
         )  # fmt: skip
 

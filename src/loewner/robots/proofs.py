@@ -9,40 +9,44 @@ from loewner._validate import Floats
 from loewner.queries import Verdict
 from loewner.robots import contacts, motions, verdicts
 from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.courses import configurations, straight
 from loewner.robots.motions import Found
 
 
-def prove(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floats | None = None) -> Found:
-    """Prove which motions between configurations a and b, shape (N, dof) each, are free; contact is never allowed.
+def prove(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+    """Prove which courses are free; contact is never allowed.
 
     Parameters
     ----------
     ready : CheckedPairs
-    a, b : ndarray, shape (N, dof)
-        In C order, writeable.
+    courses : ndarray, shape (N, degree + 1, dof)
+        See `courses`. In C order, writeable.
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far joint values may be from the motion at the same fraction: FREE holds for all such configurations.
+        How far joint values may be from the course at the same fraction: FREE holds for all such configurations.
 
     Returns
     -------
     Found
         With the verdict TOO_LONG for motions that would take too many intervals.
     """
-    found = motions.settle(ready, a, ready.robot._on_the_way(a, b), tolerance, off)
-    _confirm(ready, a, b, found)
-    _refuse_starts(ready, a, found)
+    found = motions.settle(ready, courses, tolerance, off)
+    _confirm(ready, courses, found)
+    _refuse_starts(ready, courses[:, 0], found)
     return found
 
 
 def prove_by_rules(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
-    """Prove the same, where pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends of a motion."""
-    found = prove(ready, a, b, tolerance)
+    """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
+
+    Pairs of `Scene.leave` and `Scene.reach` may be in contact at their ends.
+    """
+    found = prove(ready, straight(ready.robot, a, b), tolerance)
     at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
     if len(at) == 0:
         return found
-    rest = prove(ready.unruled, a[at], b[at], tolerance)
+    rest = prove(ready.unruled, straight(ready.robot, a[at], b[at]), tolerance)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
     found.work[at] += rest.work
@@ -57,18 +61,18 @@ def prove_by_rules(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) 
     return found
 
 
-def _confirm(ready: CheckedPairs, a: Floats, b: Floats, found: Found) -> None:
-    """Leave as COLLIDING only what collides at configurations that `Robot.between` gives.
+def _confirm(ready: CheckedPairs, courses: Floats, found: Found) -> None:
+    """Leave as COLLIDING only what collides at the configurations that users get for a fraction.
 
-    Values that run straight are the same bit for bit, but NumPy's sines are not the kernel's: orientations may differ
-    in the last place.
+    Values that run straight are the same bit for bit, but polynomials and orientations, for which NumPy's sines are not
+    the kernel's, may differ in the last place.
     """
     doubtful = found.verdicts == codes.BY_CARE
-    if not ready.robot.runs_straight:
+    if not (ready.robot.runs_straight and courses.shape[1] == 2):
         doubtful |= found.verdicts == Verdict.COLLIDING
     at = np.flatnonzero(doubtful)
     if len(at):
-        Q = ready.robot.between(a[at], b[at], found.fractions[at])
+        Q = configurations(ready.robot, courses[at], found.fractions[at])
         hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == Verdict.COLLIDING
         found.verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
 

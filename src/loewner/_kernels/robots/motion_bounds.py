@@ -1,15 +1,15 @@
-"""How fast and how bent the ways of points are on a motion, and what rounding can do to them: bounds, rounded outward.
+"""Bounds on the speed and the curvature of points on a course, and on what rounding does to them, rounded outward.
 
-Between two configurations joint values run straight, so every joint turns or slides at a constant rate. Seen from one
-body, the points of another one move by the joints between the two. With w the rates of turning joints, s those of
-sliding ones and R how far the body gets from a joint's axis, a point's speed is at most the sum of all w R and s, and
-its second derivative at most
+Seen from one body, the points of another one move by the joints between the two. With w the rates of turning joints, s
+those of sliding ones and R how far the body gets from a joint's axis, a point's speed is at most the sum of all w R and
+s, and its second derivative at most
 
-    A = sum over turning joints j of R_j w_j (w_j + 2 W_j) + sum over sliding joints j of 2 s_j W_j
+    A = sum over turning joints j of R_j (w_j (w_j + 2 W_j) + w'_j) + sum over sliding joints j of 2 s_j W_j + s'_j
 
-with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still. A planar joint
-is one that slides and then one that turns, seen from its parent; and so is a floating one, of which a ball joint is
-what turns. docs/certified.md, "Motions".
+with W_j the sum of the rates of the turning joints between j and the body that is taken to stand still, and w' and s'
+the largest second derivatives of joint values, which are zero on straight motions. A planar joint is one that slides
+and then one that turns, seen from its parent; and so is a floating one, whose turning part is a ball joint.
+docs/certified.md, "Motions".
 """
 
 from typing import Any, NamedTuple
@@ -23,8 +23,11 @@ from loewner._kernels.tolerances import UNIT_ROUNDOFF
 # What forward kinematics rounds a position by, for each joint of the chain, in units of the chain's length.
 JOINT_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 64, certified.md B24
 
-# What the value of a joint is off by when it is interpolated, in units of the values that go into it.
+# What the value of a joint is off by when it is computed, in units of the course's degree and largest control point.
 VALUE_ROUNDINGS = 16.0 * UNIT_ROUNDOFF  # derived 7, certified.md B25
+
+# What control points of a part of a course are off by, in the same units.
+PART_ROUNDINGS = 8.0 * UNIT_ROUNDOFF  # derived 3, certified.md B50
 
 # What an angle does to the entries of a rotation, in the Frobenius norm.
 TURN = 1.5  # derived 1.42, certified.md B26
@@ -40,19 +43,27 @@ UPWARD = 1.0 + STRETCH
 SMALLEST_TURN = 1e-15  # rad; more than an angle between two equal quaternions is off by
 
 
+# Control points of a quaternion all reach this far along one direction, as a share of their largest norm: otherwise
+# the orientation may turn arbitrarily fast.
+LEAST_NORM = 0.1
+
+
 class Rates(NamedTuple):
-    """What joints do on a motion: arrays with an entry a link.
+    """Bounds on what joints do on a course, or on a part of it: arrays with an entry a link.
 
     Attributes
     ----------
-    turn : rad that the joint turns by
-    slide : m that it slides by
-    far : m that it is from 0, at most, if it slides
+    turn : angular velocity, rad over the whole course
+    slide : velocity, m over the whole course
+    far : distance from 0, m, of joints that slide
+    turning, sliding : second derivatives
     """
 
     turn: Any
     slide: Any
     far: Any
+    turning: Any
+    sliding: Any
 
 
 class Ways(NamedTuple):
@@ -68,15 +79,62 @@ class Ways(NamedTuple):
     speed: Any
 
 
-@inline
-def _larger_norm(a, b, c, x, y, z):
-    return np.sqrt(max(a * a + b * b + c * c, x * x + y * y + z * z))
+class _Derivatives(NamedTuple):
+    """Largest norms of some columns of a course and of their first and second derivatives; 0 <= t <= 1."""
+
+    size: Any
+    first: Any
+    second: Any
 
 
 @inline
-def norm_of_quaternion(ends, row, at):
+def _derivatives(course, at, count, width):
+    """Bound columns at .. at + count of a part of a course, `width` of the whole."""
+    degree = course.shape[0] - 1
+    sizes, firsts, seconds = 0.0, 0.0, 0.0
+    for k in range(degree + 1):
+        size, first, second = 0.0, 0.0, 0.0
+        for c in range(at, at + count):
+            size += course[k, c] * course[k, c]
+            if k >= 1:
+                step = course[k, c] - course[k - 1, c]
+                first += step * step
+                if k >= 2:
+                    change = step - (course[k - 1, c] - course[k - 2, c])
+                    second += change * change
+        sizes, firsts, seconds = max(sizes, size), max(firsts, first), max(seconds, second)
+    return _of_course(degree, width, np.sqrt(sizes), np.sqrt(firsts), np.sqrt(seconds))
+
+
+@inline
+def _derivatives_of_value(course, c, width):
+    """The same of one column."""
+    degree = course.shape[0] - 1
+    size, first, second = abs(course[0, c]), 0.0, 0.0
+    for k in range(1, degree + 1):
+        step = course[k, c] - course[k - 1, c]
+        size, first = max(size, abs(course[k, c])), max(first, abs(step))
+        if k >= 2:
+            second = max(second, abs(step - (course[k - 1, c] - course[k - 2, c])))
+    return _of_course(degree, width, size, first, second)
+
+
+@inline
+def _of_course(degree, width, size, first, second):
+    """Derivatives from the largest differences of control points of a part, which may be rounded."""
+    if degree == 1:
+        return _Derivatives(size, first, 0.0)
+    off = PART_ROUNDINGS * degree * size if width < 1.0 and first > 0.0 else 0.0
+    first += 2.0 * off
+    # The difference of two differences loses digits.
+    second += 4.0 * off + 4.0 * UNIT_ROUNDOFF * first
+    return _Derivatives(size + off, degree * first / width, degree * (degree - 1) * second / (width * width))
+
+
+@inline
+def norm_of_quaternion(course, row, at):
     """Length of the quaternion in the columns at .. at + 4."""
-    w, x, y, z = ends[row, at], ends[row, at + 1], ends[row, at + 2], ends[row, at + 3]
+    w, x, y, z = course[row, at], course[row, at + 1], course[row, at + 2], course[row, at + 3]
     return np.sqrt(w * w + x * x + y * y + z * z)
 
 
@@ -94,6 +152,31 @@ def _arc(ends, at):
 
 
 @inline
+def _orientation(course, at, width):
+    """Angular velocity and acceleration of the orientation in columns at .. at + 4, at most, and its rounding [rad].
+
+    A quaternion p / |p| has the derivative p' / |p| at most, and p'' / |p| + 2 (p' / |p|)² is a bound on the part of
+    its second derivative that turns; angles are twice as large.
+    """
+    if course.shape[0] == 2:
+        turn, astray = _arc(course, at)
+        return turn, 0.0, SLERP_ROUNDINGS + NORM_SHARE * astray
+    p = _derivatives(course, at, 4, width)
+    # All control points reach at least this far along the first one, and so does the curve.
+    least = np.inf
+    for k in range(course.shape[0]):
+        reached = 0.0
+        for c in range(at, at + 4):
+            reached += course[k, c] * course[0, c]
+        least = min(least, reached / norm_of_quaternion(course, 0, at))
+    if not least >= LEAST_NORM * p.size:
+        return np.inf, np.inf, 0.0
+    least *= 1.0 - STRETCH
+    speed = p.first / least
+    return 2.0 * speed, 2.0 * (p.second / least + 2.0 * speed * speed), SLERP_ROUNDINGS * p.size / least
+
+
+@inline
 def _angle_off(off, at):
     """Angle [rad] that a rotation is off by, at most, whose quaternion may be off by the entries at .. at + 4."""
     w, x, y, z = off[at], off[at + 1], off[at + 2], off[at + 3]
@@ -102,13 +185,16 @@ def _angle_off(off, at):
 
 
 @njit()
-def rates_of(tree, ends, rates):
-    """Write the rates of all joints between two configurations; returns what rounding does to poses.
+def rates_of(tree, course, width, rates):
+    """Write bounds on the rates of all joints on a course, or on a part; returns what rounding does to poses.
 
     Parameters
     ----------
     tree : Tree
-    ends : ndarray, shape (2, dof)
+    course : ndarray, shape (degree + 1, dof)
+    width : float
+        Share of the whole course that it is, whose fractions derivatives refer to: 1 for the whole, whose control
+        points are exact.
     rates : Rates
 
     Returns
@@ -117,44 +203,39 @@ def rates_of(tree, ends, rates):
         Sum of how far all sliding joints are from 0, at most [m].
     angles, places : float
         Sum of what the angles of all joints [rad], and what the places of all sliding joints [m], are off by when they
-        are interpolated in floating point.
+        are computed in floating point.
     """
     travel, angles, places = 0.0, 0.0, 0.0
+    rounded = VALUE_ROUNDINGS * (course.shape[0] - 1)
     for link in range(tree.kind.size):
         kind, at, by, off = tree.kind[link], tree.column[link], tree.multiplier[link], tree.offset[link]
-        turn, slide, far = 0.0, 0.0, 0.0
+        turn, turning, slide, sliding, far = 0.0, 0.0, 0.0, 0.0, 0.0
         if kind == FIXED:
             pass
         elif kind == FLOATING:
-            slide = _larger_norm(
-                ends[1, at] - ends[0, at], ends[1, at + 1] - ends[0, at + 1], ends[1, at + 2] - ends[0, at + 2],
-                0.0, 0.0, 0.0,
-            )  # fmt: skip
-            far = _larger_norm(
-                ends[0, at], ends[0, at + 1], ends[0, at + 2], ends[1, at], ends[1, at + 1], ends[1, at + 2]
-            )  # fmt: skip
-            turn, astray = _arc(ends, at + 3)
-            angles += SLERP_ROUNDINGS + NORM_SHARE * astray
-            places += 2.0 * VALUE_ROUNDINGS * far
+            far, slide, sliding = _derivatives(course, at, 3, width)
+            turn, turning, astray = _orientation(course, at + 3, width)
+            angles += astray
+            places += 2.0 * rounded * far
         elif kind == BALL:
-            turn, astray = _arc(ends, at)
-            angles += SLERP_ROUNDINGS + NORM_SHARE * astray
+            turn, turning, astray = _orientation(course, at, width)
+            angles += astray
         elif kind == PLANAR:
-            slide = _larger_norm(ends[1, at] - ends[0, at], ends[1, at + 1] - ends[0, at + 1], 0.0, 0.0, 0.0, 0.0)
-            far = _larger_norm(ends[0, at], ends[0, at + 1], 0.0, ends[1, at], ends[1, at + 1], 0.0)
-            turn = abs(ends[1, at + 2] - ends[0, at + 2])
-            angles += VALUE_ROUNDINGS * max(abs(ends[0, at + 2]), abs(ends[1, at + 2]))
-            places += 2.0 * VALUE_ROUNDINGS * far
+            far, slide, sliding = _derivatives(course, at, 2, width)
+            most, turn, turning = _derivatives_of_value(course, at + 2, width)
+            angles += rounded * most
+            places += 2.0 * rounded * far
         else:
-            way = abs(by * (ends[1, at] - ends[0, at]))
-            most = abs(by) * max(abs(ends[0, at]), abs(ends[1, at])) + abs(off)
+            most, way, bend = _derivatives_of_value(course, at, width)
+            most = abs(by) * most + abs(off)
             if kind == PRISMATIC:
-                slide, far = way, most
-                places += VALUE_ROUNDINGS * most
+                slide, sliding, far = abs(by) * way, abs(by) * bend, most
+                places += rounded * most
             else:
-                turn = way
-                angles += VALUE_ROUNDINGS * most
+                turn, turning = abs(by) * way, abs(by) * bend
+                angles += rounded * most
         rates.turn[link], rates.slide[link], rates.far[link] = turn * UPWARD, slide * UPWARD, far * UPWARD
+        rates.turning[link], rates.sliding[link] = turning * UPWARD, sliding * UPWARD
         travel += far * UPWARD
     return travel, angles, places
 
@@ -167,11 +248,12 @@ def write_strays(tree, off, rates, strays):
     ----------
     tree : Tree
     off : ndarray, shape (dof,)
-        How far each value may be from the motion's at the same fraction.
+        How far each value may be from the course's at the same fraction.
     rates : Rates
-        Of the motion.
+        Of the course.
     strays : Rates
-        Receives by how much joints may be turned and slid away from it; `far` holds on the way there as well.
+        Receives by how much joints may be turned and slid away from it, at a constant rate; `far` holds on the way
+        there as well.
 
     Returns
     -------
@@ -185,18 +267,19 @@ def write_strays(tree, off, rates, strays):
         if kind == FIXED:
             pass
         elif kind == FLOATING:
-            slide = _larger_norm(off[at], off[at + 1], off[at + 2], 0.0, 0.0, 0.0)
+            slide = np.sqrt(off[at] ** 2 + off[at + 1] ** 2 + off[at + 2] ** 2)
             turn = _angle_off(off, at + 3)
         elif kind == BALL:
             turn = _angle_off(off, at)
         elif kind == PLANAR:
-            slide, turn = _larger_norm(off[at], off[at + 1], 0.0, 0.0, 0.0, 0.0), off[at + 2]
+            slide, turn = np.sqrt(off[at] ** 2 + off[at + 1] ** 2), off[at + 2]
         elif kind == PRISMATIC:
             slide = abs(by) * off[at]
         else:
             turn = abs(by) * off[at]
         strays.turn[link], strays.slide[link] = turn * UPWARD, slide * UPWARD
         strays.far[link] = rates.far[link] + slide * UPWARD
+        strays.turning[link], strays.sliding[link] = 0.0, 0.0
         travel += slide * UPWARD
     return travel
 
@@ -264,6 +347,7 @@ def ways_between(tables, rates, body, link, fixed):
         rest = max(rest - turn, 0.0)
         far = turn * (reach[body, joint] + travel)
         bend += far * (turn + 2.0 * rest) + 2.0 * slide * rest
+        bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
         travel += rates.far[joint]
     for k in range(down_from, down_to):
@@ -275,6 +359,7 @@ def ways_between(tables, rates, body, link, fixed):
         travel += rates.far[joint]
         far = turn * (reach[body, joint] + travel)
         bend += far * (turn + 2.0 * rest)
+        bend += rates.turning[joint] * (reach[body, joint] + travel) + rates.sliding[joint]
         speed += far + slide
     # What `rest` lost in the differences: a few roundings of the whole, for each joint.
     return Ways((bend + 1e-12 * every * speed) * UPWARD, speed * UPWARD)

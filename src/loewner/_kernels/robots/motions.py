@@ -32,7 +32,7 @@ from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
-from loewner._kernels.robots.motion_path import configuration_at
+from loewner._kernels.robots.motion_path import MOST_POINTS, configuration_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
     BODY,
@@ -86,7 +86,8 @@ class Motion(NamedTuple):
     confirmed : whether collisions are confirmed where `collide` places the bodies; if not, it matters only what is free
     rounding : what computed poses may be off by, and what places of the robot's points round by [m]
     skew : how far turned lengths may be off, as a share of them: that of what a pair keeps comes on top
-    strays : whether values may be off the motion's; then pairs keep that much more
+    strays : whether values may be off the course's; then pairs keep that much more
+    points : control points of the course
     counts : how much there is of everything
     work : address of `MEMORY`
     """
@@ -99,6 +100,7 @@ class Motion(NamedTuple):
     rounding: Any
     skew: Any
     strays: Any
+    points: Any
     counts: Any
     work: Any
 
@@ -129,6 +131,8 @@ class Near(NamedTuple):
 
 _LINK_ENTRIES = link_entries(LINKS, DOF)
 
+_RATES = Arena(Rates, **{name: floats(LINKS) for name in Rates._fields})
+
 MEMORY = Arena(
     rows=integers(LANES),  # of the configurations
     times=floats(LANES),  # of the block
@@ -146,10 +150,12 @@ MEMORY = Arena(
     exact=raw(exact.SIZE),
     vectors=floats(3, 4),  # for the careful search, like the next
     simplex=floats(4, 9),
-    ends=floats(2, DOF),
+    course=raw(8 * MOST_POINTS * DOF),
+    part=raw(8 * MOST_POINTS * DOF),  # of the course, for a block
+    scratch_points=floats(MOST_POINTS),  # for `write_part`
     configurations=floats(LANES, DOF),  # eight on the way
     cut_links=floats(_LINK_ENTRIES),  # links in an interval that is cut, see `kinematics`
-    rates=Arena(Rates, turn=floats(LINKS), slide=floats(LINKS), far=floats(LINKS)),
+    rates=_RATES,
     ways=floats(MOVING, 2),  # `Ways` of moving bodies, seen from the world
     swept=Arena(
         Swept, poses=floats(LANES * MOVING, 4, 4), bodies=floats(BODY * MOVING), pieces=floats(PIECE * MOVING_PIECES),
@@ -157,7 +163,7 @@ MEMORY = Arena(
     ),  # where everything is in a block
     order=integers(PAIRS),  # in which pairs are taken
     off=floats(DOF),  # how far values may be from the motion's
-    strays=Arena(Rates, turn=floats(LINKS), slide=floats(LINKS), far=floats(LINKS)),  # how far joints may be then
+    strays=_RATES,  # how far joints may be then
 )  # fmt: skip
 _rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiting_ways_of = MEMORY.accessors(
     "rows times scratch normals relative waiting waiting_ways"
@@ -165,16 +171,28 @@ _rows_of, _times_of, _scratch_of, _normals_of, _relative_of, _waiting_of, _waiti
 _cut_times_of, _cut_poses_of, _alone_of, _stack_of, _stack_normals_of, _gjk_of, _exact_of = MEMORY.accessors(
     "cut_times cut_poses alone stack stack_normals gjk exact"
 )
-_vectors_of, _simplex_of, _ends_of, _configurations_of, _cut_links_of, _rates_of, _ways_of = MEMORY.accessors(
-    "vectors simplex ends configurations cut_links rates ways"
+_vectors_of, _simplex_of, _course_at, _part_at, _scratch_points_of, _configurations_of = MEMORY.accessors(
+    "vectors simplex course part scratch_points configurations"
 )
-_swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors("swept order off strays")
+_cut_links_of, _rates_of, _ways_of, _swept_of, _order_of, _off_of, _strays_of = MEMORY.accessors(
+    "cut_links rates ways swept order off strays"
+)
 _size = MEMORY.sizing()
+
+
+@inline
+def _course_of(motion):
+    return floats_at(_course_at(motion), (motion.points, motion.counts.dof))
+
+
+@inline
+def _part_of(motion):
+    return floats_at(_part_at(motion), (motion.points, motion.counts.dof))
 
 
 @njit()
 def motion_memory(pack, problem_handle, dof):
-    """Bytes that `certify_motions` writes to."""
+    """Bytes that `certify_motions` writes to, for courses of up to `MOST_POINTS` control points."""
     return _size(counts_of(pieces_of(pack), problem_of(problem_handle), dof))
 
 
@@ -294,7 +312,7 @@ def _confirmed(motion, near, t, n):
     problem = problem_of(motion.problem)
     Q, W, poses = _configurations_of(motion), _cut_links_of(motion), _alone_of(motion)
     for lane in range(LANES):
-        configuration_at(problem.tree, _ends_of(motion), t, Q, lane)
+        configuration_at(problem.tree, _course_of(motion), t, Q, lane)
     _place_at(motion, W)
     _copy_pose(W, problem.link[problem.pairs[near.pair, 0]], 0, poses, 0)
     other = problem.pairs[near.pair, 1]
@@ -330,13 +348,13 @@ def _cut(motion, near, depth, low, high, poses, row_low, row_high, others, other
     """Write times and poses of an interval in eight parts to a depth; those at its ends are copied."""
     problem = problem_of(motion.problem)
     times, to, W = _cut_times_of(motion), _cut_poses_of(motion), _cut_links_of(motion)
-    ends, Q = _ends_of(motion), _configurations_of(motion)
+    course, Q = _course_of(motion), _configurations_of(motion)
     link, other = problem.link[problem.pairs[near.pair, 0]], problem.pairs[near.pair, 1]
     times[depth, 0], times[depth, PARTS] = low, high
     for k in range(1, PARTS):
         times[depth, k] = low + (high - low) * (k / PARTS)
-        configuration_at(problem.tree, ends, times[depth, k], Q, k - 1)
-    configuration_at(problem.tree, ends, high, Q, LANES - 1)
+        configuration_at(problem.tree, course, times[depth, k], Q, k - 1)
+    configuration_at(problem.tree, course, high, Q, LANES - 1)
     _place_at(motion, W)
     at = depth * _POSES
     both = at + PARTS + 1
@@ -632,15 +650,36 @@ def _settle_pair(motion, pair, live, bend, speed, slack, found, count, tally):
 
 
 @njit()
+def _measure(motion, course, width):
+    """Write rates and ways on the course, or on a part, `width` of the whole.
+
+    Returns
+    -------
+    most : float
+        The largest second derivative, as seen from the world.
+    travel, angles, places
+        As `rates_of`.
+    """
+    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
+    rates, ways, most = _rates_of(motion), _ways_of(motion), 0.0
+    travel, angles, places = rates_of(problem.tree, course, width, rates)
+    for body in range(motion.counts.moving):
+        seen = ways_between(tables, rates, body, problem.link[body], -1)
+        ways[body, 0], ways[body, 1] = seen.bend, seen.speed
+        most = max(most, seen.bend)
+    return most, travel, angles, places
+
+
+@njit()
 def _settle_block(motion, low, high, found, tally):
     """Settle the intervals between two times, seven in all."""
     pieces, problem, tables = pieces_of(motion.pack), problem_of(motion.problem), motion_tables_of(motion.tables)
-    swept, times, Q, ends = _swept_of(motion), _times_of(motion), _configurations_of(motion), _ends_of(motion)
+    swept, times, Q, course = _swept_of(motion), _times_of(motion), _configurations_of(motion), _course_of(motion)
     ways, rates, scratch = _ways_of(motion), _rates_of(motion), _scratch_of(motion)
     moving = motion.counts.moving
     for k in range(LANES):
         times[k] = low + (high - low) * (k / INTERVALS) if k < INTERVALS else high
-        configuration_at(problem.tree, ends, times[k], Q, k)
+        configuration_at(problem.tree, course, times[k], Q, k)
     tally[0] += LANES
     _place_at(motion, swept.links)
     sweep(problem, pieces, swept)
@@ -682,26 +721,21 @@ def _settle_block(motion, low, high, found, tally):
 
 @njit()
 def _certify(motion, tally):
-    """Settle one motion, the ends of which are written."""
-    problem, tables = problem_of(motion.problem), motion_tables_of(motion.tables)
-    rates, ends, ways = _rates_of(motion), _ends_of(motion), _ways_of(motion)
-    travel, angles, places = rates_of(problem.tree, ends, rates)
+    """Settle one motion, whose course is written."""
+    problem, tables, course = problem_of(motion.problem), motion_tables_of(motion.tables), _course_of(motion)
+    most, travel, angles, places = _measure(motion, course, 1.0)
     if motion.strays:
-        travel += write_strays(problem.tree, _off_of(motion), rates, _strays_of(motion))
+        travel += write_strays(problem.tree, _off_of(motion), _rates_of(motion), _strays_of(motion))
     off, length, turned = uncertainty(tables, travel, angles, places)
     rounding = 8.0 * off + 4.0 * tables.chain[2] * length
     rounding += CLEAR_ROUNDINGS * position_error(4.0 * length, UNIT_ROUNDOFF)
     skew = 2.0 * turned + 2.0 * tables.chain[2]
     motion = Motion(
         motion.pack, motion.problem, motion.tables, motion.tolerance, motion.confirmed, rounding, skew, motion.strays,
-        motion.counts,
-        motion.work,
+        motion.points, motion.counts, motion.work,
     )  # fmt: skip
-    most = 0.0
-    for body in range(motion.counts.moving):
-        seen = ways_between(tables, rates, body, problem.link[body], -1)
-        ways[body, 0], ways[body, 1] = seen.bend, seen.speed
-        most = max(most, seen.bend)
+    if not rounding < np.inf:
+        return Found(TOO_LONG, np.nan, -1)  # an orientation that may turn arbitrarily fast
     blocks = 1
     while not most / (8.0 * (INTERVALS * blocks) ** 2) <= FIRST_OFF:
         blocks *= 2
@@ -715,23 +749,27 @@ def _certify(motion, tally):
             block += bit * (rest & 1)
             rest >>= 1
             bit //= 2
-        found = _settle_block(motion, block / blocks, (block + 1) / blocks, found, tally)
+        low, high = block / blocks, (block + 1) / blocks
+        if blocks > 1 and motion.points > 2:
+            write_part(course, low, high, _scratch_points_of(motion), _part_of(motion))
+            _measure(motion, _part_of(motion), high - low)
+        found = _settle_block(motion, low, high, found, tally)
         if _hit(found):
             break
     return found
 
 
 @inline
-def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, dof, memory):
-    """A motion whose ends are still to be written, in memory that is ready."""
+def _motion(pack, problem_handle, tables_handle, tolerance, confirmed, strays, points, dof, memory):
+    """A motion whose course is still to be written, in memory that is ready."""
     counts = counts_of(pieces_of(pack), problem_of(problem_handle), dof)
-    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, counts, memory)
+    return Motion(pack, problem_handle, tables_handle, tolerance, confirmed, 0.0, 0.0, strays, points, counts, memory)
 
 
 @njit()
 def make_ready(pack, problem_handle, tables_handle, dof, memory):
     """Write to the memory what all motions find there."""
-    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, 0.0, False, False, 2, dof, memory)
     order, first = _order_of(motion), motion_tables_of(tables_handle).order
     for k in range(len(order)):
         order[k] = first[k]
@@ -747,17 +785,17 @@ def make_ready(pack, problem_handle, tables_handle, dof, memory):
 
 @njit()
 def certify_motions(
-    start, stop, Q0, Q1, off, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
+    start, stop, courses, off, tolerance, pack, problem_handle, tables_handle, out, t_out, pair_out, tallies, memory
 ):
-    """Settle the straight motions start .. stop at every one of their configurations.
+    """Settle the motions start .. stop at every one of their configurations.
 
     Parameters
     ----------
-    Q0, Q1 : ndarray, shape (N, dof)
-        Ends.
+    courses : ndarray, shape (N, degree + 1, dof)
+        See `motion_path`.
     off : ndarray, shape (N, dof) or (0, dof)
-        How far each value may be from the motion's at the same fraction: FREE holds for all such configurations, and
-        COLLIDING for one of the motion itself. No rows: not at all.
+        How far each value may be from the course's at the same fraction: FREE holds for all such configurations, and
+        COLLIDING for one of the course itself. No rows: not at all.
     tolerance : float
         m; what comes within the margin and this may be AMBIGUOUS.
     pack : int
@@ -775,14 +813,14 @@ def certify_motions(
     memory : int
         Address of `motion_memory` bytes to write to; one thread uses them at a time.
     """
-    make_ready(pack, problem_handle, tables_handle, Q0.shape[1], memory)
-    motion = _motion(
-        pack, problem_handle, tables_handle, tolerance, True, len(off) > 0, Q0.shape[1], memory
-    )  # fmt: skip
-    ends, strays = _ends_of(motion), _off_of(motion)
+    _, points, dof = courses.shape
+    make_ready(pack, problem_handle, tables_handle, dof, memory)
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, True, len(off) > 0, points, dof, memory)
+    course, strays = _course_of(motion), _off_of(motion)
     for k in range(start, stop):
-        for c in range(motion.counts.dof):
-            ends[0, c], ends[1, c] = Q0[k, c], Q1[k, c]
+        for c in range(dof):
+            for point in range(points):
+                course[point, c] = courses[k, point, c]
             strays[c] = off[k, c] if motion.strays else 0.0
         tallies[k, 0], tallies[k, 1] = 0, 0
         found = _certify(motion, tallies[k])
@@ -796,10 +834,10 @@ def certified(pack, problem_handle, tables_handle, tolerance, ends, tally, memor
     The work done is added to `tally`, shape (2,): configurations placed and searches. A pair that is found not to be
     free is taken earlier the next time: pairs that hit most often come first.
     """
-    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, ends.shape[1], memory)
-    own = _ends_of(motion)
-    for c in range(motion.counts.dof):
-        own[0, c], own[1, c] = ends[0, c], ends[1, c]
+    motion = _motion(pack, problem_handle, tables_handle, tolerance, False, False, 2, ends.shape[1], memory)
+    course = _course_of(motion)
+    for c in range(ends.shape[1]):
+        course[0, c], course[1, c] = ends[0, c], ends[1, c]
     found = _certify(motion, tally)
     if found.pair >= 0:
         order = _order_of(motion)

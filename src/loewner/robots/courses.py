@@ -1,0 +1,28 @@
+"""Courses: ways of configurations as arrays of control points, shape (N, degree + 1, dof); see `motion_path`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from loewner._validate import Floats
+from loewner.robots.robot import Robot
+
+
+def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
+    """The straight motions between configurations a and b, shape (N, dof) each, as `Robot.between` takes them."""
+    return np.stack([a, robot._on_the_way(a, b)], axis=1)
+
+
+def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
+    """One configuration of each course, shape (N, dof), at fractions of shape (N,)."""
+    degree = courses.shape[1] - 1
+    if degree == 1:
+        return robot.between(courses[:, 0], courses[:, 1], fractions)
+    t = fractions[:, None]
+    weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
+    Q = np.einsum("knc,nkc->nc", np.broadcast_to(weights, (degree + 1, *courses[:, 0].shape)), courses)
+    for columns in robot._quaternions.values():
+        Q[:, columns] /= np.linalg.norm(Q[:, columns], axis=1, keepdims=True)
+    return Q
