@@ -39,7 +39,7 @@ HALVINGS = 5
 LEAST_BLEND = 1e-3
 
 # What computed blends may be off by, in units of the largest value and of the way at full speed in all of the time.
-BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 23, certified.md B35
+BLEND_ROUNDINGS = 32.0 * tolerances.UNIT_ROUNDOFF  # derived 14, certified.md B35
 
 # A row counts as on the straight between its neighbours within this share of their values.
 ROUNDED = 1e-15
