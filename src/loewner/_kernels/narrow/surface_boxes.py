@@ -17,8 +17,7 @@ from loewner._kernels.columns import KIND, SOLID, SURFACE, SURFACE_AT
 from loewner._kernels.linalg3 import apply_transposed, product
 from loewner._kernels.narrow.gjk_robust import off_orthonormal
 from loewner._kernels.pieces.shapes import rotation_of
-from loewner._kernels.records import ENTRIES
-from loewner._kernels.simd.memory import floats_at, integers_at, singles_at
+from loewner._kernels.simd.memory import reader, record_kind
 from loewner._kernels.simd.vectors import absolute, load_single, lowest_bit, maximum, movemask
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
@@ -71,23 +70,14 @@ def is_solid(P):
     return P.layout[P.piece, KIND] == SOLID
 
 
+# The tree of a surface from the address of the table of its arrays.
+tree_at = reader(record_kind(Tree, "S1 I1 F1 F1 S1"))
+
+
 @inline
 def surface_of(P):
     """Tree of a surface that is a piece."""
     return tree_at(P.layout[P.piece, SURFACE_AT])
-
-
-@inline
-def tree_at(table):
-    """Tree by the address of the table of its arrays."""
-    t = integers_at(table, (5, ENTRIES))
-    return Tree(
-        singles_at(t[0, 0], (t[0, 1],)),
-        integers_at(t[1, 0], (t[1, 1],)),
-        floats_at(t[2, 0], (t[2, 1],)),
-        floats_at(t[3, 0], (t[3, 1],)),
-        singles_at(t[4, 0], (t[4, 1],)),
-    )
 
 
 @inline

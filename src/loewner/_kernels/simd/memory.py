@@ -9,6 +9,7 @@ would cost Numba some 5 ms a line.
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import count
 from math import prod
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from numba.np.arrayobj import populate_array
 
 from loewner._kernels._jit import inline
 from loewner._kernels.columns import CACHE_LINE
+from loewner._kernels.records import ENTRIES
 
 _INT64 = ir.IntType(64)
 
@@ -62,6 +64,48 @@ singles_at, bytes_at = _arrays_of(types.float32), _arrays_of(types.int8)
 def held(array):
     """Keep an array alive up to here, for what was given its address: Numba frees it after its last use."""
     return array.size
+
+
+# -- records by handle --------------------------------------------------------------------------
+
+_ENTRIES = {"F": types.float64, "I": types.int64, "S": types.float32}
+
+
+def record_kind(record: Any, *parts: Any) -> Any:
+    """Numba's type of a record of arrays.
+
+    Parts are other such types, or words for arrays like in `entries`: a letter, here also S for float32, and the number
+    of axes.
+    """
+    kinds = []
+    for part in parts:
+        words = part.split() if isinstance(part, str) else []
+        kinds += [types.Array(_ENTRIES[word[0]], int(word[1:]), "C") for word in words] or [part]
+    return types.BaseTuple.from_types(kinds, record)
+
+
+def reader(kind: Any) -> Any:
+    """The function for kernels that makes a record of this type from its handle, see `records`."""
+
+    @intrinsic
+    def record_of(typingctx, handle):
+        def generate(context, builder, sig, args):
+            table = builder.inttoptr(args[0], _INT64.as_pointer())
+            rows = (builder.gep(table, [_INT64(ENTRIES * row)]) for row in count())
+            return _record(context, builder, kind, rows)
+
+        return signature(kind, types.int64), generate
+
+    return record_of
+
+
+def _record(context: Any, builder: Any, kind: Any, rows: Iterator[Any]) -> Any:
+    """A record, or an array of it, from the next rows of a table."""
+    if isinstance(kind, types.BaseTuple):
+        return context.make_tuple(builder, kind, [_record(context, builder, part, rows) for part in kind.types])
+    row = next(rows)
+    address, *shape = [builder.load(builder.gep(row, [_INT64(at)])) for at in range(1 + kind.ndim)]
+    return _array(context, builder, kind, address, shape)
 
 
 # -- arenas -------------------------------------------------------------------------------------
