@@ -43,9 +43,9 @@ UPWARD = 1.0 + STRETCH
 SMALLEST_TURN = 1e-15  # rad; more than an angle between two equal quaternions is off by
 
 
-# Control points of a quaternion all reach this far along one direction, as a share of their largest norm: otherwise
-# the orientation may turn arbitrarily fast.
-LEAST_NORM = 0.1
+# Control points of a quaternion all reach this far along the first one, as a share of their largest norm: otherwise the
+# orientation might turn arbitrarily fast. Any two points of such a course reach along each other, so all parts will do.
+LEAST_NORM = 0.75
 
 
 class Rates(NamedTuple):
@@ -169,8 +169,8 @@ def _orientation(course, at, width):
         for c in range(at, at + 4):
             reached += course[k, c] * course[0, c]
         least = min(least, reached / norm_of_quaternion(course, 0, at))
-    if not least >= LEAST_NORM * p.size:
-        return np.inf, np.inf, 0.0
+    if not least > (LEAST_NORM * p.size if width == 1.0 else 0.0):
+        return np.inf, np.inf, np.inf
     least *= 1.0 - STRETCH
     speed = p.first / least
     return 2.0 * speed, 2.0 * (p.second / least + 2.0 * speed * speed), SLERP_ROUNDINGS * p.size / least

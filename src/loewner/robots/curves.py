@@ -1,0 +1,246 @@
+"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and objects that have `courses`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from math import comb
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loewner import _validate
+from loewner._kernels import tolerances
+from loewner._kernels.robots.motion_path import MOST_POINTS
+from loewner._validate import Floats
+from loewner.errors import InputError
+from loewner.queries import Verdict
+from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.motions import CertifiedMotions, Found
+from loewner.robots.proofs import prove
+from loewner.robots.robot import Robot
+
+# What control points that are computed from another form may be off by, in units of the largest numbers in them.
+CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B51
+
+# Two segments of a curve meet if they are no farther apart than this share of the curve's values.
+JUMP = 1e-9
+
+EXPECTED = (
+    "expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or planners.ControllerPoints"
+)
+
+
+class Curve(NamedTuple):
+    """A curve whose segments are courses.
+
+    Attributes
+    ----------
+    names : tuple of str or None
+        The columns, if they are named.
+    times : ndarray, shape (n + 1,)
+        Where segments begin and end [s].
+    courses : ndarray, shape (n, degree + 1, dof)
+    off : ndarray, shape (n, dof)
+        What rounding may do to values.
+    """
+
+    names: tuple[str, ...] | None
+    times: Floats
+    courses: Floats
+    off: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedTrajectory:
+    """Whether a curve is free at every real time.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        FREE: every pair is farther apart than its margin at every time, proven. COLLIDING: at `time` the robot
+        collides. AMBIGUOUS: at `time` a pair comes within its margin and the tolerance, or arithmetic could not settle
+        it; treat it as not free.
+    time : float
+        Seconds; NaN where FREE. The robot may collide earlier as well.
+    names : tuple of str
+        The pair of bodies; empty where FREE.
+    times : ndarray, shape (n + 1,)
+        Where the segments begin and end.
+    segments : CertifiedMotions
+        The same for each of the n segments, with fractions of a segment instead of times.
+    """
+
+    verdict: Verdict
+    time: float
+    names: tuple[str, str]
+    times: Floats
+    segments: CertifiedMotions
+
+    def __repr__(self) -> str:
+        return _validate.brief(self)
+
+
+def certified(
+    ready: CheckedPairs, curves: list[Curve], tolerance: float, joint_error: Floats
+) -> list[CertifiedTrajectory]:
+    """Prove which curves are free, together with all configurations that are off by no more than `joint_error`."""
+    degrees = np.array([curve.courses.shape[1] for curve in curves])
+    found: list[CertifiedTrajectory | None] = [None] * len(curves)
+    for degree in np.unique(degrees):
+        at = np.flatnonzero(degrees == degree).tolist()
+        courses = np.concatenate([curves[k].courses for k in at])
+        proven = prove(ready, courses, tolerance, np.concatenate([curves[k].off for k in at]) + joint_error)
+        proven.expect_short(courses[:, 0], courses[:, -1])
+        first = 0
+        for k in at:
+            last = first + len(curves[k].courses)
+            part = Found(*(array[first:last] for array in proven))
+            found[k] = _of_segments(curves[k].times, part.of_shape((last - first,), ready))
+            first = last
+    return [one for one in found if one is not None]
+
+
+def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
+    """The worst of all segments; the earliest of these."""
+    for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
+        for k in np.flatnonzero(segments.verdict == verdict)[:1]:
+            time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
+            a, b = segments.names[k].tolist()
+            return CertifiedTrajectory(verdict, float(time), (a, b), times, segments)
+    return CertifiedTrajectory(Verdict.FREE, np.nan, ("", ""), times, segments)
+
+
+# -- forms of curves ----------------------------------------------------------------------------
+
+
+def curve_of(robot: Robot, given: Any, name: str) -> Curve:
+    """The courses of a curve that a user gives.
+
+    Raises
+    ------
+    InputError
+        If it is no curve of this robot: of another type, with other columns, numbers that are not finite, times that do
+        not increase, a degree above 7, or a jump.
+    """
+    curve = _from_scipy(given, name) or (given.courses() if hasattr(given, "courses") else None)
+    if not isinstance(curve, Curve):
+        raise InputError(f"{name}: {EXPECTED}, found {type(given).__name__}")
+    curve = _in_order(robot, curve, name)
+    _refuse_faults(robot, curve, name)
+    points = curve.courses
+    if points.shape[1] == 1 or (points.shape[1] == 2 and not robot.runs_straight):
+        # A course of degree 1 turns orientations at a constant rate, which a polynomial does not.
+        points = elevated(points, 3 - points.shape[1])
+    return curve._replace(courses=np.ascontiguousarray(points))
+
+
+def _from_scipy(given: Any, name: str) -> Curve | None:
+    interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
+    if interpolate is None or not isinstance(given, (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)):
+        return None
+    c = np.asarray(given.c)
+    if np.iscomplexobj(c):
+        raise InputError(f"{name}: expected real coefficients, found {c.dtype}")
+    c = c.astype(np.float64)
+    if isinstance(given, interpolate.BSpline):
+        if given.axis != 0:
+            c = np.moveaxis(c, given.axis, 0)
+        return _of_b_spline(np.asarray(given.t, dtype=np.float64), c[:, None] if c.ndim == 1 else c, int(given.k), name)
+    if given.axis != 0:
+        raise InputError(f"{name}: expected time on axis 0, found it on axis {given.axis}")
+    times, c = np.asarray(given.x, dtype=np.float64), c[..., None] if c.ndim == 2 else c
+    if isinstance(given, interpolate.BPoly):
+        points = np.moveaxis(c, 0, 1)
+        return Curve(None, times, points, CURVE_ROUNDINGS * np.abs(points).max(axis=1))
+    return from_powers(times, c[::-1])
+
+
+def from_powers(times: Floats, powers: Floats) -> Curve:
+    """The curve whose segments are sums of `powers`, shape (degree + 1, n, ...), times powers of the time passed."""
+    degree = len(powers) - 1
+    terms = powers * np.diff(times).reshape(-1, *[1] * (powers.ndim - 2)) ** np.arange(degree + 1).reshape(
+        -1, *[1] * (powers.ndim - 1)
+    )
+    points = [sum(comb(i, j) / comb(degree, j) * terms[j] for j in range(i + 1)) for i in range(degree + 1)]
+    return Curve(None, times, np.stack(points, axis=1), CURVE_ROUNDINGS * np.abs(terms).sum(axis=0))
+
+
+def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
+    """Control points of each span, by de Boor's scheme with the span's ends as arguments."""
+    if not (np.diff(knots) >= 0).all():
+        raise InputError(f"{name}: expected knots that increase, found others")
+    spans = degree + np.flatnonzero(np.diff(knots[degree : len(knots) - degree]) > 0)
+    low, high = knots[spans], knots[spans + 1]
+    points = []
+    for k in range(degree + 1):
+        D = [c[spans - degree + i] for i in range(degree + 1)]
+        for level in range(1, degree + 1):
+            u = high if level <= k else low
+            for i in range(degree, level - 1, -1):
+                left, right = knots[spans - degree + i], knots[spans + 1 + i - level]
+                share = ((u - left) / (right - left)).reshape(-1, *[1] * (c.ndim - 1))
+                D[i] = (1 - share) * D[i - 1] + share * D[i]
+        points.append(D[degree])
+    around = np.abs(np.stack([c[spans - degree + i] for i in range(degree + 1)])).max(axis=0)
+    return Curve(None, np.append(low, high[-1:]), np.stack(points, axis=1), CURVE_ROUNDINGS * around)
+
+
+def elevated(points: Floats, by: int) -> Floats:
+    """The same courses, as polynomials of a degree that is higher by some."""
+    for _ in range(by):
+        degree = points.shape[1] - 1
+        share = (np.arange(1, degree + 1) / (degree + 1))[:, None]
+        inner = share * points[:, :-1] + (1 - share) * points[:, 1:]
+        points = np.concatenate([points[:, :1], inner, points[:, -1:]], axis=1)
+    return points
+
+
+def _in_order(robot: Robot, curve: Curve, name: str) -> Curve:
+    """The curve with the robot's columns: names decide, where there are any."""
+    wanted = robot.configuration_names
+    if curve.names is None or curve.names == wanted:
+        return curve
+    if sorted(curve.names) != sorted(wanted):
+        odd = sorted(set(curve.names) ^ set(wanted))
+        raise InputError(f"{name}: expected the joints {', '.join(wanted)}, found a difference in {', '.join(odd)}")
+    order = [curve.names.index(joint) for joint in wanted]
+    return Curve(wanted, curve.times, curve.courses[..., order], curve.off[..., order])
+
+
+def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
+    times, courses = curve.times, curve.courses
+    if courses.ndim != 3 or courses.shape[2] != robot.dof:
+        found = courses.shape[2] if courses.ndim == 3 else f"values of shape {courses.shape[2:]}"
+        raise InputError(f"{name}: expected {robot.dof} values at each time, found {found}")
+    if len(courses) == 0 or times.shape != (len(courses) + 1,):
+        raise InputError(f"{name}: expected one segment or more, found {len(courses)}")
+    if not (np.isfinite(times).all() and np.isfinite(courses).all()):
+        raise InputError(f"{name}: expected finite numbers, found others")
+    if not (np.diff(times) > 0).all():
+        k = int(np.argmin(np.diff(times) > 0))
+        raise InputError(f"{name}: expected times that increase, found {times[k]:g} and then {times[k + 1]:g}")
+    if courses.shape[1] > MOST_POINTS:
+        raise InputError(
+            f"{name}: expected polynomials of degree {MOST_POINTS - 1} at most, found degree {courses.shape[1] - 1}"
+        )
+    jumps = np.abs(courses[1:, 0] - courses[:-1, -1])
+    bad = jumps > JUMP * np.maximum(np.abs(courses).max(axis=(0, 1)), 1e-3)
+    if bad.any():
+        k, joint = (int(n) for n in np.argwhere(bad)[0])
+        raise InputError(
+            f"{name}: expected a curve without jumps, found one of {jumps[k, joint]:g} in "
+            f"{robot.configuration_names[joint]} at the time {times[k + 1]:g}"
+        )
+
+
+def joint_errors(robot: Robot, given: ArrayLike) -> Floats:
+    """How far each value may be off, shape (dof,), from one number or one for each."""
+    array = _validate.finite_array(given, "joint_error", ("...",))
+    if array.shape not in ((), (robot.dof,)) or (array < 0).any():
+        raise InputError(
+            f"joint_error: expected one number >= 0 or {robot.dof} of them, found "
+            f"{array if array.size == 1 else _validate.shape_text(array.shape)}"
+        )
+    return np.broadcast_to(array, robot.dof).copy()
