@@ -478,7 +478,7 @@ def test_a_tolerance_below_rounding(machine):
 def test_memory_suffices():
     """Cuts in eight end where no double is left between two; each leaves at most three intervals behind."""
     cuts = math.ceil((53 - math.log2(sweeps.INTERVALS)) / math.log2(motions.PARTS))
-    assert cuts + 1 < motions.DEPTH - 1
+    assert cuts + 1 < motions.DEPTH
     assert 1 + math.log2(motions.PARTS) * (motions.DEPTH - 1) < motions.STACK
     assert 2 * motions.LANES < motions.WAITING
 

@@ -68,7 +68,7 @@ class Crowd(NamedTuple):
             operands += [single, layout, vertices, np.ascontiguousarray(rows[which]), poses, T is not None]
         N = np.ascontiguousarray(directions[which])
         found, free = np.full(len(N), -1, dtype=np.int8), np.zeros(len(N), dtype=bool)
-        memory = Memory(gjk_batch.SIZE)
+        memory = Memory(gjk_batch.WORKSPACE.size())
         _ask(*operands, N, width, found, free, memory.address)
         return found, free
 

@@ -13,18 +13,16 @@ from loewner._kernels.codes import (
     TOUCHING,
     UNSETTLED,
 )
-from loewner._kernels.columns import CACHE_LINE
 from loewner._kernels.linalg3 import dot
-from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, decide, measure
+from loewner._kernels.narrow.gjk_fast import MEMORY, begin, decide, measure, result_of, vertices_of
 from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface
 from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surfaces import surface_pair
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
-from loewner._kernels.simd.memory import floats_at
 
-SIZE = max(8 * ENTRIES + 2 * CACHE_LINE, SURFACE_SIZE)  # bytes of memory that `exact_piece_pair` writes to
+SIZE = max(MEMORY.size(), SURFACE_SIZE)  # bytes of memory that `exact_piece_pair` writes to
 
 
 @inline
@@ -56,19 +54,19 @@ def exact_piece_pair(A, B, margin, n, memory):
     error = rounding_error(A, B, shift)
     radii = radius(A) + radius(B)
     status, points = UNSETTLED, 1
-    W = floats_at(memory, (ENTRIES,))
+    W = vertices_of(memory)
     ends = begin(A, B, shift, W)
     if margin == 0.0 and radii == 0.0:
         status, n, points = decide(A, B, shift, W, ends, n, error)
     if status == UNSETTLED:
-        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory + 8 * ENTRIES)
+        return _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory)
     return FREE if status == APART else COLLIDING, BY_PLANE if points == 0 else BY_SEARCH
 
 
 @njit()
-def _by_distance(A, B, shift, W, ends, n, error, margin, radii, result_at):
+def _by_distance(A, B, shift, W, ends, n, error, margin, radii, memory):
     """Settle a pair with radii or a margin, or one that `decide` left; apart from the rest, which is to be short."""
-    result = floats_at(result_at, (9,))
+    result = result_of(memory)
     status, _, _ = measure(A, B, shift, W, ends, n, error, margin + radii, margin + swollen_radii(A, B), result)
     if status == APART:
         return FREE, BY_SEARCH

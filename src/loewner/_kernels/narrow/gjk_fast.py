@@ -18,6 +18,7 @@ from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, sc
 from loewner._kernels.narrow.gjk_robust import DISTANCE_TOLERANCE, ERROR_SHARE
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
 from loewner._kernels.pieces.shapes import placed_support
+from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
 
@@ -42,8 +43,11 @@ VOLUME_ERROR = 64.0  # derived 9, certified.md B16
 PLACED = 2 * LARGE
 _PATH = 3 * PLACED
 
-
 ENTRIES = _PATH + 6 * MEASURE_ROUNDS
+
+# Memory of a search: vertices and simplex, and the result of `measure`.
+MEMORY = Arena(vertices=floats(ENTRIES), result=floats(9))
+vertices_of, result_of = MEMORY.accessors("vertices result")
 
 
 @inline

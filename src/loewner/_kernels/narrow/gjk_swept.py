@@ -3,14 +3,10 @@
 from loewner._kernels._jit import inline
 from loewner._kernels.codes import APART
 from loewner._kernels.linalg3 import dot, minus, negated, plus
-from loewner._kernels.narrow.gjk_fast import ENTRIES, measuring
+from loewner._kernels.narrow.gjk_fast import measuring, result_of, vertices_of
 from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import placed_support, radius
-from loewner._kernels.simd.memory import Arena, floats
-
-MEMORY = Arena(vertices=floats(ENTRIES), result=floats(9))  # that `separated` writes to
-_vertices_of, _result_of = MEMORY.accessors("vertices result")
 
 
 @inline
@@ -43,7 +39,7 @@ def separated(A, first, last, n, keep, stretch, memory):
     stretch : float
         What poses between the two may stretch radii by, beyond what these poses do.
     memory : int
-        Address of `MEMORY`.
+        Address of `gjk_fast.MEMORY`.
 
     Returns
     -------
@@ -57,6 +53,6 @@ def separated(A, first, last, n, keep, stretch, memory):
     far = keep
     if radii > 0.0:
         far += max(swollen_radii(A, first), swollen_radii(A, last)) + radii * stretch
-    W, result = _vertices_of(memory), _result_of(memory)
+    W, result = vertices_of(memory), result_of(memory)
     status, _, _, n = _search(A, (first, last), shift, W, 0, n, error, keep + radii, far, result)
     return status == APART, n

@@ -25,7 +25,7 @@ from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INT
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
-from loewner._kernels.narrow import exact, gjk_swept
+from loewner._kernels.narrow import exact, gjk_fast
 from loewner._kernels.narrow.exact import exact_piece_pair
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, run
 from loewner._kernels.narrow.gjk_swept import separated
@@ -146,7 +146,7 @@ MEMORY = Arena(
     alone=floats(2, 4, 4),  # poses of two bodies where a collision is confirmed
     stack=integers(STACK, 3),  # intervals to be halved: depth, first and last time
     stack_normals=floats(STACK, 3),
-    gjk=gjk_swept.MEMORY,
+    gjk=gjk_fast.MEMORY,
     exact=raw(exact.SIZE),
     vectors=floats(3, 4),  # for the careful search, like the next
     simplex=floats(4, 9),

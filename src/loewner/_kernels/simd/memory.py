@@ -3,8 +3,8 @@
 A call from Python costs 150 ns for every array that it passes and 20 ns for a number; and an array that a kernel makes
 itself costs an allocation. So Python owns the memory, passes its address, and keeps it alive.
 
-An `Arena` divides such memory into named fields. Its accessors are written in LLVM's code: as Python functions they
-would cost Numba some 5 ms a line.
+An `Arena` divides such memory into named fields. Its accessors write LLVM's code themselves, which costs next to no
+time; functions in Python would cost Numba 5 ms a line.
 """
 
 from collections.abc import Callable, Iterator
@@ -57,12 +57,11 @@ def _arrays_of(entry: Any) -> Any:
 
 
 integers_at, floats_at = _arrays_of(types.int64), _arrays_of(types.float64)
-singles_at, bytes_at = _arrays_of(types.float32), _arrays_of(types.int8)
 
 
 @inline
 def held(array):
-    """Keep an array alive up to here, for what was given its address: Numba frees it after its last use."""
+    """Keep an array alive up to here, for a callee that received its address: Numba frees it after its last use."""
     return array.size
 
 
@@ -74,8 +73,8 @@ _ENTRIES = {"F": types.float64, "I": types.int64, "S": types.float32}
 def record_kind(record: Any, *parts: Any) -> Any:
     """Numba's type of a record of arrays.
 
-    Parts are other such types, or words for arrays like in `entries`: a letter, here also S for float32, and the number
-    of axes.
+    Parts are such types of inner records, or words for arrays as in `entries`: a letter, here also S for float32, and
+    the number of axes.
     """
     kinds = []
     for part in parts:
@@ -101,38 +100,38 @@ def reader(kind: Any) -> Any:
 
 def _record(context: Any, builder: Any, kind: Any, rows: Iterator[Any]) -> Any:
     """A record, or an array of it, from the next rows of a table."""
-    if isinstance(kind, types.BaseTuple):
-        return context.make_tuple(builder, kind, [_record(context, builder, part, rows) for part in kind.types])
-    row = next(rows)
-    address, *shape = [builder.load(builder.gep(row, [_INT64(at)])) for at in range(1 + kind.ndim)]
-    return _array(context, builder, kind, address, shape)
+    if isinstance(kind, types.Array):
+        row = next(rows)
+        address, *shape = [builder.load(builder.gep(row, [_INT64(at)])) for at in range(1 + kind.ndim)]
+        return _array(context, builder, kind, address, shape)
+    return context.make_tuple(builder, kind, [_record(context, builder, part, rows) for part in kind.types])
 
 
 # -- arenas -------------------------------------------------------------------------------------
 
 
-class Size:
+class _Size:
     """A size that depends on a record of counts: one of its fields, or a sum or product of sizes."""
 
     def __init__(self, of: Callable[[Any], Any]) -> None:
         self.of = of
 
-    def __add__(self, other: Any) -> "Size":
-        return Size(lambda counts: self.of(counts) + _size_of(other, counts))
+    def __add__(self, other: Any) -> "_Size":
+        return _Size(lambda counts: self.of(counts) + _size_of(other, counts))
 
-    def __mul__(self, other: Any) -> "Size":
-        return Size(lambda counts: self.of(counts) * _size_of(other, counts))
+    def __mul__(self, other: Any) -> "_Size":
+        return _Size(lambda counts: self.of(counts) * _size_of(other, counts))
 
     __radd__, __rmul__ = __add__, __mul__
 
 
 def _size_of(size: Any, counts: Any) -> Any:
-    return size.of(counts) if isinstance(size, Size) else size
+    return size.of(counts) if isinstance(size, _Size) else size
 
 
 def sizes_of(record: Any) -> Any:
     """The fields of a record of counts, as sizes for the fields of an `Arena`."""
-    return record(*[Size(attrgetter(name)) for name in record._fields])
+    return record(*[_Size(attrgetter(name)) for name in record._fields])
 
 
 class _Number:
@@ -183,9 +182,9 @@ class Arena:
     Parameters
     ----------
     record : named tuple class, optional
-        What a kernel gets for the arena as a whole, made of its fields; its address otherwise.
+        The type of the whole arena in kernels, with its fields; without it, kernels get the address.
     fields : by name, in the order of memory
-        `floats(2, DOF)` and the like are arrays of that shape; `raw(size)` is that many bytes.
+        Arrays by their shape, such as `floats(2, DOF)`, arenas, or a number of bytes, `raw(size)`.
     """
 
     def __init__(self, record: Any = None, **fields: Any) -> None:
@@ -198,7 +197,7 @@ class Arena:
         """Yield the fields and their offsets, then None and where the last one ends."""
         end = 0
         for name, field in self._fields.items():
-            start = whole_lines(end)
+            start = _whole_lines(end)
             yield name, start
             end = start + field.size(counts)
         yield None, end
@@ -211,7 +210,7 @@ class Arena:
         return self._start(None, counts)
 
     def read(self, context: Any, builder: Any, address: Any, counts: Any) -> Any:
-        """Code for what a kernel gets."""
+        """Write the code that makes the record, or the address."""
         if not self._record:
             return address.value
         starts = dict(self._starts(counts))
@@ -229,7 +228,7 @@ class Arena:
         return [_accessor(self._fields[name], partial(self._start, name)) for name in names.split()]
 
     def addresses(self, names: str) -> Any:
-        """The same functions for the addresses of fields."""
+        """Such functions that return the addresses of fields."""
         return [_accessor(Arena(), partial(self._start, name)) for name in names.split()]
 
     def whole(self) -> Any:
@@ -250,7 +249,7 @@ class Arena:
 
 
 def raw(size: Any) -> Any:
-    """Bytes, of which a kernel gets the address."""
+    """Bytes that kernels receive as an address."""
     return Arena(bytes=small_integers(size))
 
 
@@ -282,9 +281,6 @@ def _numbers(builder: Any, kind: Any, record: Any) -> Any:
     return kind.instance_class(*[_Number(builder, builder.extract_value(record, at)) for at in range(len(kind))])
 
 
-def whole_lines(size: Any) -> Any:
-    """Bytes of whole cache lines that hold `size` bytes; for Python, and as `lines` for kernels."""
+def _whole_lines(size: Any) -> Any:
+    """Bytes of whole cache lines that hold `size` bytes."""
     return (size + (CACHE_LINE - 1)) & -CACHE_LINE
-
-
-lines = inline(whole_lines)
