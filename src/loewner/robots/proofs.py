@@ -21,9 +21,9 @@ def prove(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floa
     a, b : ndarray, shape (N, dof)
         In C order, writeable.
     tolerance : float
-        Metres.
+        In metres.
     off : ndarray, shape (N, dof), optional
-        How far joint values may be from the motion at the same fraction: FREE holds for all such configurations.
+        How far joint values may deviate from the motion at the same fraction: FREE holds for all such configurations.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def prove(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Floa
 
 
 def prove_by_rules(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
-    """Prove the same, where pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends of a motion."""
+    """Prove motions for which pairs of `Scene.leave` and `Scene.reach` may be in contact at the ends."""
     found = prove(ready, a, b, tolerance)
     at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
     if len(at) == 0:
