@@ -1,10 +1,10 @@
 """Work in shares on several threads, for code that runs outside the interpreter lock: kernels and Qhull.
 
-Threads of our own rather than Numba's: compiling a parallel loop takes several times as long as the loop itself, and
-Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The number of them
-is a setting of our own too, for each thread that calls.
+This module has its own threads instead of Numba's: compiling a parallel loop takes several times as long as the loop
+itself, and Numba's default threading layer aborts the process when two of a caller's threads enter it at once. The
+number of threads is also a separate setting, for each calling thread.
 
-Only the main thread is interrupted, and at any line. So nothing that others rely on is counted there.
+Only the main thread is interrupted, and at any line. So nothing on which other threads depend is counted there.
 """
 
 import os
@@ -45,24 +45,24 @@ _setting = _Setting()
 
 @guarded
 def set_num_threads(n: int) -> None:
-    """Set how many threads the calls of this thread may use; what other threads have set stays as it is.
+    """Set how many threads the calls of this thread may use; the settings of other threads do not change.
 
-    A batch is divided among at most so many threads, the calling one included; small batches stay on that one. Answers
-    do not depend on the number.
+    A batch is divided among at most this number of threads, including the calling one; small batches stay on that one.
+    Answers do not depend on the number.
 
     Parameters
     ----------
     n : int
-        From 1 to 1024. It may be more than there are processors.
+        From 1 to 1024. It may exceed the number of processors.
 
     Raises
     ------
     InputError
-        If `n` is no such integer.
+        If `n` is not such an integer.
 
     See Also
     --------
-    get_num_threads : The number in use, and where it comes from if none is set.
+    get_num_threads : The number in use, and its source if none is set.
 
     Examples
     --------
@@ -80,9 +80,9 @@ def set_num_threads(n: int) -> None:
 def get_num_threads() -> int:
     """How many threads a call of this thread may use.
 
-    It is what `set_num_threads` was given on this thread; otherwise the environment variable ``LOEWNER_NUM_THREADS``;
-    otherwise ``NUMBA_NUM_THREADS`` if that is a number of threads; otherwise the number of processors that this process
-    may use. The environment is read once, at the first call that needs the number.
+    The number is the one set by `set_num_threads` on this thread; otherwise the environment variable
+    ``LOEWNER_NUM_THREADS``; otherwise ``NUMBA_NUM_THREADS`` if that is a valid number; otherwise the number of
+    processors that this process may use. The environment is read once, at the first call that needs the number.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def get_num_threads() -> int:
     Raises
     ------
     InputError
-        If ``LOEWNER_NUM_THREADS`` is needed, and is no integer from 1 to 1024.
+        If ``LOEWNER_NUM_THREADS`` is needed, and is not an integer from 1 to 1024.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def get_num_threads() -> int:
 
 @contextmanager
 def at_most(n: int) -> Iterator[None]:
-    """Let the calls of this thread use no more than so many threads, until the block ends."""
+    """Limit the number of threads that calls of this thread may use, until the block ends."""
     before = _setting.count
     _setting.count = min(n, get_num_threads())
     try:
@@ -142,7 +142,7 @@ def _processors() -> int:
 
 
 def share(total: int, least: int) -> int:
-    """Most items a thread takes at a time, `least` or more: a few shares each, so that the last is not waited for."""
+    """Most items per share, `least` or more: each thread takes a few shares, so the last one is short."""
     threads = get_num_threads()
     return ALONE * least if threads == 1 else max(least, -(-total // (4 * threads)))
 
@@ -156,11 +156,11 @@ def in_shares(
     most: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[T]:
-    """What run(first, last) returns over shares of 0..total, in order; up to `least` items are one, on this thread.
+    """Results of run(first, last) over shares of 0..total, in order; up to `least` items run on this thread.
 
-    This thread takes shares like the others: to wait for one to wake up costs as much as 1,000 pairs. Shares begin with
-    `least` items and grow to `most` (see `share`), or shrink, until they take as long as they should; what is done is
-    told to progress(done, total). When this returns or raises, nobody is still running.
+    This thread takes shares like the others: waiting for a thread to wake up costs as much as 1,000 pairs. Shares begin
+    with `least` items and grow to `most` (see `share`), or shrink, until their duration is right; progress(done, total)
+    receives the count. When this returns or raises, no thread is still running.
     """
     if total <= least:
         results = [run(0, total)]

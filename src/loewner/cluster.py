@@ -1,9 +1,9 @@
-"""Work on several processes or machines, by Dask: corpora of meshes to bodies, and checkers on large arrays.
+"""Work on several processes or machines, with Dask: fits of mesh corpora, and checkers on large arrays.
 
-Dask is imported when a function here is called, and not before: ``pip install "loewner[cluster]"``.
+Dask is imported only when a function here is called: ``pip install "loewner[cluster]"``.
 
-A task uses one thread. Dask starts as many tasks at a time as a worker has threads, and counts on that; a call that
-took all processors, as it does elsewhere, would have them fight each other.
+A task uses one thread. Dask starts as many tasks at a time as a worker has threads; calls that each used all
+processors, as they do elsewhere, would compete with one another.
 """
 
 from __future__ import annotations
@@ -59,18 +59,18 @@ HOW_TO_START = "start one by `dask scheduler`, and its workers by `dask worker A
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What became of each mesh of a corpus, in the order in which they were given.
+    """The outcome for each mesh of a corpus, in the order in which they were given.
 
     Attributes
     ----------
     done : dict of Path to Path
-        From meshes to the files of their bodies: those that this call made.
+        Meshes and the files of their bodies that this call made.
     skipped : dict of Path to Path
-        Likewise, those that were there already, of the same mesh and with the same options.
+        Likewise, files that already existed, of the same mesh and with the same options.
     failed : dict of Path to str
-        What is wrong with each of the others.
+        The reason of failure for each of the others.
     warned : dict of Path to tuple of str
-        What `Body.from_mesh` warns of, for meshes done or skipped: holes, for instance, or an unusual size.
+        Warnings of `Body.from_mesh` for meshes that were fitted or skipped: holes, for instance, or an unusual size.
 
     Examples
     --------
@@ -105,62 +105,60 @@ def fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Fitted:
-    """Make bodies of many mesh files on the workers of a cluster, as `Body.from_mesh` does, and save them.
+    """Fit many mesh files on the workers of a cluster, as `Body.from_mesh` does, and save the bodies.
 
     Parameters
     ----------
     paths : iterable of path
-        Mesh files. The workers read them, and write the bodies, under the same names: on several machines the folders
-        have to be shared. A path that is given twice counts once.
+        Mesh files. The workers read them, and write the bodies, under the same names, so several machines need shared
+        folders. A path that is given twice counts once.
     client : distributed.Client or str
-        Of the cluster, or the address of its scheduler.
+        Client of the cluster, or the address of its scheduler.
     out : path
-        Folder for the bodies; it is made if there is none. The body of ``part.stl`` is ``part.npz``. Beside it,
-        ``part.fit.json`` says what it was made of.
+        Folder for the bodies; it is created if it does not exist. The body of ``part.stl`` is ``part.npz``. Beside it,
+        ``part.fit.json`` records its mesh and options.
     root : path, optional
-        A folder that all meshes are in: below `out`, bodies are then in the same folders as their meshes below `root`.
-        Default: all bodies are in `out` itself.
+        A folder that contains all meshes: below `out`, bodies are then in the same folders as their meshes below
+        `root`. Default: all bodies are in `out` itself.
     decompose, tol, scale, cover, tolerance, threshold, max_pieces, seed
-        As of `Body.from_mesh`: a `tolerance` is in metres.
+        As for `Body.from_mesh`: a `tolerance` is in metres.
     progress : callable, optional
         Called as ``progress(done, total)`` after each file.
 
     Returns
     -------
     Fitted
-        Files that could not be fitted are listed in it; they are no error of the call.
+        It lists files that could not be fitted, which raise no error.
 
     Raises
     ------
     InputError
-        If an option is none of what it should be; if two meshes would have the same body file, or one is not in
-        `root`; or if `client` is no client of Dask, is closed, or is an address where no scheduler answers.
+        If an option has a wrong type or value; if two meshes would have the same body file, or one is not in `root`; or
+        if `client` is not a Dask client, is closed, or is an address where no scheduler answers.
     FileError
-        If the folder cannot be made.
+        If the folder cannot be created.
     MissingExtraError
         If Dask is not installed.
     LoewnerError
-        If the scheduler goes away, or the work is cancelled again and again. What was done by then need not be done
-        again.
+        If the scheduler goes away, or the work is cancelled again and again. A later call skips finished files.
 
     See Also
     --------
-    loewner.Body.from_mesh : The same for one mesh.
+    loewner.Body.from_mesh : Fits one mesh.
 
     Notes
     -----
-    Each body is that of the serial call. It is written to a temporary name, then renamed.
+    Each body equals the body of the serial call. It is written under a temporary name and then renamed.
 
-    A mesh is skipped if its body and record are in place, the body is as it was written, and the record has the
-    checksum of the mesh file, the same options and the same version of loewner. So a call that was interrupted, or
-    whose workers died, goes on where it stopped when it is made again. A glTF file that names other files is always
-    fitted anew.
+    A mesh is skipped if its body and record exist, the body is unchanged since it was written, and the record has the
+    checksum of the mesh file, the same options and the same version of loewner. So if a call was interrupted, or its
+    workers died, repeating it continues where it stopped. A glTF file that names other files is always fitted again.
 
-    If a worker dies, Dask gives its files to others, and those whose outcome was lost with it. What is cancelled while
-    the scheduler lives, when its connection breaks or somebody restarts it for instance, is requested again, four times
-    in all. A file at which four workers died counts as failed: it may take more memory than they have. While there is
-    no worker at all, the call waits for one. After an interrupt nobody begins another file; those that workers are at
-    are finished.
+    If a worker dies, Dask gives its files to other workers, including files whose outcome was lost with it. Tasks that
+    are cancelled while the scheduler runs, because its connection breaks or it is restarted for instance, are requested
+    again, four times in all. A file at which four workers died counts as failed: it may take more memory than they
+    have. While there is no worker at all, the call waits for one. After an interrupt no worker starts another file;
+    files in progress are finished.
 
     Examples
     --------
@@ -472,27 +470,27 @@ def collide(checker: CollisionChecker, Q: Any) -> Any:
     Parameters
     ----------
     checker : CollisionChecker
-        Robot and scene as they are now: later changes do not matter.
+        Robot and scene in their current state; later changes have no effect.
     Q : dask.array.Array, shape (..., dof)
-        In chunks of any shape; chunks of some ten thousand configurations suit.
+        In chunks of any shape; about ten thousand configurations per chunk are suitable.
 
     Returns
     -------
     dask.array.Array of bool, shape (...)
-        Not computed yet. Its chunks are those of `Q`, one task each.
+        The array is lazy. It has the chunks of `Q`, one task each.
 
     Raises
     ------
     InputError
-        If `checker` is none, `Q` is no array of Dask, has another width than dof, or holds no real numbers. Whoever
-        computes the result gets the errors of `CollisionChecker.collide`.
+        If `checker` is not a checker, or `Q` is not a Dask array, does not have width dof, or does not hold real
+        numbers. Computing the result raises the errors of `CollisionChecker.collide`.
     MissingExtraError
         If Dask is not installed.
 
     Notes
     -----
-    The checker is one more task: it is sent to each worker once in a computation, and prepared there once. Each task
-    uses one thread, on whichever of Dask's schedulers it runs.
+    The checker is a task of its own: it is sent to each worker once per computation, and prepared there once. Each task
+    uses one thread, on any of Dask's schedulers.
 
     Examples
     --------
@@ -519,7 +517,7 @@ def distance(checker: CollisionChecker, Q: Any) -> Any:
     Returns
     -------
     dask.array.Array of float64, shape (...)
-        In metres; negative is a depth. Not computed yet.
+        In metres; a negative value is a depth. The array is lazy.
 
     Raises
     ------
@@ -544,20 +542,20 @@ def distance(checker: CollisionChecker, Q: Any) -> Any:
 
 
 def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: float = 1e-5) -> Any:
-    """Prove motions free, the edges of a roadmap for instance, as `CollisionChecker.certify_edges` does.
+    """Prove motions free, such as the edges of a roadmap, as `CollisionChecker.certify_edges` does.
 
     Parameters
     ----------
     checker : CollisionChecker
     Q0, Q1 : dask.array.Array, shape (..., dof)
-        Ends of the motions, of one shape; `Q1` is cut into the chunks of `Q0`.
+        Ends of the motions, of equal shapes; `Q1` is cut into the chunks of `Q0`.
     tolerance : float
-        Metres; see `CollisionChecker.certify_edges`.
+        In metres; see `CollisionChecker.certify_edges`.
 
     Returns
     -------
     dask.array.Array of int8, shape (...)
-        A `Verdict` each, not computed yet: FREE is proven.
+        A `Verdict` for each motion, lazily computed: FREE is proven.
 
     Raises
     ------
@@ -566,8 +564,9 @@ def certify_edges(checker: CollisionChecker, Q0: Any, Q1: Any, *, tolerance: flo
 
     Notes
     -----
-    As for `collide`. A motion takes tens of times as long as a configuration: chunks of a thousand suit. Values run
-    straight: a roadmap takes joints that turn without limits the shorter way around, so add whole turns to `Q1` there.
+    As for `collide`. A motion takes tens of times as long as a configuration: about a thousand motions per chunk are
+    suitable. Values change linearly: a roadmap moves joints that turn without limits the shorter way around, so add
+    whole turns to `Q1` there.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Compile ahead of first use, on all cores, what queries otherwise compile when they are first called."""
+"""Compile ahead of first use, on all cores, the kernels that queries otherwise compile at their first call."""
 
 from __future__ import annotations
 
@@ -120,15 +120,15 @@ POLL = 0.1  # seconds between looks at the processes
 
 
 def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Compile kernels for this machine now, in as many processes as are of use.
+    """Compile kernels for this machine now, in as many processes as are useful.
 
-    What has been compiled before is only looked up, which takes some seconds. Where the native library is in use there
-    is nothing to compile.
+    Kernels that have been compiled before are only looked up, which takes some seconds. Where the native library is in
+    use there is nothing to compile.
 
     Parameters
     ----------
     parts : iterable of str
-        Of "verdicts", "crowds", "robots", "fits", "distances", "estimates" and "paper"; all by default.
+        Any of "verdicts", "crowds", "robots", "fits", "distances", "estimates" and "paper"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
@@ -144,7 +144,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     MissingExtraError
         If there is neither a library nor Numba.
     FileError
-        If a part cannot be compiled, or the folder not be written; with what the process said.
+        If a part cannot be compiled, or the folder cannot be written; the message includes the output of the process.
     """
     wanted = [_validate.choice(name, "parts", PARTS) for name in _validate.listed(parts, "parts")]
     chosen = [[name for name in group if name in wanted] for group in _TOGETHER]

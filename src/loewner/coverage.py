@@ -1,7 +1,7 @@
-"""What convex pieces leave uncovered of a mesh's surface: measured with a proven bound, and covered on request.
+"""Parts of a mesh's surface that convex pieces leave uncovered: measured with a proven bound, covered on request.
 
-A decomposition cuts corners, and those corners would be free. So its pieces are grown until they hold the whole
-surface.
+A decomposition cuts corners, and the missing corners would be free. Its pieces are therefore grown until they contain
+the whole surface.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ COVER_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Covering:
-    """What the convex pieces of a mesh do to the word "certified".
+    """How far the verdicts of a mesh's convex pieces apply to the mesh itself.
 
     Attributes
     ----------
@@ -35,24 +35,24 @@ class Covering:
         ``"convex"``: the mesh is a union of closed convex parts and the pieces are their hulls.
         ``"hull"``: one piece, the convex hull. ``"decomposition"``: pieces that approximate the mesh.
     exact : bool
-        Whether the union of the pieces holds the whole surface of the mesh, up to
-        `max_uncovered`, which is then rounding. FREE is then a statement about the mesh too.
+        Whether the union of the pieces contains the whole surface of the mesh, up to `max_uncovered`, which is then
+        rounding. FREE then also applies to the mesh.
     max_uncovered : float
-        Proven upper bound on the distance from any point of the mesh's surface to the union of the
-        pieces, in metres. With ``margin`` at least the sum of both bodies' bounds, FREE is a
-        statement about both surfaces, whatever `exact` says.
+        Proven upper bound on the distance from any point of the mesh's surface to the union of the pieces, in metres.
+        With ``margin`` at least the sum of both bodies' bounds, FREE applies to both surfaces, even if `exact` is
+        false.
     excess_volume : float
-        Sum of the pieces' volumes over the mesh's volume, less 1: how much the pieces stick out
-        (overlaps counted twice, of the mesh's closed parts too). NaN if the mesh is not closed, for it then has no
+        Sum of the pieces' volumes divided by the mesh's volume, minus 1: how much the pieces stick out (overlaps count
+        twice, including overlaps of the mesh's closed parts). NaN if the mesh is not closed, since it then has no
         volume.
     samples : int
-        Points of the surface that were tested, all mesh vertices included.
+        Number of points of the surface that were tested, including all mesh vertices.
     max_protrusion : float
-        Proven upper bound on the distance from any point of the pieces to the mesh, in metres: to the solid that a
-        closed mesh bounds (all points with a winding number other than 0), up to rounding, and to the surface itself
-        of one that is not closed. It is within 1 % of the true value, or 1e-4 of the diagonal of the mesh's box,
-        unless the mesh is so large that the search for it was ended. NaN if it was not measured: in files of bodies
-        that were written before it was.
+        Proven upper bound, up to rounding, on the distance from any point of the pieces to the mesh, in metres: to the
+        solid that a closed mesh bounds (all points with a winding number other than 0), or to the surface itself of a
+        mesh that is not closed. It is within 1 % of the true value, or 1e-4 of the diagonal of the mesh's box, unless
+        the mesh is so large that the search was stopped. NaN in files of bodies that were written before this value
+        existed.
 
     Examples
     --------
@@ -71,7 +71,7 @@ class Covering:
 
 
 def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool) -> tuple[list[Polytope], Covering]:
-    """Measure what convex pieces leave uncovered of a surface, after growing them on request.
+    """Measure the uncovered part of a surface, after growing the convex pieces on request.
 
     Parameters
     ----------
@@ -81,13 +81,13 @@ def covered(triangles: Floats, hulls: list[Polytope], size: float, *, grow: bool
     size : float
         Diagonal of the mesh's box.
     grow : bool
-        Add to each piece what sticks out of it and lies in no other.
+        Add to each piece the parts that stick out of it and lie in no other piece.
 
     Returns
     -------
     hulls : list of Polytope
     covering : Covering
-        Without the excess volume and how far the pieces stick out.
+        Without the excess volume and `max_protrusion`.
     """
     cells, owner, samples = _outside(triangles, hulls, GROWTH * size, CELL_SIZE * size)
     if grow and len(cells):

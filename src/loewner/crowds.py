@@ -1,4 +1,4 @@
-"""Which of many bodies meet, and how deep: a broad phase over their boxes, then verdicts for the pairs it leaves."""
+"""Which of many bodies meet, and how deep: a broad phase over their boxes, then verdicts for the remaining pairs."""
 
 from __future__ import annotations
 
@@ -39,21 +39,22 @@ MODES = {"exact": codes.EXACT, "certified": codes.CERTIFY}
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
-    """Pairs of a crowd that meet and how deep they are in each other, one entry each.
+    """Pairs of a crowd that meet and their depths, one entry per pair.
 
-    Distances, witnesses and normals are those of `distance` with ``exact=True``.
+    Distances, witnesses and normals are computed as by `distance` with ``exact=True``.
 
     Attributes
     ----------
     pairs : ndarray of int64, shape (m, 2)
         Numbers i < j of the bodies, in lexicographic order.
     distance : ndarray, shape (m,)
-        Metres; negative is a depth. Positive within the margin, and a rounding above zero where bodies just touch. For
-        bodies of several pieces, a depth is that of the deepest two, see `Distance`.
+        In metres; a negative value is a depth. It is positive for pairs within the margin, and may round to slightly
+        above zero where bodies just touch. For bodies of several pieces, it is the depth of the deepest two, see
+        `Distance`.
     witness_a, witness_b : ndarray, shape (m, 3)
         Points of bodies i and j in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (m, 3)
-        Unit vectors from i to j; moving j along them parts the two pieces fastest.
+        Unit vectors from i to j; moving j along them separates the two pieces fastest.
 
     Examples
     --------
@@ -111,35 +112,36 @@ def overlapping_pairs(
     Parameters
     ----------
     bodies : Bodies, or Body
-        n bodies, or one that stands at each of n poses.
+        n bodies, or one body that is placed at each of n poses.
     T_world : array_like, shape (n, 4, 4), or None
-        Where each body is; translation in metres. None: all in their own frames.
+        Poses of the bodies; translation in metres. None: all in their own frames.
     margin : float
-        Metres; bodies this close count as colliding.
+        In metres; bodies at this distance or less count as colliding.
     method : {"exact", "certified"}
         "exact": the pairs for which `collide` is true. "certified": the pairs that neither boxes nor ellipsoids prove
-        free: all that collide, and some that are ambiguous. `classify` tells them apart.
+        free: all colliding pairs, and some ambiguous ones. `classify` distinguishes them.
     depth : bool
         Also measure the pairs: their distances or depths, normals and witnesses.
 
     Returns
     -------
     ndarray of int64, shape (m, 2), or Overlaps
-        Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not there are proven free.
-        With ``depth=True`` an `Overlaps`, which has them as `pairs`.
+        Numbers i < j of the bodies, each pair once, in lexicographic order. Pairs that are not listed are proven free.
+        With ``depth=True`` an `Overlaps`, whose `pairs` these are.
 
     Raises
     ------
     PoseError
-        If there are not as many poses as bodies, or one is no rigid motion.
+        If the numbers of poses and bodies differ, or a pose is not a rigid motion.
     InputError
-        If `bodies` are no bodies, the margin is negative or not finite, or `depth` is neither True nor False.
+        If `bodies` has entries that are not bodies, the margin is negative or not finite, or `depth` is neither True
+        nor False.
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair. It never answers "free" instead. With ``depth=True`` also if a
+        If the exact search could not settle a pair. It never returns "free" instead. With ``depth=True`` also if a
         distance could not be computed, as in `distance`: the error's `indices` are rows of the list, and its `partial`
-        has all others.
+        has all other results.
 
     Examples
     --------

@@ -1,8 +1,7 @@
-"""Two ellipsoids: do they overlap, and where do they come closest.
+"""Two ellipsoids: do they overlap, and where do they come closest?
 
-Every function takes two `Ellipsoids`, single or batches, whose batch shapes broadcast. Only the
-difference of the centers enters, so a far-away world frame costs no digits, and every number is
-relative to the ellipsoids' own size.
+Every function takes two `Ellipsoids`, single or batches, whose batch shapes broadcast. Only the difference of the
+centers enters, so a far-away world frame costs no digits, and all quantities are relative to the ellipsoids' own size.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ class NearPoints:
     Attributes
     ----------
     point_1, point_2 : ndarray, shape (..., 3)
-        On the first and on the second ellipsoid, in metres. Where an overlap was found both are the
-        same point, which lies in both.
+        On the first and on the second ellipsoid, in metres. If an overlap was found, both are the same point, which
+        lies in both ellipsoids.
     distance : ndarray, shape (...)
         ``|point_2 - point_1|``, in metres; 0 where an overlap was found.
     iterations : ndarray of int, shape (...)
-        Steps taken; 1 for the closed-form methods.
+        Number of steps; 1 for the closed-form methods.
 
     Examples
     --------
@@ -57,7 +56,7 @@ class NearPoints:
 
 @guarded
 def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
-    """Tell whether ellipsoids overlap; touching counts.
+    """Decide whether ellipsoids overlap; touching counts.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
     Returns
     -------
     ndarray of bool, shape (...)
-        In plain float64 arithmetic; for answers that are proven see `loewner.classify`.
+        In plain float64 arithmetic; for proven answers see `loewner.classify`.
 
     Raises
     ------
@@ -95,7 +94,7 @@ def overlap(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
 
 @guarded
 def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
-    """Perram and Wertheim's contact function, maximised: ellipsoids overlap exactly if it is at most 1.
+    """Perram and Wertheim's contact function, maximised: ellipsoids overlap if and only if it is at most 1.
 
     F = max over s in [0, 1] of s(1-s) rᵀ[(1-s)Q1 + sQ2]⁻¹ r. Scaling both ellipsoids about their
     centers by sqrt(F) makes them touch.
@@ -108,7 +107,7 @@ def contact_function(E1: Ellipsoids, E2: Ellipsoids) -> Floats:
     Returns
     -------
     ndarray, shape (...)
-        Without unit, >= 0.
+        Dimensionless, >= 0.
 
     Raises
     ------
@@ -138,15 +137,15 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     E1, E2 : Ellipsoids
         In 3-D; batches broadcast.
     method : {"lin-han", "rimon-boyd", "center-line"}
-        "lin-han": the true nearest points, to `angle`. "rimon-boyd": on each ellipsoid the point that the other's
-        level surfaces touch first. "center-line": where the segment between the centers crosses
-        the surfaces. The last two are closed forms whose distance is never below the true one, and
-        "center-line" sees an overlap only on its segment.
+        "lin-han": the true nearest points, to `angle`. "rimon-boyd": on each ellipsoid the point that the other's level
+        surfaces touch first. "center-line": the points where the segment between the centers crosses the surfaces. The
+        last two are closed forms whose distance is never below the true one, and "center-line" detects an overlap only
+        on its segment.
     angle : float
-        For "lin-han": at both points the outward normal and the direction to the other point differ
-        by at most this many radians. 0.01 is the paper's; 1e-8 gives the distance to about 1e-16
-        of its size or the rounding of float64, whichever is larger. An overlap so shallow that the
-        angle is met first is reported as a small distance.
+        For "lin-han": at both points the outward normal and the direction to the other point differ by at most this
+        many radians. 0.01 is the paper's; 1e-8 gives the distance to about 1e-16 of its size or the rounding of
+        float64, whichever is larger. An overlap so shallow that the angle is reached first is returned as a small
+        distance.
 
     Returns
     -------
@@ -157,9 +156,9 @@ def near_points(E1: Ellipsoids, E2: Ellipsoids, method: str = "lin-han", angle: 
     InputError
         If an argument is not 3-D, batch shapes do not broadcast, or `angle` is not a number > 0.
     UnknownNameError
-        If the method is none of the three.
+        If the method is not one of the three.
     ConvergenceError
-        If a pair did not reach `angle`; no number is returned for any pair then.
+        If a pair did not reach `angle`; then no results are returned for any pair.
 
     References
     ----------

@@ -30,15 +30,15 @@ class Ellipsoids:
     Raises
     ------
     InputError
-        On wrong shapes or entries that are not finite.
+        If shapes are wrong or entries are not finite.
     GeometryError
         If a factor is singular (a flat ellipsoid).
 
     Notes
     -----
-    Among the `inner` ellipsoids of bodies there are points: a surface without a radius has no inside, and a factor of
-    zeros. Their semi-axes and volumes are 0, they support and contain their center alone, and stay points when they
-    are moved. What takes two ellipsoids refuses them.
+    The `inner` ellipsoids of bodies include points: a surface without a radius has no inside, so its factor is zero.
+    Their semi-axes and volumes are 0, they support and contain only their center, and they remain points when they are
+    moved. Functions of two ellipsoids refuse points.
 
     Examples
     --------
@@ -221,7 +221,7 @@ class Ellipsoids:
     @property
     @guarded
     def volume(self) -> Floats:
-        """Volume (area for n = 2), shape (...), in m^n; infinite or 0 beyond the floats, where `log_volume` is not."""
+        """Volume (area for n = 2), shape (...), in m^n; infinite or 0 on overflow or underflow (see `log_volume`)."""
         with np.errstate(over="ignore"):
             return np.exp(self.log_volume)
 
@@ -255,7 +255,7 @@ class Ellipsoids:
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.factor, w / length))
 
     def contains(self, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Tell whether points lie inside or on the ellipsoid, in plain float64 arithmetic.
+        """Whether points lie inside or on the ellipsoid, in plain float64 arithmetic.
 
         Parameters
         ----------
@@ -307,8 +307,8 @@ class Ellipsoids:
         Parameters
         ----------
         T : array_like, shape (..., 4, 4), or None
-            Broadcasts with the batch; translation in the ellipsoid's unit, metres if it is a body's. ``None`` is the
-            identity.
+            Broadcasts with the batch; translation in the ellipsoid's unit, which is metres for a body's ellipsoids.
+            ``None`` is the identity.
 
         Returns
         -------
@@ -317,9 +317,9 @@ class Ellipsoids:
         Raises
         ------
         PoseError
-            If T is no rigid motion.
+            If T is not a rigid motion.
         InputError
-            If the ellipsoids are not in space, or batch shapes do not broadcast.
+            If the ellipsoids are not three-dimensional, or batch shapes do not broadcast.
 
         Examples
         --------
@@ -351,9 +351,9 @@ class Ellipsoids:
         Raises
         ------
         GeometryError
-            If A is singular, or the image larger or thinner than floats can say.
+            If A is singular, or the image is too large or too thin for floats.
         InputError
-            On wrong shapes or entries that are not finite, or if batch shapes do not broadcast.
+            If shapes are wrong, entries are not finite, or batch shapes do not broadcast.
 
         Examples
         --------

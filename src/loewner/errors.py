@@ -1,7 +1,6 @@
-"""Every error `loewner` raises on purpose, each a child of `LoewnerError`.
+"""Every error that `loewner` raises on purpose, each a child of `LoewnerError`.
 
-Each also derives from the built-in exception a caller would expect, so that
-``except ValueError`` keeps working for people who never heard of this module.
+Each also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
 """
 
 from typing import Any
@@ -69,9 +68,9 @@ class ConvergenceError(LoewnerError, ArithmeticError):
     Attributes
     ----------
     indices : ndarray of int
-        Of a batch of pairs: the flat indices of those that could not be settled.
+        For a batch of pairs: the flat indices of the pairs that could not be settled.
     partial : object or None
-        What the query would have returned: the answers to all other pairs. For these, `collide` says True, and
+        The query's result with the answers to all other pairs. For the unsettled pairs `collide` returns True, and
         exact distances, witnesses and normals are NaN.
 
     Examples
@@ -96,11 +95,10 @@ class ConvergenceError(LoewnerError, ArithmeticError):
 
 
 class MemoryLimitError(InputError, MemoryError):
-    """A call would take more memory than there is, or than a limit on this process leaves; ask for less at a time.
+    """A call would take more memory than is available, or than a limit on this process leaves; split the call.
 
-    Limits are those of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control
-    groups). Results that are too large are refused before anything is computed, and the message says how much they
-    would take.
+    The limits of the machine, of the process (``ulimit -v``, that is RLIMIT_AS) and of its container (control groups)
+    count. Results that are too large are refused before anything is computed, and the message states their size.
 
     Examples
     --------
@@ -115,7 +113,7 @@ class MemoryLimitError(InputError, MemoryError):
 
 
 class PlanningError(LoewnerError, RuntimeError):
-    """No motion can be given: start or goal is not free, or no path was found; the message says which and why.
+    """There is no motion to return: start or goal is not free, or no path was found; the message gives the reason.
 
     Examples
     --------
@@ -130,12 +128,12 @@ class PlanningError(LoewnerError, RuntimeError):
 
 
 class GpuError(LoewnerError, RuntimeError):
-    """A GPU cannot do the work: there is none, its driver is too old, its memory too small, or its work was lost.
+    """A GPU cannot do the work: there is none, its driver is too old, its memory is too small, or its work was lost.
 
     Attributes
     ----------
     code : int or None
-        The driver's number of the error, if it said one.
+        The driver's number of the error, if it returned one.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Löwner–John ellipsoids: the largest inside a polytope (`mvie`), the smallest around points (`mvce`).
 
-Every fit carries `gap`, a computed bound on log(volume / optimal volume) of the very ellipsoid returned, after it was
-scaled to hold, or stay inside, in spite of rounding. A fit that misses its tolerance is an error.
+Every fit has a `gap`, a computed bound on log(volume / optimal volume) of the returned ellipsoid itself, after it was
+scaled so that containment holds in spite of rounding. A fit that misses its tolerance is an error.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An ellipsoid and how good it is.
+    """An ellipsoid and a bound on its distance from the optimum.
 
     Attributes
     ----------
     ellipsoid : Ellipsoids
         One ellipsoid; its factor is lower triangular.
     gap : float
-        Certified bound on ``|log(volume / optimal volume)|``, at most the tolerance asked for.
+        Certified bound on ``|log(volume / optimal volume)|``, at most the requested tolerance.
     iterations : int
-        Steps taken, of the interior point and, in high dimension, of the ascent before it.
+        Number of steps of the interior point and, in high dimension, of the preceding ascent.
     weights : ndarray, shape (m,), or None
-        Of ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller, >= 0 with
-        sum 1. The points' mean and covariance with these weights are those of the ellipsoid: its center, and its
-        shape matrix divided by the dimension, both nearly.
+        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller, >= 0
+        with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape matrix
+        divided by the dimension.
 
     Examples
     --------
@@ -100,32 +100,32 @@ def mvce(
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number
-        Where the center has to be, such as ``center=0`` for the origin. Then n points that span the space with it are
-        enough. By default the center that makes the ellipsoid smallest is found.
+        A prescribed center, such as ``center=0`` for the origin. Then n points that span the space with it suffice. By
+        default the center is chosen to make the ellipsoid smallest.
     weights : bool
         Also return the points' weights, an optimal design for experiments at these points.
     progress : callable, optional
-        Called as ``progress(done, 100)`` from time to time: how many of the digits asked for are there, in percent.
+        Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        Every point is inside the ellipsoid exactly as stored, whatever the rounding.
+        The ellipsoid contains every point exactly as stored, whatever the rounding.
 
     Raises
     ------
     InputError
-        On a wrong shape, entries that are not finite or a tolerance out of range.
+        If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        On fewer than n + 1 points or points in a flat, with the given center as one more.
+        If there are fewer than n + 1 points, or all lie in a flat; a given center counts as one more point.
     ConvergenceError
-        If the gap asked for was not reached.
+        If the requested gap was not reached.
 
     Notes
     -----
-    Solves the dual by an interior point, with an active set when there are many points. In high dimension, or with very
-    many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are left out. That takes
-    memory for a few numbers for each point, for an eighth of the points, and up to 0.8 GB for the interior point. The
+    The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
+    with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. This
+    needs memory for a few numbers per point for an eighth of the points, and up to 0.8 GB for the interior point. The
     paper's reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     The weights are those of a D-optimal design for a linear model with a constant term, whose experiments are the
@@ -196,31 +196,31 @@ def mvie(
     tol : float
         Largest certified gap in log-volume, in [1e-12, 1].
     center : array_like, shape (n,), or a number, optional
-        Where the center has to be, such as ``center=0`` for the origin; with half-spaces only. The half-spaces need not
-        be bounded, as long as no line through the center is inside all of them.
+        A prescribed center, such as ``center=0`` for the origin; with half-spaces only. The half-spaces need not be
+        bounded, as long as no line through the center is inside all of them.
     progress : callable, optional
-        Called as ``progress(done, 100)`` from time to time: how many of the digits asked for are there, in percent.
+        Called as ``progress(done, 100)`` from time to time, with the share of the requested digits reached, in percent.
 
     Returns
     -------
     Fit
-        The ellipsoid exactly as stored is inside every half-space as given, or inside the hull of the points,
-        whatever the rounding.
+        The ellipsoid exactly as stored is inside every half-space as given, or inside the hull of the points, whatever
+        the rounding.
 
     Raises
     ------
     InputError
-        On wrong shapes, entries that are not finite or a tolerance out of range.
+        If shapes are wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
         If the polytope is empty, flat or unbounded, or the given center is not inside.
     ConvergenceError
-        If the gap asked for was not reached.
+        If the requested gap was not reached.
 
     Notes
     -----
-    Zhang and Gao's method. In high dimension, or with very many half-spaces, it works on few of them: those that turn
-    out to cut the ellipsoid join, those far away leave. About a given center the ellipsoid is the polar of the smallest
-    one around the polar points, which `mvce` finds.
+    Zhang and Gao's method. In high dimension, or with very many half-spaces, it works on a subset: half-spaces that
+    turn out to cut the ellipsoid join it, and distant ones leave it. With a given center the ellipsoid is the polar of
+    the smallest one around the polar points, which `mvce` finds.
 
     References
     ----------
@@ -323,7 +323,7 @@ def fit_pieces(
         In metres.
     normals : ndarray, shape (total faces, 3)
         Outward, from `polytopes.hulls`: each face passes through its own vertices to rounding. Slacks are measured from
-        the vertices, which carry no rounding, so that no offsets are asked for.
+        the vertices, which are exact, so no offsets are needed.
     tol : float
         Largest certified gap of every fit, in log-volume.
     progress : callable, optional
@@ -338,7 +338,7 @@ def fit_pieces(
     Raises
     ------
     GeometryError, ConvergenceError
-        With the index of the piece.
+        The error has the index of the piece.
     """
     tolerance, progress = checked_tolerance(tol), _validate.callback(progress, "progress")
     V = _validate.finite_array(vertices, "vertices", (None, 3))

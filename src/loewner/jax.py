@@ -1,7 +1,7 @@
 """Clearances and distances of a checker as functions that JAX differentiates, compiles and vectorises.
 
-JAX is imported when a function here is called, and not before: ``pip install "loewner[jax]"``. Import this module by
-its whole name, ``import loewner.jax``: ``from loewner import jax`` would take the name of JAX itself.
+JAX is imported only when a function here is called: ``pip install "loewner[jax]"``. Import this module by its full
+name, ``import loewner.jax``: ``from loewner import jax`` would hide JAX's own name.
 """
 
 from __future__ import annotations
@@ -20,43 +20,44 @@ __all__ = ["clearance", "distance"]
 
 
 def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
-    """Make a function for JAX of `CollisionChecker.clearance`: a certified lower bound that is smooth.
+    """Make a JAX function of `CollisionChecker.clearance`: a smooth certified lower bound.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call asks about the scene as it is then, a compiled one too.
+        Its scene may change between calls; each call uses the current state, in compiled functions too.
     softness : float
-        Metres; see `CollisionChecker.clearance`.
+        In metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        Of configurations, an array of JAX or NumPy of shape (..., dof), to clearances, shape (...), in metres.
+        A function from configurations, a JAX or NumPy array of shape (..., dof), to clearances, shape (...), in metres.
 
     Raises
     ------
     InputError
-        If `checker` is none, or the softness is not positive and finite. The function raises it if configurations are
-        no array of float32 or float64, their width is not dof, an entry is not finite, there is no pair to check, or a
-        second derivative is asked for.
+        If `checker` is not a checker, or the softness is not positive and finite. The function raises it if
+        configurations are not an array of float32 or float64, their width is not dof, an entry is not finite, there is
+        no pair to check, or a second derivative is requested.
     MissingExtraError
         If JAX is not installed.
 
     Notes
     -----
     It works under ``jit``, ``vmap``, ``grad``, ``value_and_grad``, ``jacfwd`` and ``jacrev``, by ``pure_callback``: a
-    batch is one call of the kernel, under ``vmap`` too, and a value and its gradient are one. The kernel runs on the
-    CPU; from other devices JAX copies configurations there and results back. There are no second derivatives:
+    batch is one call of the kernel, under ``vmap`` too, and a value with its gradient is also one call. The kernel runs
+    on the CPU; from other devices JAX copies configurations there and results back. There are no second derivatives:
     ``hessian`` raises.
 
-    Results have the type of the configurations. In float32 the bound is that of exactly these float32 numbers, rounded
-    down, so that it is still one. While JAX's 64-bit numbers are off, which is its default, it turns float64 arrays
-    into float32: the function refuses them where it sees them, since the answer would be about other configurations.
-    It cannot see what ``jit`` or ``grad`` has turned already: there, the answer is about the float32 configuration.
+    Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
+    rounded down, so that it remains a lower bound. If JAX's 64-bit numbers are off, which is its default, it converts
+    float64 arrays to float32. The function refuses such arrays where it can, since the answer would belong to other
+    configurations. It cannot detect arrays that ``jit`` or ``grad`` has already converted: the answer then belongs to
+    the float32 configuration.
 
-    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) come as errors of JAX, a ValueError
-    or a RuntimeError, whose text has the message.
+    Inside ``jit`` and ``vmap``, errors about values (an entry that is not finite) appear as errors of JAX, a ValueError
+    or a RuntimeError, whose text contains the message.
 
     Examples
     --------
@@ -76,7 +77,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a function for JAX of the exact distance of `CollisionChecker.distance`, which has kinks.
+    """Make a JAX function of the exact distance of `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -85,19 +86,20 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        Of configurations, an array of JAX or NumPy of shape (..., dof), to distances, shape (...), in metres; negative
-        is a depth.
+        A function from configurations, a JAX or NumPy array of shape (..., dof), to distances, shape (...), in metres;
+        a negative value is a depth.
 
     Raises
     ------
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        By the function, as for `loewner.distance`.
+        Raised by the function, as for `loewner.distance`.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down too. The gradient is that of `CollisionChecker.distance`.
+    As for `clearance`; float32 distances are rounded down too. The gradient equals the one of
+    `CollisionChecker.distance`.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Triangle meshes in, convex pieces out.
 
-A file is read whole or refused: half a mesh would be free where the whole one collides.
+A file is read whole or refused: half a mesh would be free where the whole mesh collides.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ T = TypeVar("T")
 
 
 class Surface(Protocol):
-    """The part of a `trimesh.Trimesh` that is used: vertices, and triangles as indices of them."""
+    """The part of a `trimesh.Trimesh` that this module uses: vertices, and triangles as indices of them."""
 
     @property
     def vertices(self) -> ArrayLike:
-        """Shape (v, 3), in metres, or in `units` if there are any."""
+        """Shape (v, 3), in metres, or in `units` if they are given."""
 
     @property
     def faces(self) -> ArrayLike:
@@ -47,10 +47,10 @@ class Surface(Protocol):
 
 
 class Surfaces(Protocol):
-    """The part of a `trimesh.Scene` that is used: it can be joined."""
+    """The part of a `trimesh.Scene` that this module uses: it can be joined."""
 
     def to_mesh(self) -> Surface:
-        """All of it as one."""
+        """All its meshes as one."""
 
 
 class Loaded(Protocol):
@@ -86,9 +86,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Parameters
     ----------
     source : path, trimesh.Trimesh or trimesh.Scene, or a pair of arrays
-        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are
-        placed by their transforms and joined. Where a file states its unit of length, it is
-        converted; all others are taken to be in metres. Arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
+        A file in STL, OBJ, PLY, OFF, GLB, glTF or Collada (DAE) format. The meshes of a scene are placed by their
+        transforms and joined. If a file states its unit of length, it is converted; all others are assumed to be in
+        metres. Arrays: vertices, shape (v, 3), and triangles, shape (t, 3).
 
     Returns
     -------
@@ -99,9 +99,9 @@ def load(source: Source) -> tuple[Floats, Triangles]:
     Raises
     ------
     FileError
-        If the file is missing, empty, cut short, larger than 2 GiB, no regular file or no mesh, or if its contents do
-        not match its declarations; the message names the line or element. (An OBJ file does not declare its length: a
-        file that was cut between two lines cannot be distinguished from a whole one.)
+        If the file is missing, empty, cut short, larger than 2 GiB, not a regular file or not a mesh, or if its
+        contents do not match its declarations; the message names the line or element. (An OBJ file does not declare its
+        length: a file that was cut between two lines cannot be distinguished from a whole one.)
     GeometryError
         If a vertex is not finite, or there is no triangle.
 
@@ -195,23 +195,24 @@ def convex_pieces(
     scale : float, or array_like of shape (3,)
         Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
     decompose : bool
-        False takes the convex hull of everything as the one piece; it holds the mesh.
+        False makes the convex hull of everything the only piece; it contains the mesh.
     cover : bool
-        Grow the pieces of a decomposition until they hold the mesh's whole surface.
+        Grow the pieces of a decomposition until they contain the mesh's whole surface.
     tolerance : float, optional
-        How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
-        they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning states by how much.
-        A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as near as a
-        limited amount of work comes.
+        The largest distance by which the pieces may stick out of the mesh, in metres. Planes instead of CoACD then cut
+        the mesh, until no piece sticks out farther or `max_pieces` is reached; if a piece still does, a warning states
+        by how much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as
+        closely as a limited amount of work allows.
     threshold : float
-        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. For meshes without holes.
+        CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. Only for meshes without
+        holes.
     max_pieces : int, optional
         Limit on the number of pieces of a decomposition.
     seed : int
         Seed of CoACD's search.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each step, never with a smaller share than before; where planes cut, a
-        step is a hundredth of the surface.
+        Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a step
+        is a hundredth of the surface.
 
     Returns
     -------
@@ -227,19 +228,19 @@ def convex_pieces(
     Warns
     -----
     UserWarning
-        If a mesh to decompose has holes: its inside is not solid then. If the mesh, scaled, is more than 1000 m or less
+        If a mesh to decompose has holes: its inside is then not solid. If the mesh, scaled, is more than 1000 m or less
         than 0.1 mm across: it may be in another unit than metres. If the pieces stick out by more than `tolerance`.
 
     Notes
     -----
-    Closed parts of a mesh are decomposed one by one, also where they overlap, or share edges or corners. A part that
-    is convex (its volume is its hull's, to 1e-3) is its hull. A part of negative volume is a cavity of the part that
-    it lies in.
+    The closed parts of a mesh are decomposed one by one, even where they overlap, or share edges or corners. The only
+    piece of a convex part (its volume equals its hull's, to 1e-3) is its hull. A part of negative volume is a cavity of
+    the part in which it lies.
 
-    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; one that lies in
-    none is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With
-    `cover`, such a rest is added to the piece nearest to it; without, the distance to a convex piece
-    being a convex function, it is greatest at a corner of the rest.
+    Covering is proven, not sampled. A triangle lies in a convex piece if its corners do; a triangle that lies in none
+    is halved until its parts do, or nearly, or are smaller than 0.25 % of the mesh's diagonal. With `cover`, such a
+    remainder is added to the nearest piece. Without it, the distance to a convex piece is a convex function, so it is
+    greatest at a corner of the remainder.
 
     References
     ----------
@@ -284,7 +285,7 @@ def scaled_mesh(source: Source, scale: ArrayLike) -> tuple[Floats, Triangles]:
 
 
 def name_of(source: Source) -> str:
-    """What to call a mesh in a message."""
+    """The name of a mesh in messages."""
     return shown(_path(source)) if isinstance(source, str | PathLike) else "mesh"
 
 

@@ -1,6 +1,6 @@
-"""Figures, with matplotlib: bodies, pairs, robots in scenes; and what was counted or measured about them.
+"""Figures, with matplotlib: bodies, pairs, robots in scenes; and counts or measurements about them.
 
-matplotlib is imported when a function here is called, and not before: ``pip install "loewner[plots]"``.
+matplotlib is imported only when a function here is called: ``pip install "loewner[plots]"``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def body(
     T_world_body : array_like, shape (4, 4), optional
         Pose; translation in metres. None is the identity.
     ax : matplotlib 3-D axes, optional
-        To draw into; a new figure by default.
+        Axes to draw into; a new figure by default.
     colour : str
     ellipsoids : bool
         Draw the ellipsoids too.
@@ -71,7 +71,7 @@ def body(
     Raises
     ------
     InputError
-        If `body` is no body, or the pose not one of shape (4, 4); PoseError if it is no rigid motion.
+        If `body` is not a body, or the pose does not have shape (4, 4); PoseError if it is not a rigid motion.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -163,13 +163,13 @@ def pair(
 
 
 def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) -> Any:
-    """Draw a robot in its scene; what collides is red, the title says how many pairs do.
+    """Draw a robot in its scene; colliding parts are red, and the title gives the number of colliding pairs.
 
     Parameters
     ----------
     checker : CollisionChecker
     q : array_like, shape (dof,)
-        Entries as `Robot.configuration_names`, in radians and metres.
+        Entries as in `Robot.configuration_names`, in radians and metres.
     ax : matplotlib 3-D axes, optional
 
     Returns
@@ -179,7 +179,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is none, or as for `CollisionChecker.collide`.
+        If `checker` is not a checker, or as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 
@@ -212,15 +212,15 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
 
 
 def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) -> Any:
-    """Draw what share was settled by what: a bar for each group, its parts from the cheapest test to the dearest.
+    """Draw the share of each test: one bar per group, with its parts ordered from the cheapest test to the costliest.
 
     Parameters
     ----------
     counts : mapping of str to Settled, or to mapping of str to int
-        For each group what `CollisionChecker.tiers` found, or counts of your own (of pairs, of whatever else was
-        asked) under names of the fields of `Settled`; names that are left out count as 0.
+        For each group the result of `CollisionChecker.tiers`, or your own counts (of pairs, for instance) under names
+        of the fields of `Settled`; omitted names count as 0.
     ax : matplotlib axes, optional
-        To draw into; a new figure by default.
+        Axes to draw into; a new figure by default.
 
     Returns
     -------
@@ -230,14 +230,14 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
     Raises
     ------
     InputError
-        If there is no group, or one has no counts, a negative one, or only zeros; UnknownNameError if a tier is none
-        of `Settled`.
+        If there is no group, or a group has no counts, a negative count, or only zeros; UnknownNameError if a tier is
+        not a field of `Settled`.
     MissingExtraError
         If matplotlib is not installed.
 
     Examples
     --------
-    Of a robot, and of pairs of bodies:
+    For a robot, and for pairs of bodies:
 
     >>> import loewner
     >>> from loewner import CollisionChecker, Robot, Verdict, plots
@@ -274,19 +274,19 @@ def tiers(counts: Mapping[str, Settled | Mapping[str, int]], *, ax: Any = None) 
 def costs(
     sizes: ArrayLike, seconds: Mapping[str, ArrayLike], *, size: str = "vertices", item: str = "pair", ax: Any = None
 ) -> Any:
-    """Draw what one item costs against a size, such as vertices per hull or pairs per call; both axes logarithmic.
+    """Draw the cost of one item against a size, such as vertices per hull or pairs per call; both axes are logarithmic.
 
     Parameters
     ----------
     sizes : array_like, shape (k,)
-        Numbers above zero, in the order in which points are joined.
+        Numbers above zero, in the order in which the points are joined.
     seconds : mapping of str to array_like, shape (k,) or ()
-        Time for one item in seconds, under what the legend calls it; NaN where nothing was measured. A single number
-        does not depend on the size: it is a dashed line across.
+        Time per item in seconds, under its name in the legend; NaN where nothing was measured. A single number does not
+        depend on the size and becomes a dashed horizontal line.
     size, item : str
-        What the axes call them.
+        Labels of the axes.
     ax : matplotlib axes, optional
-        To draw into; a new figure by default.
+        Axes to draw into; a new figure by default.
 
     Returns
     -------
@@ -337,15 +337,14 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     Parameters
     ----------
     counts : mapping of str to mapping of str to (int, int)
-        For each rule and each family: how many answers were right, of how many.
+        For each rule and each family: the number of right answers, and the number of all answers.
     ax : matplotlib axes, optional
-        To draw into; a new figure by default.
+        Axes to draw into; a new figure by default.
 
     Returns
     -------
     matplotlib axes
-        Families from top to bottom, one line and dot for each rule; a family that a rule was never asked about
-        gets neither.
+        Families from top to bottom, one line and dot for each rule; a family without answers by a rule gets neither.
 
     Raises
     ------
@@ -412,14 +411,14 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     Returns
     -------
     pathlib.Path
-        Where it was written.
+        Path of the written file.
 
     Raises
     ------
     InputError
-        If there is no figure, or the path is none.
+        If there is no figure, or the path is not a path.
     FileError
-        If it cannot be written.
+        If the file cannot be written.
 
     Examples
     --------

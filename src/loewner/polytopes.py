@@ -44,8 +44,8 @@ SMALLEST, LARGEST = 1e-140, 1e140
 class Polytope:
     """A bounded convex polytope with an interior.
 
-    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of `vertices` as they stand; the
-    faces are derived, and rounded.
+    Build it with `from_points` or `from_halfspaces`. Its shape is the convex hull of the stored `vertices`; the faces
+    are derived, and rounded.
 
     Attributes
     ----------
@@ -54,12 +54,12 @@ class Polytope:
     normals : ndarray, shape (f, n)
         Unit outward normals of the faces; coplanar facets are merged.
     offsets : ndarray, shape (f,)
-        The polytope is {x : normals x <= offsets}, to rounding: each offset is the largest normal·vertex.
+        The polytope is {x : normals x <= offsets}, up to rounding: each offset is the largest normal·vertex.
     simplices : ndarray of int, shape (s, n)
         The boundary cut into simplices (triangles for n = 3), as indices of vertices; for n = 3 counter-clockwise
         seen from outside.
     face_of_simplex : ndarray of int, shape (s,)
-        The face each simplex lies in.
+        The face in which each simplex lies.
 
     Examples
     --------
@@ -97,11 +97,11 @@ class Polytope:
         Raises
         ------
         InputError
-            On a wrong shape or entries that are not finite.
+            If the shape is wrong or entries are not finite.
         MemoryLimitError
-            If not even the coordinates fit into memory.
+            If the coordinates do not fit into memory.
         GeometryError
-            On fewer than n + 1 points, or points that lie in a flat of lower dimension (`FLATNESS`).
+            If there are fewer than n + 1 points, or they lie in a flat of lower dimension (`FLATNESS`).
 
         References
         ----------
@@ -127,7 +127,7 @@ class Polytope:
         Raises
         ------
         InputError
-            On wrong shapes or entries that are not finite.
+            If shapes are wrong or entries are not finite.
         GeometryError
             If the intersection is empty, flat or unbounded.
 
@@ -183,7 +183,7 @@ def writeable(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def flat_error(name: str, points: Floats) -> GeometryError:
-    """Say how flat the points are, and in how many directions they do extend.
+    """Describe how flat the points are, and in how many directions they do extend.
 
     The kernels stop at the first direction without a width, which need not be the last: a sheet across the first
     direction tried has none there. So the directions are found anew, the widest first.

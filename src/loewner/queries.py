@@ -1,4 +1,4 @@
-"""Do two bodies collide, how far apart are they: verdicts and results for one pair or a million."""
+"""Do two bodies collide, and how far apart are they? Verdicts and results for one pair or a million."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Verdict(IntEnum):
     COLLIDING = 1
     """The inner ellipsoids touch or overlap, or come within the margin: proven."""
     AMBIGUOUS = 2
-    """Neither; ask `collide` for an estimate or the exact answer."""
+    """Neither is proven; `collide` gives an estimate or the exact answer."""
 
     def __str__(self) -> str:
         return self.name
@@ -77,24 +77,24 @@ VerdictOrVerdicts = Verdict | Verdicts
 class Distance(Generic[Number, Exact, Vector]):
     """Distances in metres, each of the batch's shape; negative is a penetration depth.
 
-    Everything here is about the nearest, or else the deepest, two pieces. For bodies of several pieces a
-    negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
-    other, and parting them can take more, since another pair may then be in the way. For a surface it is a strict lower
-    bound; for two convex pieces it is as accurate as an exact distance.
+    All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
+    pieces a negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each
+    other, and separating them can take more, since another pair may then be in the way. For a surface it is a strict
+    lower bound; for two convex pieces it is as accurate as an exact distance.
 
     Attributes
     ----------
     lower, upper : float or ndarray
         Certified bounds from the ellipsoids: lower <= distance <= upper.
     estimate : float or ndarray
-        The O(1) guess from the product of the two contact functions, clipped to the bounds.
+        The O(1) guess from the product of the two contact functions, clamped to the bounds.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two
-        pieces: the shortest translation that separates those two.
+        With ``exact=True``: the distance of the bodies, or minus the depth of the deepest two pieces, which is the
+        length of the shortest translation that separates those two.
     witness_a, witness_b : ndarray, shape (..., 3), or None
         Points of a and of b, in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (..., 3), or None
-        Unit vector from a to b; moving b along it parts those two pieces fastest.
+        Unit vector from a to b; moving b along it separates these two pieces fastest.
 
     Examples
     --------
@@ -118,10 +118,10 @@ class Distance(Generic[Number, Exact, Vector]):
     def wrench(self) -> Vector:
         """Derivative of the distance by the motion of b, shape (..., 6), or None without ``exact=True``.
 
-        A unit force along the normal at the witness and its moment about the world's origin [m]. As b moves by a
-        twist, the velocity of its point at the world's origin and an angular velocity, the distance changes by the
-        product of the two; as a moves, by minus that. Where the witnesses are not the only ones (parallel faces or
-        edges) the distance has a kink, and this is the derivative of one of them.
+        A unit force along the normal at the witness and its moment about the world's origin [m]. If b moves by a twist,
+        which is the velocity of its point at the world's origin and an angular velocity, the distance changes by the
+        product of twist and wrench; if a moves, by minus that product. Where the witnesses are not unique (parallel
+        faces or edges) the distance has a kink, and this is the derivative for one choice of witnesses.
 
         Examples
         --------
@@ -380,24 +380,23 @@ def classify(
     T_world_a, T_world_b : array_like, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity.
     margin : float
-        Metres that the bodies must keep: FREE then means farther apart than `margin`, COLLIDING
-        within it.
+        Distance in metres that the bodies must keep: FREE then means farther apart than `margin`, COLLIDING within it.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i (a single body or pose
-        serves all rows). Nothing is copied. All of n with all of m: ``np.indices((n, m)).T``, result (m, n).
+        serves all rows). Nothing is copied. For all of n with all of m: ``np.indices((n, m)).T``, result (m, n).
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...)
-        FREE and COLLIDING are proven, in floating point too (docs/certified.md). A union of pieces
-        is FREE only if every piece pair is, COLLIDING if any is.
+        FREE and COLLIDING are proven, in floating point too (docs/certified.md). A union of pieces is FREE only if
+        every pair of pieces is, and COLLIDING if any pair is.
 
     Raises
     ------
     PoseError
         If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
     InputError
-        If an operand is no body, or the margin is negative or not finite.
+        If an operand is not a body, or the margin is negative or not finite.
 
     References
     ----------
@@ -478,16 +477,16 @@ def collide(
         certificate, then an O(1) guess from the product of the contact functions of the inner and
         of the outer ellipsoids, which errs on some ambiguous pairs (docs/theory/estimate.md).
     margin : float
-        Metres; pairs this close count as colliding.
+        In metres; pairs at this distance or less count as colliding.
     pairs : array_like of int, shape (..., 2), optional
         As for `classify`.
 
     Returns
     -------
     bool, or ndarray of bool, shape (...)
-        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding:
-        pairs apart by less than about 1e-12 of the lengths involved may count as touching, and which
-        of them do may depend on the order of the two bodies (docs/certified.md).
+        Touching counts as colliding. False from "exact" is proven; True is proven up to rounding: pairs apart by less
+        than about 1e-12 of the lengths involved may count as touching, and this may depend on the order of the two
+        bodies (docs/certified.md).
 
     Raises
     ------
@@ -496,7 +495,7 @@ def collide(
     UnknownNameError
         If `method` is not one of the names above.
     ConvergenceError
-        If the exact search could not settle a pair. It never answers "free" instead.
+        If the exact search could not settle a pair. It never returns "free" instead.
 
     References
     ----------
@@ -621,16 +620,16 @@ def distance(
     Returns
     -------
     Distance
-        Separation is positive, penetration negative, touching zero. The signed distance of two
-        bodies is the least over their piece pairs; see `Distance` for the meaning of depths.
+        Separation is positive, penetration negative, touching zero. The signed distance of two bodies is the least over
+        their pairs of pieces; see `Distance` for the meaning of depths.
 
     Raises
     ------
     PoseError, InputError
         As for `classify`, and if `exact` is neither True nor False.
     ConvergenceError
-        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of
-        cylinders, cones and capsules is never less than the true one, and proven to 1e-3 where many directions tie.)
+        If an exact distance could not be computed to 1e-9 of the lengths involved. (The penetration depth of cylinders,
+        cones and capsules is never less than the true one, and is proven to 1e-3 where many directions tie.)
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """Scenes: named bodies in the world, bodies attached to a robot's links, allowed contacts, and margins.
 
 A `Scene` changes between two queries: bodies are added, moved, grasped and put down by name. The bodies themselves
-never change, so all of this costs dictionary entries; nothing is fitted again. A scene has no robot. Names of links are
-not checked here, but by `CollisionChecker`, which pairs the scene with a robot.
+never change, so each change costs a few dictionary entries and no new fit. A scene has no robot. Names of links are not
+checked here, but by `CollisionChecker`, which pairs the scene with a robot.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Two named bodies that touch, overlap, or come within the margin they have to keep.
+    """Two named bodies that touch, overlap, or come within their margin.
 
     Attributes
     ----------
     name_a, name_b : str
         Names of bodies of a scene, or of links of a robot.
     distance : float
-        Metres; negative is the depth of the deepest two pieces. It is positive only for two that are within their
-        margin (or apart by rounding alone: touching is colliding).
+        In metres; a negative value is the depth of the deepest two pieces. It is positive only for two that are within
+        their margin (or apart by rounding alone: touching is colliding).
     witness_a, witness_b : ndarray, shape (3,)
         Points of a and of b in world coordinates, with witness_b - witness_a = distance * normal.
     normal : ndarray, shape (3,)
@@ -70,13 +70,13 @@ class Contact:
 
     @classmethod
     def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
-        """One contact per pair of names, from exact distances of as many pairs.
+        """One contact per pair of names, from as many exact distances.
 
         Parameters
         ----------
         names : iterable of pairs of str
         found : Distance
-            For as many pairs, with ``exact=True``.
+            As many pairs as names, computed with ``exact=True``.
 
         Returns
         -------
@@ -85,7 +85,7 @@ class Contact:
         Raises
         ------
         InputError
-            If there are not as many pairs of names as exact distances.
+            If the numbers of pairs of names and of exact distances differ.
         """
         if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
             raise InputError(f"found: expected exact distances of a row of pairs, found {_validate.short(found)}")
@@ -105,7 +105,7 @@ class Attachment:
     link : str
         The link that carries it.
     T_link_body : ndarray, shape (4, 4)
-        Where it sits in the frame of the link; translation in metres.
+        Pose of the body in the frame of the link; translation in metres.
     touch_links : tuple of str
         Links that it may touch while it is attached: the given ones and the link that carries it, sorted.
 
@@ -130,7 +130,7 @@ class Scene:
     Parameters
     ----------
     margin : float
-        Metres that all pairs with a body of the scene keep (see `margin_of`).
+        Distance in metres that all pairs with a body of the scene keep (see `margin_of`).
 
     Notes
     -----
@@ -138,8 +138,8 @@ class Scene:
     `distance`) are about the static bodies in the world; the pose of a body that is attached to a link depends on a
     robot's configuration.
 
-    Any thread may change a scene while others query it: each change is seen whole or not at all, and each query uses
-    one consistent state. A body that seems not to be in metres causes a warning when it is added, once per scene.
+    Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
+    state. A body that is probably not in metres causes a warning when it is added, once per scene.
 
     Examples
     --------
@@ -231,7 +231,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except by `move`, which keeps all other prepared data valid."""
+        """A number that grows with every change except `move`, which leaves all other prepared data valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -255,7 +255,7 @@ class Scene:
             return self._poses[self._placed(name)].copy()
 
     def copy(self) -> Scene:
-        """Return another scene with the same bodies, which changes on its own from now on.
+        """Return another scene with the same bodies; later changes of one do not affect the other.
 
         Returns
         -------
@@ -268,12 +268,12 @@ class Scene:
         return other
 
     def snapshot(self) -> Scene:
-        """A copy of one moment, with the versions: queries use it while other threads change this scene.
+        """A consistent copy with the versions, which queries use while other threads change this scene.
 
         Returns
         -------
         Scene
-            It shares the arrays that are packed already.
+            It shares the arrays that are already packed.
         """
         other = Scene()
         with _CHANGING:
@@ -295,25 +295,25 @@ class Scene:
         Parameters
         ----------
         name : str
-            Not yet the name of another body.
+            A name that no other body has yet.
         body : Body
         T_world_body : array_like, shape (4, 4), or None
             Translation in metres. None is the identity.
         margin : float, optional
-            Metres that this body keeps, if no larger margin holds (see `margin_of`).
+            Distance in metres that this body keeps if no larger margin applies (see `margin_of`).
 
         Raises
         ------
         InputError
-            If the name is taken or no text, `body` no body, or the margin negative or not finite.
+            If the name is taken or not a text, `body` is not a body, or the margin is negative or not finite.
         PoseError
-            If the pose is no rigid motion.
+            If the pose is not a rigid motion.
 
         Warns
         -----
         UserWarning
-            If the body seems not to be in metres: kilometres large or away, or far smaller than a millimetre. Once for
-            a scene.
+            If the body is probably not in metres: kilometres large or far away, or much smaller than a millimetre.
+            Given once per scene.
         """
         _check_name(name, "name")
         if not isinstance(body, Body):
@@ -342,7 +342,7 @@ class Scene:
             warn(f"body {name!r}: expected {doubt} (told once a scene)")
 
     def remove(self, name: str) -> None:
-        """Take a body out, and with it all margins and allowed pairs that name it.
+        """Remove a body, and with it all margins and allowed pairs that name it.
 
         Parameters
         ----------
@@ -365,7 +365,7 @@ class Scene:
             self._changed()
 
     def replace(self, name: str, body: Body) -> None:
-        """Put another body in the place of one, as the next image of a camera; everything else stays.
+        """Replace one body by another, such as the next image of a camera; everything else stays.
 
         Parameters
         ----------
@@ -378,7 +378,7 @@ class Scene:
         UnknownNameError
             If there is no such body.
         InputError
-            If `body` is no body.
+            If `body` is not a body.
 
         Examples
         --------
@@ -438,17 +438,17 @@ class Scene:
         Parameters
         ----------
         name : str
-            A body of the scene. One that is attached already is handed over.
+            A body of the scene. A body that is already attached is handed over.
         link : str
             Name of a link. It is checked when the scene is paired with a robot.
         T_link_body : array_like, shape (4, 4), or None
-            Where the body sits in the frame of the link; translation in metres. None is the identity.
+            Pose of the body in the frame of the link; translation in metres. None is the identity.
         touch_links : iterable of str
-            Links that the body may touch as long as it is attached; `link` itself it may touch in any case.
+            Links that the body may touch as long as it is attached; it may always touch `link` itself.
         leave : iterable of str
             Bodies or links that it touches now and has to leave, such as the table below it: see `leave`.
         reach : iterable of str
-            Bodies or links that it may touch where a motion ends, such as the shelf that it is put on: see `reach`.
+            Bodies or links that it may touch where a motion ends, such as the shelf on which it is placed: see `reach`.
 
         Warns
         -----
@@ -457,7 +457,7 @@ class Scene:
 
         Notes
         -----
-        Rules of `leave` and `reach` that named the body before end here, and at `detach`.
+        Rules of `leave` and `reach` that already name the body end here, and again at `detach`.
 
         Examples
         --------
@@ -498,8 +498,8 @@ class Scene:
         ----------
         name : str
         T_world_body : array_like, shape (4, 4), or None
-            Where it is from now on: the link's pose times `T_link_body` if it was let go where it was. Translation in
-            metres; None is the identity.
+            The new pose in the world: the link's pose times `T_link_body` if the body was released in place.
+            Translation in metres; None is the identity.
 
         Raises
         ------
@@ -524,12 +524,12 @@ class Scene:
             return frozenset(self._allowed)
 
     def allow(self, a: str, b: str) -> None:
-        """Allow two to touch: from now on no query counts their contact.
+        """Allow two bodies or links to touch: queries ignore their contact from now on.
 
         Parameters
         ----------
         a, b : str
-            Names of bodies, present or to come, or of links.
+            Names of bodies, which may be added later, or of links.
         """
         pair = _pair(a, b)
         with _CHANGING:
@@ -537,7 +537,7 @@ class Scene:
             self._changed()
 
     def forbid(self, a: str, b: str) -> None:
-        """Take back what `allow` allowed.
+        """Undo `allow`.
 
         Parameters
         ----------
@@ -547,7 +547,7 @@ class Scene:
         Raises
         ------
         UnknownNameError
-            If the pair was not allowed. A slip in a name would otherwise leave another pair allowed, unnoticed.
+            If the pair was not allowed. Otherwise a misspelt name would silently leave another pair allowed.
         """
         pair = _pair(a, b)
         with _CHANGING:
@@ -571,13 +571,13 @@ class Scene:
             return frozenset(self._reaching)
 
     def leave(self, a: str, b: str) -> None:
-        """Let two that touch at the start of a motion part: the contact may end, but not get deeper or come back.
+        """Let two bodies in contact at the start of a motion separate; the contact may not get deeper or return.
 
         Parameters
         ----------
         a, b : str
-            Names of bodies or links, made of convex pieces: a can and the table below it, a finger and the can that it
-            let go.
+            Names of bodies or links, made of convex pieces: a can and the table below it, or a finger and the can that
+            it released.
 
         See Also
         --------
@@ -586,10 +586,10 @@ class Scene:
 
         Notes
         -----
-        The rule is about motions, see `CollisionChecker.certify_edges`: one that starts with the two in contact is
-        FREE if it is proven that, on a first stretch, no two of their pieces get deeper into each other than at the
-        start, or nearer while they are within their margin, and that the two keep their margin on the rest. It takes
-        precedence over `allow`. At a single configuration contact is a collision, as for all pairs.
+        The rule applies to motions, see `CollisionChecker.certify_edges`. A motion that starts with the two in contact
+        is FREE if it is proven that, on a first stretch, no two of their pieces penetrate each other deeper than at the
+        start or, while they are within their margin, come nearer, and that the two keep their margin on the rest. It
+        takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.
 
         The rule ends when one of the two is attached, detached or removed.
 
@@ -603,9 +603,9 @@ class Scene:
         self._begin_contact(self._leaving, _pair(a, b))
 
     def reach(self, a: str, b: str) -> None:
-        """Let two come into contact at the end of a motion, as `leave` lets them part at the start of one.
+        """Let two come into contact at the end of a motion, as `leave` lets them separate at the start of one.
 
-        There they touch, or are within their margin; they are no deeper in each other than the tolerance of the proof.
+        At the end they may touch, or be within their margin, and overlap by no more than the tolerance of the proof.
 
         Parameters
         ----------
@@ -637,13 +637,13 @@ class Scene:
 
     @property
     def margin(self) -> float:
-        """Metres that all pairs with a body of the scene keep."""
+        """Distance in metres that all pairs with a body of the scene keep."""
         return self._margin
 
     @property
     def margins(self) -> dict[MarginKey, float]:
-        """All other margins: of one under ``(name,)``, of pairs under sorted ``(a, b)``, of one against any link under
-        ``(name, None)``, and of links among themselves under ``(None, None)``."""
+        """All other margins: of one body or link under ``(name,)``, of pairs under sorted ``(a, b)``, of one against
+        any link under ``(name, None)``, and between links under ``(None, None)``."""
         with _CHANGING:
             return dict(self._margins)
 
@@ -662,27 +662,27 @@ class Scene:
         against: Literal["links"] | None = None,
         lower: bool = False,
     ) -> None:
-        """Set the margin of a pair, of one body or link, of the whole scene, or of links among themselves.
+        """Set the margin of a pair, of one body or link, of the whole scene, or between links.
 
-        It replaces the margin that was set for the same names before. It never reduces a larger margin that applies to
-        a pair, unless `lower` is set (see `margin_of`).
+        It replaces an earlier margin for the same names. It never reduces a larger margin that applies to a pair,
+        unless `lower` is set (see `margin_of`).
 
         Parameters
         ----------
         margin : float or None
-            Metres. None takes the margin of the pair, body or link away again.
+            In metres. None removes the margin of the pair, body or link.
         a, b : str, optional
             Names of bodies or links: both for a pair, `a` for one, none for the scene's margin.
         against : "links", optional
-            The margin applies against links only: the margin of `a`, or without `a` the margin of all links among
-            themselves, which do not keep the scene's.
+            The margin applies against links only: the margin of `a`, or without `a` the margin between all links, to
+            which the scene's does not apply.
         lower : bool
-            Whether this margin overrides more general ones, and lets two come closer together than these allow.
+            Whether this margin overrides more general ones, and lets two bodies come closer together than these allow.
 
         Raises
         ------
         InputError
-            If the margin is negative or not finite, a name no text, or `against` given with a pair.
+            If the margin is negative or not finite, a name is not a text, or `against` is given with a pair.
 
         Examples
         --------
@@ -713,17 +713,17 @@ class Scene:
             self._changed()
 
     def widen(self, least: float) -> None:
-        """Let every pair with a body of this scene keep `least` metres or more; margins of two links stay.
+        """Raise smaller margins of pairs with a body of this scene to `least`; margins between links do not change.
 
         Parameters
         ----------
         least : float
-            Metres. Margins that are larger stay as well. The scene's own margin is raised, too.
+            In metres. Larger margins do not change. The scene's own margin is raised, too.
 
         Raises
         ------
         InputError
-            If it is negative or not finite.
+            If `least` is negative or not finite.
 
         Examples
         --------
@@ -748,21 +748,22 @@ class Scene:
             self._changed()
 
     def margin_of(self, a: str, b: str) -> float:
-        """Metres that two bodies or links keep: the largest margin that applies to them.
+        """The margin of two bodies or links, in metres: the largest one that applies to them.
 
-        The scene's margin applies to every pair with a body of the scene, the links' margin (``against="links"``) to
-        two links; then each one's own, and the pair's. Only a margin set with ``lower=True`` overrides more general
-        ones: each one's own overrides the scene's and the links' margin, the pair's overrides all others.
+        The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
+        to two links; then the margin of each body or link applies, and the margin of the pair. Only a margin set with
+        ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
+        margin, and the pair's margin overrides all others.
 
         Parameters
         ----------
         a, b : str
-            Names of bodies of the scene; all others are taken for links.
+            Names of bodies of the scene; all other names are assumed to be links.
 
         Returns
         -------
         float
-            Metres.
+            In metres.
 
         Examples
         --------
@@ -793,13 +794,13 @@ class Scene:
         Returns
         -------
         tuple of Contact
-            In the order in which the bodies were added, each pair once. Pairs that are not there are allowed, or
-            proven free.
+            In the order in which the bodies were added, each pair once. Pairs that are not listed are allowed or proven
+            free.
 
         Raises
         ------
         ConvergenceError
-            If the exact search could not settle a pair. It never answers "free" instead.
+            If the exact search could not settle a pair. It never returns "free" instead.
         """
         now = self._standing_now()
         first, second = now._meeting().T
@@ -808,12 +809,12 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any two bodies in the world meet that are not allowed to; as `pairs`, without the details.
+        """Whether any two bodies in the world collide that are not allowed to; like `pairs`, without the details.
 
         Returns
         -------
         bool
-            Touching, or coming within the margin, is colliding.
+            Touching, or coming within the margin, counts as colliding.
         """
         return len(self._standing_now()._meeting()) > 0
 
@@ -824,7 +825,7 @@ class Scene:
     @overload
     def distance(self, a: str, b: str, *, exact: bool) -> Distance: ...
     def distance(self, a: str, b: str, *, exact: bool = False) -> Distance:
-        """Signed distance of two bodies in the world, by name; margins and allowed pairs play no part.
+        """Signed distance of two bodies in the world, by name; margins and allowed pairs are ignored.
 
         See `loewner.distance`.
 

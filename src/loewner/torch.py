@@ -1,7 +1,7 @@
 """Clearances and distances of a checker as functions that PyTorch differentiates.
 
-PyTorch is imported when a function here is called, and not before: ``pip install "loewner[torch]"``. Import this module
-by its whole name, ``import loewner.torch``: ``from loewner import torch`` would take the name of PyTorch itself.
+PyTorch is imported only when a function here is called: ``pip install "loewner[torch]"``. Import this module by its
+full name, ``import loewner.torch``: ``from loewner import torch`` would hide PyTorch's own name.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ __all__ = ["clearance", "distance"]
 
 
 def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable[[Any], Any]:
-    """Make a function for PyTorch of `CollisionChecker.clearance`: a certified lower bound that is smooth.
+    """Make a PyTorch function of `CollisionChecker.clearance`: a smooth certified lower bound.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Its scene may change between calls; each call asks about the scene as it is then.
+        Its scene may change between calls; each call uses the current state.
     softness : float
-        Metres; see `CollisionChecker.clearance`.
+        In metres; see `CollisionChecker.clearance`.
 
     Returns
     -------
     function
-        Of configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
+        A function from configurations, a tensor of shape (..., dof), to clearances, shape (...), in metres.
 
     Raises
     ------
     InputError
-        If `checker` is none, or the softness is not positive and finite. The function raises it if configurations are
-        no dense tensor of float32 or float64 on the CPU, their width is not dof, an entry is not finite, there is no
-        pair to check, or a second derivative is asked for.
+        If `checker` is not a checker, or the softness is not positive and finite. The function raises it if
+        configurations are not a dense tensor of float32 or float64 on the CPU, their width is not dof, an entry is not
+        finite, there is no pair to check, or a second derivative is requested.
     MissingExtraError
         If PyTorch is not installed.
 
     Notes
     -----
     It is a ``torch.autograd.Function``: ``backward`` works, and so do ``vmap``, ``grad``, ``jacrev``, ``jvp`` and
-    ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, under ``vmap`` too; gradients are computed with the
-    values if they can be needed. There are no second derivatives: differentiating twice raises.
+    ``jacfwd`` of ``torch.func``. A batch is one call of the kernel, under ``vmap`` too; gradients are computed together
+    with the values if they may be needed. There are no second derivatives: differentiating twice raises.
 
-    Results have the type of the configurations. In float32 the bound is that of exactly these float32 numbers, rounded
-    down, so that it is still one.
+    Results have the type of the configurations. In float32 the bound belongs to exactly these float32 numbers and is
+    rounded down, so that it remains a lower bound.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def clearance(checker: CollisionChecker, *, softness: float = 0.005) -> Callable
 
 
 def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
-    """Make a function for PyTorch of the exact distance of `CollisionChecker.distance`, which has kinks.
+    """Make a PyTorch function of the exact distance of `CollisionChecker.distance`, which has kinks.
 
     Parameters
     ----------
@@ -80,18 +80,20 @@ def distance(checker: CollisionChecker) -> Callable[[Any], Any]:
     Returns
     -------
     function
-        Of configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; negative is a depth.
+        A function from configurations, a tensor of shape (..., dof), to distances, shape (...), in metres; a negative
+        value is a depth.
 
     Raises
     ------
     InputError, MissingExtraError
         As for `clearance`.
     ConvergenceError
-        By the function, as for `loewner.distance`.
+        Raised by the function, as for `loewner.distance`.
 
     Notes
     -----
-    As for `clearance`; float32 distances are rounded down too. The gradient is that of `CollisionChecker.distance`.
+    As for `clearance`; float32 distances are rounded down too. The gradient equals the one of
+    `CollisionChecker.distance`.
 
     Examples
     --------

@@ -35,7 +35,7 @@ class Piece:
     Attributes
     ----------
     kind : str
-        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; or, from `Body.from_surface`, "surface" for
+        "polytope", "ellipsoid", "cylinder", "cone", "capsule" or "sphere"; `Body.from_surface` makes "surface" for
         triangles alone and "solid" for triangles with the space they enclose.
     vertices : ndarray, shape (v, 3), or None
         Extreme points, or the vertices of a surface; None for curved pieces.
@@ -45,11 +45,11 @@ class Piece:
         Indices into `vertices`: a polytope's surface, counter-clockwise from outside, or the triangles of a surface as
         the mesh has them.
     inner, outer : Ellipsoids
-        Largest ellipsoid inside, smallest around. For a surface, `inner` is some ellipsoid inside, not the largest:
-        without a radius it is a point, with semi-axes of zero.
+        The largest ellipsoid inside and the smallest one around. For a surface, `inner` is some ellipsoid inside, not
+        the largest: without a radius it is a point, with semi-axes of zero.
     inner_gap, outer_gap : float
-        Certified bounds on the log-volume distance from the optimum; for the inner ellipsoid of a surface there is
-        none, and `inner_gap` is 0.
+        Certified bounds on the log-volume distance from the optimum; the inner ellipsoid of a surface has no such
+        bound, and `inner_gap` is 0.
 
     Examples
     --------
@@ -143,8 +143,8 @@ class _Bodies:
 class Body(_Bodies):
     """A union of convex pieces and surfaces, each with its inner and outer ellipsoid.
 
-    Make one by `from_points`, `from_pieces`, `from_mesh`, `from_surface`, `box`, `sphere`, `cylinder`, `capsule`,
-    `cone`, `ellipsoid`, `union` or `load`. Lengths are metres, in the body's own frame.
+    Make one with `from_points`, `from_pieces`, `from_mesh`, `from_surface`, `box`, `sphere`, `cylinder`, `capsule`,
+    `cone`, `ellipsoid`, `union` or `load`. Lengths are in metres, in the body's own frame.
 
     Examples
     --------
@@ -163,7 +163,7 @@ class Body(_Bodies):
 
     @property
     def covering(self) -> Covering | None:
-        """How well the pieces cover the mesh that they were made from; None if there was no mesh."""
+        """How well the pieces cover the mesh from which they were made; None if there was no mesh."""
         return self._covering
 
     def __repr__(self) -> str:
@@ -192,7 +192,7 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there are too few points, or they are flat, collinear or all the same.
+            If there are too few points, or they are flat, collinear or all equal.
 
         Examples
         --------
@@ -257,26 +257,27 @@ class Body(_Bodies):
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
         cover : bool
-            Grow the pieces of a decomposition until they hold the mesh's whole surface.
+            Grow the pieces of a decomposition until they contain the mesh's whole surface.
         tolerance : float, optional
-            How far the pieces may stick out of the mesh, in metres. They are then cut with planes, not by CoACD, until
-            they do not stick out by more, or until `max_pieces` is reached; if they still do, a warning states by how
-            much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its box, or as near
-            as a limited amount of work comes.
+            The largest distance by which the pieces may stick out of the mesh, in metres. Planes instead of CoACD then
+            cut the mesh, until no piece sticks out farther or `max_pieces` is reached; if a piece still does, a warning
+            states by how much. A mesh with holes is always cut with planes: by default to 2 % of the diagonal of its
+            box, or as closely as a limited amount of work allows.
         threshold : float
-            CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. For meshes without holes.
+            CoACD's bound on concavity, 0.01 to 1: smaller gives more pieces and a closer fit. Only for meshes without
+            holes.
         max_pieces : int, optional
             Limit on the number of pieces of a decomposition.
         seed : int
             Seed of CoACD's search.
         progress : callable, optional
-            Called as ``progress(done, total)`` after each step, never with a smaller share than before; where planes
-            cut, a step is a hundredth of the surface. The fits come last, as one step.
+            Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a
+            step is a hundredth of the surface. The fits come last, as one step.
 
         Raises
         ------
         FileError
-            If the file is missing, empty, truncated or no mesh.
+            If the file is missing, empty, truncated or not a mesh.
         MissingExtraError
             If a package of the extra "meshes" is needed and missing.
 
@@ -325,21 +326,21 @@ class Body(_Bodies):
         solid: bool | None = None,
         scale: ArrayLike = 1.0,
     ) -> Body:
-        """Body of the triangles of a mesh themselves, at once and exact.
+        """Body made of the triangles of a mesh themselves, immediately and exactly.
 
         Every triangle is a convex piece, a flat core with a radius; holes, duplicates, flipped, degenerate and
-        self-intersecting triangles are fine. See docs/surfaces.md for when to take this, and when `from_mesh`.
+        self-intersecting triangles are fine. docs/surfaces.md explains when to use this and when to use `from_mesh`.
 
         Parameters
         ----------
         source : path, trimesh.Trimesh, trimesh.Scene, or a pair of arrays
             STL, OBJ, PLY, OFF, GLB, glTF or DAE, in metres; or vertices and triangles, shapes (v, 3) and (t, 3).
         radius : float
-            Of the ball around each point of the triangles, in metres.
+            Radius of the ball around each point of the triangles, in metres.
         solid : bool, optional
-            Whether the enclosed space, all points that the mesh winds around, belongs to the body. A body inside a
-            solid collides with it, a body in a cavity does not. Default: if the mesh is closed, that is, if its
-            triangles pass each edge equally often in both directions. A mesh that is only nearly closed causes a
+            Whether the enclosed space, all points around which the mesh winds, belongs to the body. A body inside a
+            solid collides with it; a body in a cavity does not. By default a mesh is solid if it is closed, that is, if
+            its triangles pass each edge equally often in both directions. A mesh that is only nearly closed causes a
             warning and counts as open.
         scale : float, or array_like of shape (3,)
             Factor for all lengths, or one for each axis of the mesh; a negative one mirrors.
@@ -347,10 +348,10 @@ class Body(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, empty, truncated or no mesh.
+            If the file is missing, empty, truncated or not a mesh.
         GeometryError
-            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are beyond 1e-12 to
-            1e12 m; with ``solid=True``, if the mesh is open, and where.
+            If a vertex is not finite, an index is out of range, there is no triangle, or sizes are beyond 1e-12 to 1e12
+            m; with ``solid=True`` also if the mesh is open (the message gives the place).
         InputError
             If the radius is negative or not finite.
 
@@ -387,7 +388,8 @@ class Body(_Bodies):
         InputError
             If a length is not positive and finite.
         GeometryError
-            If a length is lost beside another one (about 1e-12 of it), or beyond 1e-30 to 1e30 m.
+            If a length is so small beside another one (about 1e-12 of it) that rounding loses it, or is beyond 1e-30 to
+            1e30 m.
 
         Examples
         --------
@@ -411,7 +413,7 @@ class Body(_Bodies):
 
     @classmethod
     def sphere(cls, radius: float) -> Body:
-        """Ball about the origin, radius in metres; its own inner and outer ellipsoid.
+        """Ball about the origin, radius in metres; it is its own inner and outer ellipsoid.
 
         Parameters
         ----------
@@ -433,7 +435,7 @@ class Body(_Bodies):
 
     @classmethod
     def ellipsoid(cls, semi_axes: ArrayLike) -> Body:
-        """Ellipsoid about the origin along the axes, semi-axes of shape (3,), in metres.
+        """Ellipsoid about the origin along the axes, with semi-axes of shape (3,), in metres.
 
         Parameters
         ----------
@@ -455,7 +457,7 @@ class Body(_Bodies):
 
     @classmethod
     def spheres(cls, centers: ArrayLike, radii: ArrayLike) -> Body:
-        """Union of balls, each a piece; for many of one radius see `from_cloud`.
+        """Union of balls, each a piece; for many balls of the same radius see `from_cloud`.
 
         Parameters
         ----------
@@ -469,7 +471,7 @@ class Body(_Bodies):
         InputError
             On wrong shapes, entries that are not finite or radii that are not positive.
         GeometryError
-            If there is none.
+            If there are no balls.
 
         Examples
         --------
@@ -482,21 +484,22 @@ class Body(_Bodies):
 
     @classmethod
     def boxes(cls, centers: ArrayLike, edges: ArrayLike) -> Body:
-        """Union of boxes along the axes, each a piece.
+        """Union of axis-aligned boxes, each a piece.
 
         Parameters
         ----------
         centers : array_like, shape (n, 3)
             In metres.
         edges : float, or array_like of shape (3,) or (n, 3)
-            Full edge lengths along x, y, z, in metres: of cubes, of all boxes, or of each box.
+            Full edge lengths along x, y, z, in metres: one number for cubes, one row for all boxes, or a row for each
+            box.
 
         Raises
         ------
         InputError
             On wrong shapes, entries that are not finite or lengths that are not positive.
         GeometryError
-            If there is none, or an edge is lost beside the distance from the origin.
+            If there are no boxes, or an edge is too small beside the distance from the origin.
 
         Examples
         --------
@@ -509,31 +512,31 @@ class Body(_Bodies):
 
     @classmethod
     def from_cloud(cls, points: ArrayLike, *, radius: float | None = None, voxel: float | None = None) -> Body:
-        """Point cloud: the union of balls around the points, or of the voxels that they are in.
+        """Point cloud: the union of balls around the points, or of the voxels that contain them.
 
         Parameters
         ----------
         points : array_like, shape (n, 3)
             In metres.
         radius : float, optional
-            Of the ball around each point, in metres. Building the body of 50,000 points takes some 40 ms.
+            Radius of the ball around each point, in metres. Building the body of 50,000 points takes about 40 ms.
         voxel : float, optional
-            Edge of the cubes of a grid through the origin, in metres; cubes with a point in them are the body, as in
-            `from_voxels`. Give either this or the radius.
+            Edge length of the cells of a grid through the origin, in metres; the cells that contain a point form the
+            body, as in `from_voxels`. Give either this or the radius.
 
         Returns
         -------
         Body
-            One piece with a tree over the points; with voxels, boxes, as `from_voxels`. FREE is proven for the exact
-            union. Proofs of motions replace the points by boxes around up to 128 parts of them.
+            One piece with a tree over the points; with voxels, boxes as from `from_voxels`. FREE is proven for the
+            exact union. Proofs of motions replace the points by boxes around up to 128 parts of the cloud.
 
         Raises
         ------
         InputError
-            On a wrong shape, entries that are not finite (depth images have them: leave them out), or without exactly
-            one of `radius` and `voxel`.
+            If the shape is wrong, entries are not finite (remove such entries of depth images first), or not exactly
+            one of `radius` and `voxel` is given.
         GeometryError
-            If there is no point.
+            If there are no points.
 
         Examples
         --------
@@ -558,7 +561,7 @@ class Body(_Bodies):
         Parameters
         ----------
         grid : array_like of bool, shape (p, q, r)
-            Which cells are occupied; compare probabilities with a threshold first.
+            Which cells are occupied; if you have probabilities, compare them with a threshold first.
         size : float
             Edge of a cell, in metres.
         origin : array_like, shape (3,)
@@ -567,7 +570,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If the grid is no array of bool with three axes.
+            If the grid is not an array of bool with three axes.
         GeometryError
             If no cell is occupied.
         MemoryLimitError
@@ -601,9 +604,9 @@ class Body(_Bodies):
         Raises
         ------
         FileError
-            If the file is missing, or no whole octree.
+            If the file is missing or is not a complete octree.
         GeometryError
-            If nothing in it is occupied.
+            If no cell in it is occupied.
 
         Examples
         --------
@@ -623,12 +626,13 @@ class Body(_Bodies):
         Parameters
         ----------
         heights : array_like, shape (p, q)
-            In metres; that at (i, j) is of the point x = i spacing, y = j spacing. At least two along each axis.
+            In metres; the height at (i, j) belongs to the point x = i spacing, y = j spacing. At least two along each
+            axis.
         spacing : float, or array_like of shape (2,)
             Between neighbours along x and y, in metres.
         base : float, optional
-            Height of the flat underside, in metres, below all heights. By default it is the lowest less the longer side
-            of the grid, so that nothing passes through from above unseen.
+            Height of the flat underside, in metres, below all heights. By default it is the lowest height minus the
+            longer side of the grid, so that nothing passes through from above undetected.
 
         Raises
         ------
@@ -654,18 +658,18 @@ class Body(_Bodies):
 
     @classmethod
     def half_space(cls, normal: ArrayLike, offset: float, *, extent: float = 1000.0) -> Body:
-        """Floor, wall or ceiling: the space below a plane, as far as a cube of edge `extent` reaches.
+        """Floor, wall or ceiling: the space below a plane, inside a cube with edges of length `extent`.
 
         Parameters
         ----------
         normal : array_like, shape (3,)
-            Points out of the body, of any length; the body is {x : n · x <= offset} with n of length 1.
+            Points out of the body and may have any length; the body is {x : n · x <= offset} with n scaled to length 1.
         offset : float
             Distance of the plane from the origin along the normal, in metres; negative behind it.
         extent : float
-            Edge of the cube, in metres, at most 1e9. One of its sides is in the plane, about the point nearest to the
-            origin. Everything outside the cube is free: choose it larger than the moving bodies' range. Contact is
-            accurate to about 1e-12 times this length.
+            Edge of the cube, in metres, at most 1e9. One of its sides lies in the plane, centered at the point nearest
+            to the origin. Everything outside the cube is free: choose it larger than the moving bodies' range. Contact
+            is accurate to about 1e-12 times this length.
 
         Raises
         ------
@@ -729,7 +733,7 @@ class Body(_Bodies):
         Parameters
         ----------
         radius, length : float
-            Of the base, and from base to apex, in metres.
+            Radius of the base, and length from base to apex, in metres.
 
         Raises
         ------
@@ -752,7 +756,7 @@ class Body(_Bodies):
         Parameters
         ----------
         radius, length : float
-            In metres; from tip to tip it measures length + 2 radius.
+            In metres; the total length from tip to tip is length + 2 radius.
 
         Raises
         ------
@@ -770,7 +774,7 @@ class Body(_Bodies):
 
     @classmethod
     def union(cls, bodies: Iterable[Body]) -> Body:
-        """One body of all the pieces of several, in the frame they share.
+        """One body with the pieces of several bodies, in their common frame.
 
         Parameters
         ----------
@@ -780,9 +784,9 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If one is no body.
+            If an argument is not a body.
         GeometryError
-            If there is none.
+            If there are no bodies.
 
         Examples
         --------
@@ -799,10 +803,10 @@ class Body(_Bodies):
         return cls(Packed.of(PieceArrays(**{**arrays_of(packed), "piece_start": start}), packed.maps, packed.trees))
 
     def transformed(self, T: ArrayLike) -> Body:
-        """The body moved by a rigid motion, shape (4, 4), for good; the ellipsoids move along.
+        """A copy of the body moved by a rigid motion, shape (4, 4); the ellipsoids move along.
 
-        The moved vertices are rounded to float64, so the ellipsoids are grown and shrunk by what
-        that rounding can do to containment.
+        The moved vertices are rounded to float64, so the outer ellipsoids grow and the inner ones shrink by the largest
+        effect of that rounding on containment.
 
         Parameters
         ----------
@@ -816,9 +820,9 @@ class Body(_Bodies):
         Raises
         ------
         PoseError
-            If T is no rigid motion.
+            If T is not a rigid motion.
         GeometryError
-            If the translation leaves no digits for a piece that is thin.
+            If the translation is so large that a thin piece has no digits left.
 
         Examples
         --------
@@ -836,19 +840,20 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         name: str = "body",
     ) -> str:
-        """Write the body as a model of MuJoCo: one body without joints, a geom for each piece.
+        """Write the body as a MuJoCo model: one body without joints, with one geom per piece.
 
-        A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh, whose
-        corners are in the text; a cone becomes a polytope around it.
+        A box, sphere, cylinder, capsule or ellipsoid becomes a geom of that type. Any other piece becomes a mesh whose
+        vertices are in the text; a cone becomes a polytope around it.
 
         Parameters
         ----------
         path : path, optional
-            File to write, under a temporary name first, then renamed.
+            File to write; it is written under a temporary name and then renamed.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         name : str
-            Of the model and of its body, any but "world", which is MuJoCo's; geoms are ``NAME_0``, ``NAME_1``, ...
+            Name of the model and of its body: any name except "world", which MuJoCo reserves; geoms are ``NAME_0``,
+            ``NAME_1``, ...
 
         Returns
         -------
@@ -889,17 +894,17 @@ class Body(_Bodies):
         ellipsoids: Literal["inner", "outer"] | None = None,
         mesh_prefix: str = "",
     ) -> None:
-        """Write the body as a URDF of one link, with collision shapes alone.
+        """Write the body as a URDF with one link, with collision shapes only.
 
         Boxes, spheres and cylinders are kept, and a capsule becomes a cylinder and two spheres. Any other piece becomes
         a mesh in a file next to the URDF, ``STEM-0.obj``, ``STEM-1.obj``, ... Ellipsoids and cones become polytopes
-        around them; inner ellipsoids, polytopes inside.
+        around them, and inner ellipsoids polytopes inside.
 
         Parameters
         ----------
         path : path
-            Ends in any suffix; its stem is the name of the robot and of its link. It is written under a temporary name
-            first, then renamed, after the files of its meshes.
+            It may have any suffix; its stem is the name of the robot and of its link. The file is written under a
+            temporary name and then renamed, after the files of its meshes.
         ellipsoids : {"inner", "outer"}, optional
             Write these ellipsoids instead of the pieces.
         mesh_prefix : str
@@ -908,7 +913,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            If a piece is a surface, and no ellipsoids are requested; if the stem is no name.
+            If a piece is a surface, and no ellipsoids are requested; or if the stem is not a valid name.
         FileError
             If a file cannot be written.
 
@@ -926,7 +931,7 @@ class Body(_Bodies):
         exports.save_urdf(self._packed, file, ellipsoids, exports.prefix(mesh_prefix))
 
     def to_trimesh(self, what: Literal["pieces", "inner", "outer"] = "pieces") -> Any:
-        """Pieces or ellipsoids as triangles, for trimesh to show or to write as GLB, STL or any of its formats.
+        """Pieces or ellipsoids as triangles, for trimesh to display or to write as GLB, STL or any of its formats.
 
         Parameters
         ----------
@@ -960,7 +965,7 @@ class Body(_Bodies):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Body:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Parameters
         ----------
@@ -988,7 +993,7 @@ class Body(_Bodies):
 
 @guarded
 class Bodies(_Bodies):
-    """A packed sequence of n bodies; broadcasts with the last batch axis of the poses.
+    """A packed sequence of n bodies; it broadcasts with the last batch axis of the poses.
 
     Parameters
     ----------
@@ -1015,7 +1020,7 @@ class Bodies(_Bodies):
     def from_points(
         cls, point_sets: Iterable[ArrayLike], *, tol: float = 1e-4, progress: Progress | None = None
     ) -> Bodies:
-        """One convex body per point set; hulls and fits in one go, on all threads.
+        """One convex body per point set; hulls and fits are computed together, on all threads.
 
         Parameters
         ----------
@@ -1023,7 +1028,7 @@ class Bodies(_Bodies):
         tol : float
             Certified log-volume gap of all fits.
         progress : callable, optional
-            Called as ``progress(done, total)`` now and then.
+            Called as ``progress(done, total)`` from time to time.
 
         Raises
         ------
@@ -1041,7 +1046,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def spheres(cls, radii: ArrayLike) -> Bodies:
-        """One ball about the origin per radius, shape (n,), in metres; as `Body.sphere`.
+        """One ball about the origin per radius, shape (n,), in metres; see `Body.sphere`.
 
         Parameters
         ----------
@@ -1059,7 +1064,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def ellipsoids(cls, semi_axes: ArrayLike) -> Bodies:
-        """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; as `Body.ellipsoid`.
+        """One ellipsoid about the origin per row of semi-axes, shape (n, 3), in metres; see `Body.ellipsoid`.
 
         Parameters
         ----------
@@ -1112,7 +1117,7 @@ class Bodies(_Bodies):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Bodies:
-        """Read what `save` of a body or of bodies wrote.
+        """Read a file written by `save` of a body or of bodies.
 
         Parameters
         ----------

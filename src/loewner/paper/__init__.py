@@ -1,9 +1,9 @@
 """The paper's experiment: its data set, four detectors, tables and figures; and its own methods, for comparison.
 
-`run` does it all and returns an `Experiment`; `tables.rows` gives its tables as text. The modules read in
-the paper's order: `dataset`, `fitting`, `detectors`, `experiment`, `tables`, `sheets`, `figures`, `report`. What the
-library itself does in another way is in `estimates` (f, section 4), `overlap` (appendix A) and `lifted_mvie`
-(appendix B).
+`run` performs the experiment and returns an `Experiment`; `tables.rows` gives its tables as text. The modules follow
+the paper's order: `dataset`, `fitting`, `detectors`, `experiment`, `tables`, `sheets`, `figures`, `report`. The paper's
+methods that the library replaces are in `estimates` (f, section 4), `overlap` (appendix A) and `lifted_mvie` (appendix
+B).
 """
 
 from loewner.paper import tables

@@ -63,7 +63,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     seed : int
         At least 0.
     dataset : {"radius", "volume"}
-        How points are spread in the unit ball: radius uniform, or uniform in the volume.
+        Distribution of the points in the unit ball: uniform radius, or uniform in the volume.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def sample(pairs: int = 1000, seed: int = 0, dataset: str = "radius") -> DataSet
     InputError
         If `pairs` or `seed` is not such a number, or the pairs do not fit into memory.
     UnknownNameError
-        If the data set is none of the two.
+        If the data set is neither of the two.
 
     Examples
     --------

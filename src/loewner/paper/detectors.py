@@ -1,9 +1,8 @@
 """The paper's four detectors, compiled, and their confusion with the truth.
 
-Detector 3 (level surfaces) is the one to use where the paper's estimate is wanted: it holds up on other shapes.
-Detector 4 (center lines) does not generalise: near contact it misses a quarter of the collisions of tetrahedra,
-nearly half of those of thin rods and over two thirds of those of thin plates. Detector 1 is the earlier method, here
-as the baseline only.
+Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
+does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half of those of thin rods
+and over two thirds of those of thin plates. Detector 1 is the earlier method and serves only as the baseline.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class Confusion:
         Raises
         ------
         InputError
-            If they are not as many, or no booleans.
+            If their lengths differ, or they are not booleans.
         """
         collides, truth = _truths(collides, "collides"), _truths(truth, "truth")
         if collides.shape != truth.shape:
@@ -127,7 +126,7 @@ class Faces:
 
 @dataclass(frozen=True)
 class Pairs:
-    """What the detectors see of n pairs, all in one frame.
+    """The input of the detectors for n pairs, all in one frame.
 
     Attributes
     ----------
@@ -163,14 +162,14 @@ class Pairs:
         Parameters
         ----------
         a, b : Bodies
-            Equally many.
+            Equal numbers of bodies.
         heuristic : {"centroid", "center"}
-            Where detector 1 puts the shrunk outer ellipsoid: the mean of the vertices or the outer center.
+            Center of detector 1's shrunk outer ellipsoid: the mean of the vertices or the outer center.
 
         Raises
         ------
         InputError
-            If they are not equally many, or one is not of one convex polytope.
+            If their numbers differ, or a body is not one convex polytope.
         UnknownNameError
             If there is no such heuristic.
         """
@@ -228,13 +227,13 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Answers:
-    """What a detector said of n pairs.
+    """A detector's answers for n pairs.
 
     Attributes
     ----------
     collides : ndarray of bool, shape (n,)
     ambiguous : ndarray of bool, shape (n,)
-        Where neither of the detector's own overlap checks decided.
+        Pairs that neither of the detector's own overlap checks decided.
 
     Examples
     --------
@@ -265,7 +264,8 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     Raises
     ------
     InputError
-        If `pairs` are none, or the angle is no number above zero; UnknownNameError if there is no such detector.
+        If `pairs` is not a `Pairs`, or the angle is not a number above zero; UnknownNameError if there is no such
+        detector.
 
     Examples
     --------
@@ -282,9 +282,9 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
 
 
 def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> float:
-    """Microseconds of one check, averaged over the pairs, one thread, compiled beforehand.
+    """Time of one check in microseconds, averaged over the pairs, on one thread, compiled beforehand.
 
-    The median of at least three passes; below some hundred pairs the call itself shows in it.
+    The median of at least three passes; below about a hundred pairs it includes a visible share of the call itself.
     """
     n = len(_expect_pairs(pairs))
     if n == 0:
@@ -300,7 +300,7 @@ def time_per_check(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -
 
 
 def estimate(pairs: Pairs) -> Answers:
-    """The library's own rule, F_in F_out <= 1 for what the two exact overlap checks leave open.
+    """The library's own rule, F_in F_out <= 1 for the pairs that the two exact overlap checks leave open.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The paper's estimate f of the distance of two pieces, by the near points of each of its detectors 2 to 4.
+"""The paper's estimate f of the distance of two pieces, for the near points of each of its detectors 2 to 4.
 
 f <= 0 counts as a collision. The library's own estimate (`loewner.collide` with ``method="estimate"``, and the
-`estimate` of `loewner.distance`) is another: docs/design/estimate_rule.md compares them.
+`estimate` of `loewner.distance`) is different: docs/design/estimate_rule.md compares them.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ def distance_estimate(
 ) -> Floats:
     """Guess the distance of convex pieces by the paper's f, from the two ellipsoids of each.
 
-    On the line through near points of the inner ellipsoids, each piece is guessed to end half way between its inner
-    and its outer ellipsoid.
+    On the line through near points of the inner ellipsoids, each piece is assumed to end half way between its inner and
+    its outer ellipsoid.
 
     Parameters
     ----------
     inner_1, outer_1, inner_2, outer_2 : Ellipsoids
         In 3-D, all in one frame, in metres; batches broadcast.
     method : {"rimon-boyd", "lin-han", "center-line"}
-        Near points as in `loewner.near_points`: those of detectors 3, 2 (to 0.01 rad) and 4. "center-line" misses many
-        collisions of thin pieces.
+        Near points as in `loewner.near_points`, as used by detectors 3, 2 (to 0.01 rad) and 4. "center-line" misses
+        many collisions of thin pieces.
 
     Returns
     -------
     ndarray, shape (...)
-        f in metres; at most 0 counts as a collision. Where the ellipsoids settle the pair it proves nothing:
-        `loewner.classify` knows better.
+        f in metres; at most 0 counts as a collision. It proves nothing, even where the ellipsoids settle the pair: use
+        `loewner.classify` for that.
 
     Raises
     ------
     InputError
         If an argument is not 3-D or batch shapes do not broadcast.
     UnknownNameError
-        If the method is none of the three.
+        If the method is not one of the three.
     ConvergenceError
         If sizes or distances leave the range of float64 when squared.
 

@@ -29,7 +29,7 @@ Path_ = str | os.PathLike[str]
 
 @dataclass(frozen=True)
 class Result:
-    """One detector over all pairs.
+    """One detector's results over all pairs.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Result:
     name : str
     answers : Answers
     all, ambiguous : Confusion
-        Over all pairs, and over those ambiguous to this detector.
+        Over all pairs, and over the pairs ambiguous to this detector.
     microseconds, ambiguous_microseconds : float
         Time of one check, one thread, over all pairs and over the ambiguous ones; NaN if not timed
         or if there are none.
@@ -62,7 +62,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What `run` found.
+    """The results of `run`.
 
     Attributes
     ----------
@@ -70,15 +70,15 @@ class Experiment:
     bodies_1, bodies_2 : Bodies
         Hulls and fits of the pairs.
     pairs : Pairs
-        The same as the detectors see it.
+        The pairs in the form that the detectors take.
     truth : ndarray of bool, shape (pairs,)
-        Exact.
+        Exact answers.
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
         F_in F_out <= 1, ambiguous by the two exact overlap checks.
     fittings : tuple of Fitting
-        How reliable each kind of fit is on these polyhedra, at most the first 2000.
+        Reliability of each kind of fit on these polyhedra, at most the first 2000.
 
     Examples
     --------
@@ -138,17 +138,17 @@ def run(
     Parameters
     ----------
     pairs : int
-        The paper has 1000.
+        The paper uses 1000.
     seed : int
-        Same seed, same pairs; the first k pairs do not depend on how many follow.
+        The same seed gives the same pairs; the first k pairs do not depend on the total number.
     dataset : {"radius", "volume"}
-        How points are spread in the unit ball; "radius" matches the paper's numbers.
+        Distribution of the points in the unit ball; "radius" matches the paper's numbers.
     out : path, optional
-        Folder for the report (report.md, report.html) and the figures (PNG, SVG); made if missing.
+        Folder for the report (report.md, report.html) and the figures (PNG, SVG); created if missing.
     json : path, optional
         File for the counts and times.
     progress : callable, optional
-        Called as ``progress(stage, done, total)`` now and then, with the stage's name.
+        Called as ``progress(stage, done, total)`` from time to time, with the stage's name.
 
     Returns
     -------
@@ -248,7 +248,7 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
 
 
 def folder_exists(path: Path) -> bool:
-    """False also for names that no file system takes, such as those too long for it."""
+    """False also for names that no file system accepts, such as names that are too long."""
     try:
         return path.is_dir()
     except OSError:
@@ -256,6 +256,6 @@ def folder_exists(path: Path) -> bool:
 
 
 def write_atomically(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all; a `FileError` leaves an older one untouched."""
+    """Write a file whole or not at all; after a `FileError` an existing file is unchanged."""
     with replacing(target) as temporary:
         temporary.write_bytes(content)

@@ -1,7 +1,7 @@
 """Figures 1 to 4 of the paper, drawn from the experiment's own pairs (3 is a flow chart).
 
-Figures 1 and 2 are plane sections through the near-point line, so every marked point lies where the
-section shows it. Needs matplotlib (extra "plots").
+Figures 1 and 2 are plane sections through the near-point line, so every marked point lies in the section. Needs
+matplotlib (extra "plots").
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DOTS_PER_INCH = 110
 
 
 def require_matplotlib() -> Any:
-    """Import what draws; the figures never touch pyplot, so no window system is asked for.
+    """Import the drawing packages; the figures never use pyplot, so no window system is needed.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""How reliable the fits are: each polyhedron of the experiment fitted on its own, with failures counted.
+"""Reliability of the fits: each polyhedron of the experiment is fitted separately, and failures are counted.
 
-The paper asks for a reliable fit (section 3) and prints none of these numbers.
+The paper requires a reliable fit (section 3) but prints none of these numbers.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Fitting:
     name : str
         A key of `FITS`.
     tried, failed : int
-        Failed are those that ended in a `LoewnerError`: no ellipsoid within the tolerance.
+        Fits that ended in a `LoewnerError` failed: no ellipsoid within the tolerance.
     largest_gap : float
-        The largest certified gap in log-volume among the others; NaN if there are none.
+        The largest certified gap in log-volume among the successful fits; NaN if there are none.
     microseconds : float
-        Time of one call, on average.
+        Average time of one call.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope of one dimension more.
+"""Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope one dimension higher.
 
-A check on `loewner.mvce`, which is quicker: this solves in dimension n + 1, with two half-spaces for each point.
+A check on `loewner.mvce`, which is faster: this solves in dimension n + 1, with two half-spaces for each point.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ def mvce_by_lifted_mvie(points: ArrayLike, tol: float = DEFAULT_TOLERANCE) -> Fi
     Returns
     -------
     Fit
-        Every point is inside the ellipsoid exactly as stored, whatever the rounding.
+        The ellipsoid contains every point exactly as stored, whatever the rounding.
 
     Raises
     ------
     InputError
-        On a wrong shape, entries that are not finite or a tolerance out of range.
+        If the shape is wrong, entries are not finite, or the tolerance is out of range.
     GeometryError
-        On fewer than n + 1 points or points in a flat.
+        If there are fewer than n + 1 points, or all lie in a flat.
     ConvergenceError
-        If the gap asked for was not reached.
+        If the requested gap was not reached.
 
     References
     ----------

@@ -1,6 +1,6 @@
 """Appendix A of the paper: the overlap of two ellipsoids by an eigenproblem.
 
-The reference for `loewner.overlap`, which is quicker and keeps its digits for thin ellipsoids.
+The reference for `loewner.overlap`, which is faster and keeps its digits for thin ellipsoids.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LARGEST_MISS = 1e-6
 
 @guarded
 def overlap_by_eigenvalue(E1: Ellipsoids, E2: Ellipsoids) -> NDArray[np.bool_]:
-    """Tell whether ellipsoids overlap by the paper's appendix A, a 2n x 2n eigenproblem; touching counts.
+    """Decide whether ellipsoids overlap by the paper's appendix A, a 2n x 2n eigenproblem; touching counts.
 
     Parameters
     ----------

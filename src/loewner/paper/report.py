@@ -27,7 +27,7 @@ CAPTIONS = {
 
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
-    """Make the folder and see that figures can be drawn, before any work is done.
+    """Create the folder and check that figures can be drawn, before any work is done.
 
     Raises
     ------

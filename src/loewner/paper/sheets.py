@@ -1,6 +1,6 @@
-"""The tables as text, the same for the terminal and the report: ours beside the paper's, none wider than 80 columns.
+"""The tables as text, the same for the terminal and the report: ours beside the paper's, at most 80 columns wide.
 
-Whatever is the paper's names the table and the cells that it comes from; whatever is ours is counted or measured in
+Cells marked as the paper's name the table and the cells of their source; all other numbers are counted or measured in
 this run.
 """
 
@@ -50,7 +50,7 @@ class Sheet:
     head : tuple of str
     rows : tuple of tuple of str
     note : str
-        How to read it, and where the paper's numbers in it come from.
+        How to read it, and the source of the paper's numbers in it.
     """
 
     title: str
@@ -60,7 +60,7 @@ class Sheet:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Which columns hold numbers, and stand to the right."""
+        """Which columns hold numbers, and are aligned to the right."""
         return tuple(all(NUMBER.fullmatch(cell) for cell in column) for column in zip(*self.rows, strict=True))
 
     @property
@@ -96,7 +96,7 @@ def counts(experiment: Experiment) -> tuple[Sheet, ...]:
 
 
 def shares(experiment: Experiment) -> tuple[Sheet, ...]:
-    """The same in percent, with the interval of each share."""
+    """The counts in percent, with the interval of each share."""
     found = tables(experiment)
     return tuple(_shares(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 
@@ -178,7 +178,7 @@ def fits(experiment: Experiment) -> Sheet:
 
 
 def in_order(experiment: Experiment) -> tuple[Sheet, ...]:
-    """What the terminal shows: every table, without the intervals."""
+    """The terminal's output: every table, without the intervals."""
     return (
         pairs(experiment),
         *counts(experiment),

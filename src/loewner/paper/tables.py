@@ -1,4 +1,4 @@
-"""Tables 1 to 4, (a) and (b), next to the paper's own numbers; what consistent means is computed, not said."""
+"""Tables 1 to 4, (a) and (b), next to the paper's own numbers; whether they are consistent is computed."""
 
 from __future__ import annotations
 
@@ -71,18 +71,18 @@ class Table:
     Attributes
     ----------
     title : str
-        "Table 1 (a)", or "Estimate (a)" for the library's own rule, which the paper does not have.
+        "Table 1 (a)", or "Estimate (a)" for the library's own rule, which is not in the paper.
     detector : str
     cells : tuple of Cell
         tp, fp, fn, tn.
     accuracy : float
         Share of right answers.
     p_value : float
-        That these counts and the paper's come from one distribution (chi-square, homogeneity).
+        The p-value that these counts and the paper's come from one distribution (chi-square, homogeneity).
     statement : str
         The p-value in words.
     microseconds : float
-        Per check, here.
+        Time per check on this machine.
     paper_milliseconds : float
     """
 
@@ -156,7 +156,7 @@ def errors_outside(every: Confusion, ambiguous: Confusion) -> tuple[int, int]:
 
     Examples
     --------
-    The three errors that section 5 of the paper speaks of:
+    The three errors mentioned in section 5 of the paper:
 
     >>> from loewner.paper import tables
     >>> tables.errors_outside(*tables.PAPER[2][:2])
@@ -233,7 +233,7 @@ def _with_fourth(table: Table, fourth: Confusion, printed: Confusion) -> Table:
 
 
 def statement(p: float) -> str:
-    """Say whether a p-value lets two rows of counts share one distribution."""
+    """Whether a p-value is consistent with one distribution for two rows of counts, in words."""
     if math.isnan(p):
         return "-"
     verdict = "yes" if p >= SIGNIFICANCE else "no"

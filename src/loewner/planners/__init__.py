@@ -1,4 +1,4 @@
-"""Paths from start to goal whose motions are proven free, and what is made of them."""
+"""Paths from start to goal whose motions are proven free, and the trajectories made from them."""
 
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten

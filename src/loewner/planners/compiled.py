@@ -1,4 +1,4 @@
-"""RRT-Connect and shortening, compiled: memory for their kernels, and what they say, as errors."""
+"""RRT-Connect and shortening, compiled: memory for their kernels, and errors from their codes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_ROOM = 4096
 
 
 class Trees(NamedTuple):
-    """Two trees, as `_kernels.robots.planning.Trees` describes them."""
+    """Two trees, as described by `_kernels.robots.planning.Trees`."""
 
     nodes: Floats
     parents: Ints
@@ -44,13 +44,13 @@ class Trees(NamedTuple):
 
     @classmethod
     def of(cls, joints: int, capacity: int) -> Trees:
-        """Room for so many configurations in each."""
+        """Room for this number of configurations in each tree."""
         fits_memory(2 * capacity * 8 * (joints + 3), f"trees of {capacity} configurations")
         nodes, parents = np.empty((2, joints, capacity)), np.empty((2, capacity), dtype=np.int64)
         return cls(nodes, parents, np.empty((2, capacity)))
 
     def rooted(self, start: Floats, goals: Floats) -> Trees:
-        """The same with roots: a start, shape (joints,), and goals, shape (goals, joints)."""
+        """The trees with roots: a start, shape (joints,), and goals, shape (goals, joints)."""
         count = len(goals)
         self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
         self.parents[0, 0], self.parents[1, :count] = -1, -1
@@ -59,11 +59,11 @@ class Trees(NamedTuple):
 
     @property
     def capacity(self) -> int:
-        """Configurations that each has room for."""
+        """Number of configurations for which each tree has room."""
         return int(self.nodes.shape[2])
 
     def grown(self) -> Trees:
-        """The same with room for twice as many configurations."""
+        """A copy with room for twice as many configurations."""
         more = Trees.of(self.nodes.shape[1], 2 * self.capacity)
         for old, new in zip(self, more, strict=True):
             new[..., : self.capacity] = old
@@ -94,7 +94,7 @@ def connect(
     Raises
     ------
     PlanningError
-        If none was found within the iterations, or in time.
+        If no path was found within the iterations, or in time.
     """
     joints, many, root = len(space.columns), len(goals), start[space.columns]
     numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((4, joints))
@@ -184,7 +184,7 @@ def _how_far(judge: Judge, state: Ints, gap: Floats, spent: str, option: str) ->
 
 
 def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> Floats:
-    """A shorter path with the same ends; the judge has found the motions of `path` free, and so are those of this."""
+    """A shorter path with the same ends; the judge has found all motions of `path` and of the result free."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
     room = count + min(max_iterations, MOST_ROOM)

@@ -1,4 +1,4 @@
-"""Paths that begin or end in contact: the way out of it, along the contact normals, and into it the same way."""
+"""Paths that begin or end in contact: motions along the contact normals that leave or enter it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Departures:
     ----------
     space : Space
     start, goals : ndarray, shapes (dof,) and (goals, dof)
-        As the user gave them.
+        As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        The same where there is no contact that may end or begin.
+        The same configurations where no contact has to end or begin.
     """
 
     space: Space
@@ -42,12 +42,12 @@ class Departures:
 
     @classmethod
     def of(cls, space: Space, ready: CheckedPairs, start: Floats, goals: Floats) -> Departures:
-        """Find them, in the scene as it was at one moment.
+        """Find them, in one consistent state of the scene.
 
         Raises
         ------
         PlanningError
-            If a contact at the start, or at the only goal, may end by the rules, but no motion that ends it was found.
+            If a contact at the start, or at the only goal, may end by the rules, but no motion was found that ends it.
         """
         free_start, free_goals = start, goals
         if ready.leaving.any():
@@ -62,7 +62,7 @@ class Departures:
         return cls(space, start, goals, free_start, free_goals)
 
     def joined(self, path: Floats) -> Floats:
-        """A path between the free configurations, with the motions out of contact and into it."""
+        """A path between the free configurations, extended by the motions out of contact and into it."""
         ends = self.space.unwound(path[-1], self.free_goals)
         k = int(np.abs(ends - path[-1]).max(axis=1).argmin())
         rows = [path]

@@ -1,7 +1,7 @@
-"""Whether motions are free, as planners ask it: proven, or looked at in steps.
+"""Whether motions are free, for planners: proven, or sampled in steps.
 
-A path is judged by one `Judge` from its first motion to its last shortening. The scene may change meanwhile, and
-motions that are free at different moments make no path that is free at any.
+One `Judge` decides about a path from its first motion to its last shortening. The scene may change meanwhile, and
+motions that are free at different times need not form a path that is free at any time.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """How motions are judged: proven, or looked at in steps; with memory for the kernels to do it in.
+    """How motions are judged, proven or sampled in steps, with memory for the kernels.
 
     Attributes
     ----------
     checker : CollisionChecker
     ready : CheckedPairs
-        Of the scene as it was at one moment, for all motions.
+        The pairs of one consistent state of the scene, for all motions.
     resolution : float
         0 if motions are proven.
     fractions, verdicts : ndarray
-        Memory for the looks at the longest motion.
+        Memory for sampling the longest motion.
     """
 
     checker: CollisionChecker
@@ -53,16 +53,16 @@ class Judge:
 
     @classmethod
     def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
-        """For the scene as it is now."""
+        """A judge for the scene's current state."""
         return cls(checker, prepared_of(checker), resolution, np.empty(1), np.empty(1, dtype=np.int8))
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
-        """What may keep motions from being proven: to add to a message; nothing if they are not, or by no surface.
+        """How surfaces may keep motions from being proven, for messages; empty for sampling or without surfaces.
 
         Parameters
         ----------
         names : sequence of str, optional
-            Bodies that are asked about; all of them, if not given.
+            Names of the bodies in question; all bodies if not given.
         """
         whole, cut = self.ready.bodies._packed, self.ready.in_parts.bodies._packed
         kinds = np.minimum.reduceat(whole.layout[:, columns.KIND], whole.piece_start[:-1])
@@ -77,12 +77,12 @@ class Judge:
         return ""
 
     def up_to(self, longest: float) -> Judge:
-        """The same, of the same moment, with memory for kernels to look at motions up to a length.
+        """A judge for the same state, with memory for sampling motions up to a length.
 
         Raises
         ------
         InputError
-            If they would be looked at in too many steps.
+            If sampling would take too many steps.
         """
         resolution = self.resolution
         steps = longest / resolution + 2 if resolution else 0
@@ -103,7 +103,7 @@ class Judge:
         return TOLERANCE, self.resolution, ready.bodies._packed.handle, ready.handle, prepared.handle, memory
 
     def looks(self) -> tuple[Floats, NDArray[np.int8], Ints]:
-        """Memory for looks, as kernels take it; the last counts collisions by pair, for nobody."""
+        """Memory for sampling, as kernels take it; the last is scratch for collision counts, which are discarded."""
         return self.fractions, self.verdicts, np.zeros_like(self.ready.hits)
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
@@ -113,13 +113,20 @@ class Judge:
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
+<<<<<<< HEAD
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Which courses of a batch are proven free; with `off`, all configurations so far away from them too."""
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
+=======
+    def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
+        """Which motions of a batch are proven free; with `off`, including all configurations within that distance."""
+        Q0, Q1 = np.array(Q0, order="C"), np.array(Q1, order="C")  # kernels take no views
+        return np.asarray(prove(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
+>>>>>>> prose
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:
-    """Whether one motion is free in the scene as it is now; what cannot be settled is not."""
+    """Whether one motion is free in the scene's current state; an unsettled motion is not."""
     ready = prepared_of(checker)
     if resolution:
         return verdicts.is_sampled_free(ready, a, b, resolution)
@@ -135,19 +142,19 @@ def checked_path(robot: Robot, path: ArrayLike) -> Floats:
 
 
 def refuse_unfree(judge: Judge, path: Floats, name: str) -> None:
-    """Trust nothing: every motion of a path has to be free.
+    """Raise an error unless every motion of a path is free.
 
     Parameters
     ----------
     judge : Judge
     path : ndarray, shape (k, dof)
     name : str
-        What the message calls the path.
+        Name of the path in messages.
 
     Raises
     ------
     PlanningError
-        If one is not. The message names it and the pair of bodies.
+        If a motion is not free. The message names it and the pair of bodies.
     """
     free = judge.free(path[:-1], path[1:])
     if not free.all() and len(judge.ready.ruled):

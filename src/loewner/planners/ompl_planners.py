@@ -1,6 +1,6 @@
 """OMPL's planners, with every state and every motion judged by a `CollisionChecker`.
 
-OMPL is imported when a function here is called, and not before: ``pip install "loewner[planners]"``.
+OMPL is imported only when a function here is called: ``pip install "loewner[planners]"``.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ def space_information(
     certified: bool = False,
     resolution: float = 0.05,
 ) -> Any:
-    """An OMPL ``SpaceInformation`` whose states and motions the checker judges, for planners of your own.
+    """An OMPL ``SpaceInformation`` whose states and motions the checker judges, for your own planners.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Changes of its scene count from the next state that is checked on.
+        Changes of its scene apply from the next checked state on.
     joints : str or iterable of str, optional
         A group, or names of joints: the dimensions of the state space, in the order of the robot's
         `configuration_names`. Default: all.
     fixed : array_like, shape (dof,), optional
-        What the other joints keep. Default: `Robot.configuration`'s, all 0.
+        Values that the other joints keep. Default: `Robot.configuration`'s, all 0.
     certified : bool
-        Prove motions that are asked about, as `plan` does; otherwise they are looked at in steps.
+        Prove the motions that OMPL checks, as `plan` does; otherwise sample them in steps.
     resolution : float
         As for `plan`, in the units of the joints.
 
     Returns
     -------
     ompl.base.SpaceInformation
-        Set up, over a ``RealVectorStateSpace`` whose dimensions bear the names of the joints, bounded by their limits.
-        A joint that turns without limit is bounded to half a turn to both sides of its value in `fixed`. A joint
-        whose limits are equal does not move, and is no dimension.
+        Set up over a ``RealVectorStateSpace`` whose dimensions have the names of the joints, bounded by their limits. A
+        joint that turns without limits is bounded to half a turn on either side of its value in `fixed`. A joint whose
+        limits are equal does not move and is not a dimension.
 
     Raises
     ------
@@ -110,14 +110,14 @@ def search(
     Parameters
     ----------
     resolution : float
-        For planners that divide motions by themselves.
+        For planners that divide motions themselves.
     step : float
-        For motions asked about: 0 if they have to be proven.
+        For motions that OMPL checks: 0 if they have to be proven.
 
     Raises
     ------
     PlanningError
-        If none was found in time, or what was found does not pass when it is checked again.
+        If no path was found in time, or the path does not pass a second check.
     """
     with _quietly():
         _ompl("util").RNG.setSeed(int(seed) + 1)  # 0 is none to OMPL

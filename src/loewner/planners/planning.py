@@ -1,4 +1,4 @@
-"""`plan` and `shorten`: what users call; the compiled planner by default, OMPL's by name."""
+"""The public functions `plan` and `shorten`; they use the compiled planner by default, and OMPL's by name."""
 
 from __future__ import annotations
 
@@ -37,27 +37,28 @@ def plan(
     Parameters
     ----------
     checker : CollisionChecker
-        What is attached in its scene moves along.
+        Bodies attached in its scene move along.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof)
-        Where to go; of several, any one will do. Those that cannot be reached for a reason that shows at once
-        (outside the limits, colliding) are left out, as long as one remains.
+        One goal or several; reaching any of them is enough. Goals that cannot be reached for an obvious reason (outside
+        the limits, colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints: these move, and all others keep the values of `start`. Default: all.
     planner : str or callable, optional
-        None: RRT-Connect, compiled. Otherwise a class of ``ompl.geometric``, such as "BITstar" or "PRM"; or a
-        function that takes the ``SpaceInformation`` and returns a planner of OMPL's, set up as you like.
+        None: RRT-Connect, compiled. Otherwise a class of ``ompl.geometric``, such as "BITstar" or "PRM"; or a function
+        that takes the ``SpaceInformation`` and returns an OMPL planner that you have set up.
     certified : bool
-        Every motion is proven free by `CollisionChecker.certify_edges`. Otherwise motions are looked at in steps.
+        Every motion is proven free by `CollisionChecker.certify_edges`. Otherwise motions are sampled in steps.
     resolution : float
-        Of motions that are not proven: the largest Euclidean distance of two configurations that are checked, in the
-        units of the joints. OMPL's planners that divide motions by themselves do so by it in any case.
+        For motions that are not proven: the largest Euclidean distance between two checked configurations, in the units
+        of the joints. OMPL's planners that divide motions themselves use it in any case.
     max_iterations : int
-        Of the compiled planner: configurations drawn at random, before it gives up.
+        For the compiled planner: the number of configurations drawn at random before it gives up.
     timeout : float
-        Seconds to search; simplifying comes on top. OMPL's planners that seek a shortest path take all of them.
+        Seconds for the search; simplifying takes additional time. OMPL's planners that seek a shortest path use all of
+        them.
     simplify : bool
-        Shorten what was found; OMPL's path simplifier also smooths its paths.
+        Shorten the path; OMPL's path simplifier also smooths its paths.
     seed : int
         Equal seeds give equal paths, as long as the timeout does not end the search. OMPL keeps one seed for the
         process: this sets it.
@@ -65,37 +66,36 @@ def plan(
     Returns
     -------
     ndarray, shape (k, dof)
-        Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns without
-        limits takes the shorter way around: it ends at the goal's value or whole turns from it (OMPL's planners: at
-        the goal's value).
+        Configurations from `start` to a goal; each joint value changes linearly between two of them. A joint that turns
+        without limits takes the shorter way around: it ends at the goal's value or whole turns from it (OMPL's
+        planners: at the goal's value).
 
     Raises
     ------
     PlanningError
         If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if no
         short motion along its normal ends a contact at the start or begins one at the goal; if no path was found within
-        the iterations or in time (the message says how far the search came); or if OMPL's path does not pass the last
-        check (the message names the motion).
+        the iterations or in time (the message reports how far the search came); or if OMPL's path does not pass the
+        last check (the message names the motion).
     InputError
         If an argument has the wrong shape or value, a goal moves a joint that is not among `joints`, or one of `joints`
         is a planar, floating or ball joint, which has no limits to search within.
     UnknownNameError
         If there is no such group, joint or planner.
     MissingExtraError
-        If one of OMPL's planners is asked for and OMPL is not installed.
+        If one of OMPL's planners is requested and OMPL is not installed.
 
     See Also
     --------
-    roadmap : For many queries in one scene.
-    trajectory : When to be where on the path.
+    roadmap : For many queries in one scene. trajectory : Assigns times to the path.
 
     Notes
     -----
     A start in contact by `Scene.leave`, or a goal by `Scene.reach`, is left or reached along the contact normals: the
-    first motion, or the last one, moves what touches straight away from the other body, or towards it.
+    first motion, or the last one, moves the touching body straight away from the other body, or towards it.
 
     The compiled planner is the balanced RRT-Connect of Kuffner and LaValle (ICRA 2000) with the dynamic domain of
-    Yershova et al. (ICRA 2005). A tree's motion is at most a twelfth of the diagonal of the limits long.
+    Yershova et al. (ICRA 2005). A motion of a tree is at most a twelfth of the diagonal of the limits long.
 
     Examples
     --------
@@ -131,17 +131,18 @@ def shorten(
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
-    """Make a path shorter: leave corners out, and cut them, wherever the straight way is free.
+    """Shorten a path: remove and cut corners wherever the straight motion is free.
 
     Parameters
     ----------
     checker : CollisionChecker
     path : array_like, shape (k, dof)
-        Two configurations or more; between two of them each joint runs straight, orientations along the shorter arc.
+        Two configurations or more; between two of them joint values change linearly, and orientations follow the
+        shorter arc.
     certified, resolution
         As for `plan`; the resolution in the units of the joints.
     max_iterations : int
-        Cuts to try, between points drawn at random.
+        Number of cuts to try, between points drawn at random.
     seed : int
         Equal seeds give equal paths.
 

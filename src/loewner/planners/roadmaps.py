@@ -1,8 +1,8 @@
-"""Roadmaps: a net of motions proven free, made once, that answers many queries in one scene.
+"""Roadmaps: a network of motions proven free, made once, that answers many queries in one scene.
 
-A roadmap keeps every motion that it tried, not only the free ones: when the scene changes, all of them are proven anew
-in one batch. No path is given out on the strength of that alone: each is proven once more as a whole, for whole turns
-are rounded, the scene may change meanwhile, and what a file says is no proof.
+A roadmap keeps every motion that it tried, not only the free ones: when the scene changes, all of them are proven again
+in one batch. That alone does not make a path valid: each path is proven once more as a whole, since whole turns are
+rounded, the scene may change meanwhile, and a file's claims are not a proof.
 """
 
 from __future__ import annotations
@@ -212,10 +212,10 @@ class Roadmap:
 
     Notes
     -----
-    It belongs to a checker. When the scene of this has changed, whatever is asked next first has all motions proven
-    anew, those that were not free among them, in one batch. `len` tells how many nodes there are.
+    It belongs to a checker. After a change of the scene, the next query first proves all motions again in one batch,
+    including the motions that were not free before. `len` returns the number of nodes.
 
-    Any thread may ask. An interrupted call leaves the roadmap as it was.
+    Any thread may use it. An interrupted call leaves the roadmap as it was.
 
     Examples
     --------
@@ -255,7 +255,7 @@ class Roadmap:
 
     @property
     def checker(self) -> CollisionChecker:
-        """The checker that the roadmap belongs to; for another one make or load another roadmap."""
+        """The checker of the roadmap; for another checker make or load another roadmap."""
         return self._space.checker
 
     @property
@@ -270,12 +270,12 @@ class Roadmap:
 
     @property
     def edges(self) -> Ints:
-        """The motions that are free in the scene as it is now: pairs of places in `nodes`, shape (m, 2), ascending."""
+        """The motions that are free in the scene's current state: pairs of indices into `nodes`, shape (m, 2)."""
         return self._edges[self._now().free]
 
     @property
     def components(self) -> Ints:
-        """How many nodes each connected component has, the largest first; nodes without free motions are left out."""
+        """Number of nodes of each connected component, the largest first; nodes without free motions are omitted."""
         sizes = np.bincount(self._now().labels)
         return np.sort(sizes[sizes > 1])[::-1]
 
@@ -286,29 +286,29 @@ class Roadmap:
         ----------
         start : array_like, shape (dof,)
         goal : array_like, shape (dof,) or (goals, dof)
-            Where to go; of several, any one will do: the one that is reached by the shortest path over the roadmap.
-            Those outside the limits or colliding are left out, as long as one remains.
+            One goal or several; with several, the path leads to the goal that is nearest over the roadmap. Goals that
+            are outside the limits or collide are ignored, as long as one remains.
         simplify : bool
-            Shorten what was found, as `shorten` does.
+            Shorten the path, as `shorten` does.
 
         Returns
         -------
         ndarray, shape (k, dof)
-            Configurations from `start` to a goal; between two of them each joint runs straight. A joint that turns
-            without limits takes the shorter way around between two nodes: it ends at the goal's value or whole turns
-            from it.
+            Configurations from `start` to a goal; each joint value changes linearly between two of them. A joint that
+            turns without limits takes the shorter way around between two nodes: it ends at the goal's value or whole
+            turns from it.
 
         Raises
         ------
         PlanningError
             If start or all goals are outside the limits or collide (the message names joints, or pairs and depths); if
-            no motion from the start, or to a goal, to the nodes near it is free; or if none of the components of the
-            roadmap that the start is connected to leads to a goal.
+            no motion between the start, or a goal, and the nodes near it is free; or if no component of the roadmap
+            connects the start to a goal.
         InputError
             If an argument has the wrong shape or value, or start or goal differ from the nodes in a joint that is not
             the roadmap's.
         UnknownNameError
-            If the scene has come to name a link that the robot does not have.
+            If the scene now names a link that the robot does not have.
 
         Examples
         --------
@@ -331,17 +331,17 @@ class Roadmap:
         return compiled.shortened(judge, rows, max_iterations=compiled.CUTS, seed=self._seed) if simplify else rows
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the roadmap into a file, with which of its motions are free in the scene as it is now.
+        """Write the roadmap to a file, marking the motions that are free in the scene's current state.
 
         Parameters
         ----------
         path : path
-            Its name must end in ``.npz``. It is replaced as a whole, or not at all.
+            Its name must end in ``.npz``. An existing file is replaced as a whole, or not at all.
 
         Raises
         ------
         InputError
-            If the path is none, or its name ends otherwise.
+            If the path is not a path, or its name ends otherwise.
         FileError
             If the file cannot be written.
 
@@ -367,29 +367,29 @@ class Roadmap:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], checker: CollisionChecker) -> Roadmap:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Parameters
         ----------
         path : path
         checker : CollisionChecker
-            Of a robot with the same joints.
+            For a robot with the same joints.
 
         Returns
         -------
         Roadmap
-            It belongs to this checker. If all that a verdict depends on is the same as when it was saved (the robot's
-            joints and bodies, the pairs that are checked, margins, attachments, where the bodies of the scene stand),
-            then what the file says is free counts as free in the search for a path; otherwise all motions are proven
-            anew when the first query comes. The path itself is proven in either case.
+            The roadmap belongs to this checker. If everything on which a verdict depends is the same as when it was
+            saved (the robot's joints and bodies, the checked pairs, margins, attachments, and the poses of the scene's
+            bodies), then the motions marked as free in the file count as free in the search for a path; otherwise the
+            first query proves all motions again. The path itself is proven in either case.
 
         Raises
         ------
         FileError
-            If there is no such file, it is of another kind or damaged, or it is of a robot with other joints or
+            If the file does not exist, is of another kind or damaged, or belongs to a robot with other joints or
             limits.
         InputError
-            If an argument is none of what it should be.
+            If an argument has the wrong type.
         UnknownNameError
             If the scene names a link that the robot does not have.
 
@@ -547,19 +547,20 @@ def roadmap(
     Parameters
     ----------
     checker : CollisionChecker
-        What is attached in its scene moves along. A roadmap made in a scene with little in it serves best when bodies
-        come and go: configurations that collide now are left out for good.
+        Bodies attached in its scene move along. If bodies come and go, make the roadmap in a scene with few bodies:
+        configurations that collide now are excluded for good.
     samples : int or array_like, shape (n, dof)
-        How many configurations to draw, uniformly within the limits; or the configurations themselves. Those that are
-        free become the nodes.
+        The number of configurations to draw, uniformly within the limits; or the configurations themselves. The free
+        ones become the nodes.
     joints : str or iterable of str, optional
         A group, or names of joints: these move, and all others are kept. Default: all.
     fixed : array_like, shape (dof,), optional
-        What the other joints keep. Default: as in the first of the configurations given, or `Robot.configuration`'s,
-        all 0. A joint that turns without limits is drawn from half a turn to both sides of its value here.
+        Values that the other joints keep. Default: the values in the first given configuration, or in
+        `Robot.configuration`, which are all 0. A joint that turns without limits is drawn from half a turn on either
+        side of its value here.
     neighbours : int, optional
-        To how many of its nearest neighbours each node is connected where it can be. Default: for n nodes and d joints
-        e (1 + 1/d) ln n, as PRM* has it: with more and more samples, paths become the shortest ones.
+        Number of nearest neighbours to which each node is connected if possible. Default: for n nodes and d joints e
+        (1 + 1/d) ln n, as in PRM*: with a growing number of samples, the paths converge to the shortest ones.
     seed : int
         Equal seeds give equal roadmaps, and equal paths.
 
@@ -572,9 +573,9 @@ def roadmap(
     PlanningError
         If no sample is free.
     InputError
-        If an argument has the wrong shape or value; if a configuration given is outside the limits, or differs from
-        the others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint,
-        which has no limits to draw within.
+        If an argument has the wrong shape or value; if a given configuration is outside the limits, or differs from the
+        others in a joint that is not among `joints`; or if one of `joints` is a planar, floating or ball joint, which
+        has no limits to draw within.
     UnknownNameError
         If there is no such group or joint.
 

@@ -1,4 +1,4 @@
-"""What planners search in: the joints that move and their limits; and whether start and goals can be on a path."""
+"""The space that planners search: moving joints and their limits; whether start and goals can be on a path."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """The joints that move, and what the others keep.
+    """The joints that move, and the values of the others.
 
     Attributes
     ----------
     checker : CollisionChecker
     columns : ndarray of int64, shape (joints,)
-        Of the joints that move, in configurations.
+        Columns of the moving joints in configurations.
     still : ndarray, shape (dof,)
         A configuration whose other entries are kept.
     lower, upper : ndarray, shape (joints,)
-        Where to search: the limits, or half a turn beyond start and goals.
+        Range to search: the limits, or half a turn beyond start and goals.
     turning : ndarray of bool, shape (joints,)
-        Joints without limits that a whole turn brings back to where they were.
+        Joints without limits that return to the same place after a whole turn.
     """
 
     checker: CollisionChecker
@@ -51,7 +51,7 @@ class Space:
 
     @classmethod
     def of(cls, checker: CollisionChecker, joints: str | Iterable[str] | None, q: Floats, goals: Floats) -> Space:
-        """The space of some joints; where one has no limits it reaches half a turn beyond start and goals."""
+        """The space of some joints; for a joint without limits it reaches half a turn beyond start and goals."""
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
@@ -74,7 +74,7 @@ class Space:
         return Q
 
     def unwound(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Configurations Q1, with joints that turn without limits whole turns from there: as near to Q0 as they get."""
+        """Configurations Q1, with unlimited turning joints moved by whole turns as near to Q0 as possible."""
         if not self.turning.any():
             return Q1
         at = self.columns[self.turning]
@@ -83,9 +83,9 @@ class Space:
         return np.where(turns == 0, Q1, Q1 - 2 * np.pi * turns)
 
     def checked_goals(self, q: Floats, goals: Floats) -> Floats:
-        """Those goals that can be reached, as far as shows at once, from a start that can be left.
+        """The goals that can be reached, as far as a quick check shows, from a start that can be left.
 
-        Limits come before all else: to values in degrees, nothing else that could be said would be to the point.
+        Limits are checked first: for values in degrees, any other message would be misleading.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class Space:
         return np.asarray(inside.all(axis=1))
 
     def outside(self, q: Floats) -> str:
-        """Which joints that move are outside their limits; "" if none is."""
+        """Which moving joints are outside their limits; "" if none is."""
         values = q[self.columns]
         outside = np.flatnonzero((values < self.lower - ON_LIMIT) | (values > self.upper + ON_LIMIT))
         if len(outside) == 0:
@@ -134,11 +134,11 @@ class Space:
         return named + (f", and {len(outside) - NAMED} more" if len(outside) > NAMED else "")
 
     def free(self, q: Floats) -> bool:
-        """Whether a configuration is proven free; what cannot be settled is not."""
+        """Whether a configuration is proven free; an unsettled one is not."""
         return verdicts.is_free(prepared_of(self.checker), q)
 
     def free_among(self, Q: Floats) -> Bools:
-        """Which configurations of a batch are proven free; what cannot be settled is not."""
+        """Which configurations of a batch are proven free; unsettled ones are not."""
         return verdicts.free(prepared_of(self.checker), np.array(Q, order="C"))  # kernels take no views
 
     def name(self, column: int) -> str:
@@ -177,7 +177,7 @@ class Space:
 
 
 def checked_ends(checker: CollisionChecker, start: ArrayLike, goal: ArrayLike) -> tuple[Floats, Floats]:
-    """Start, shape (dof,), and goals, shape (goals, dof), as users give them."""
+    """Start, shape (dof,), and goals, shape (goals, dof), as given by users."""
     robot = checked_checker(checker).robot
     q, goals = robot.checked_one(start, "start"), np.atleast_2d(robot.checked(goal, "goal"))
     if goals.ndim != 2 or len(goals) == 0:

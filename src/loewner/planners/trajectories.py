@@ -1,8 +1,8 @@
-"""When to be where on a path: within limits of velocity and acceleration, and on what was proven free.
+"""Times for the configurations of a path: within limits of velocity and acceleration, and on motions proven free.
 
-A trajectory is made of pieces of constant acceleration: along a motion the robot gets faster, keeps its speed and gets
-slower, and across a corner it follows a parabola. All of that is closed form, so that limits hold at every time and
-not on a grid. docs/design/trajectories.md says what else was considered.
+A trajectory consists of pieces of constant acceleration: along a motion the robot accelerates, keeps its speed and
+decelerates, and across a corner it follows a parabola. All of this is in closed form, so the limits hold at every time
+and not only on a grid. docs/design/trajectories.md describes the alternatives that were considered.
 """
 
 from __future__ import annotations
@@ -70,20 +70,20 @@ ENDINGS = (".csv", ".json")
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where a robot is at every time; made by `trajectory`, or read by `load`.
+    """Position of a robot at every time; made by `trajectory`, or read by `load`.
 
-    Between two of `times` all accelerations are constant.
+    All accelerations are constant between two consecutive `times`.
 
     Attributes
     ----------
     names : tuple of str
-        The columns, as `Robot.configuration_names`.
+        Names of the columns, as in `Robot.configuration_names`.
     times : ndarray, shape (n,)
         Seconds from the start; the first is 0.
     knots, rates : ndarray, shape (n, dof)
-        Positions [rad or m] and velocities [rad/s or m/s] at these times; it starts and ends at rest.
+        Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
-        Between which of them the robot cuts a corner; everywhere else it is on the path.
+        The intervals in which the robot cuts a corner; everywhere else it is on the path.
 
     Examples
     --------
@@ -140,7 +140,7 @@ class Trajectory:
         Raises
         ------
         InputError
-            If a time is none, or outside.
+            If a time is not a number, or is outside the trajectory.
 
         Examples
         --------
@@ -165,7 +165,7 @@ class Trajectory:
         Returns
         -------
         ndarray, shape (..., dof)
-            In radians or metres a second.
+            In radians or metres per second.
 
         Examples
         --------
@@ -180,7 +180,7 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times; where they jump, those from then on.
+        """Accelerations at times; at a jump, the value after it.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class Trajectory:
         Returns
         -------
         ndarray, shape (..., dof)
-            In radians or metres a second squared.
+            In radians or metres per second squared.
 
         Examples
         --------
@@ -211,12 +211,12 @@ class Trajectory:
         Parameters
         ----------
         rate : float
-            Samples a second.
+            Samples per second.
 
         Returns
         -------
         times : ndarray, shape (m,)
-            Multiples of 1 / rate, and then the end.
+            Multiples of 1 / rate, and the end.
         positions : ndarray, shape (m, dof)
 
         Raises
@@ -243,18 +243,18 @@ class Trajectory:
         Parameters
         ----------
         path : path
-            A CSV has the columns ``time``, those of the joints, ``NAME velocity`` of each, and ``blend``: 1 where the
+            A CSV has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``: 1 where the
             robot cuts a corner until the next row.
         rate : float, optional
-            Write rows at this rate as well [1/s], for programs that join rows by straight lines. Between the rows
-            that are always there, accelerations are constant.
+            Also write rows at this rate [1/s], for programs that join rows by straight lines. Between the rows that are
+            always written, accelerations are constant.
 
         Raises
         ------
         InputError
-            If the name has another ending, or the rate is not a number above 0.
+            If the name has another suffix, or the rate is not a number above 0.
         FileError
-            If the file cannot be written; an older one of that name is then untouched.
+            If the file cannot be written; an existing file of that name is then unchanged.
 
         Examples
         --------
@@ -272,7 +272,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Read what `save` has written.
+        """Read a file written by `save`.
 
         Parameters
         ----------
@@ -285,7 +285,7 @@ class Trajectory:
         Raises
         ------
         FileError
-            If there is no such file, or it holds no trajectory.
+            If the file does not exist, or does not contain a trajectory.
         InputError
             If the name ends neither in ``.csv`` nor in ``.json``.
 
@@ -398,37 +398,36 @@ def trajectory(
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Say when to be where on a path, as fast as limits of velocity and acceleration allow.
+    """Assign times to a path, as fast as limits of velocity and acceleration allow.
 
-    Without a checker the robot follows the path exactly and stops at every corner. With one, corners are cut by
-    parabolas (blends) that are proven free of collisions at every time; where none is, the robot stops.
+    Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
+    parabolas (blends) that are proven free of collisions at every time; where none can be proven, the robot stops.
 
     Parameters
     ----------
     robot : Robot
     path : array_like, shape (k, dof)
-        Two configurations or more, as from `plan`; between two of them each joint runs straight.
+        Two configurations or more, as from `plan`; each joint value changes linearly between two of them.
     velocity : float or array_like, shape (dof,), optional
         Limits [rad/s or m/s]. Default: the URDF's, `Robot.velocity`.
     acceleration : float or array_like, shape (dof,), optional
-        Limits [rad/s² or m/s²]. A URDF has none; the default reaches the limits of velocity in one second.
+        Limits [rad/s² or m/s²]. A URDF has none; by default a joint reaches its velocity limit in one second.
     checker : CollisionChecker, optional
-        Of this robot. The motions of the path have to be free, proven.
+        A checker for this robot. The motions of the path have to be proven free.
     blend : float
-        Share of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Only
+        Fraction of a motion that the blend at each of its ends may take, from 0 (stop at every corner) to 0.49. Only
         with a checker.
 
     Returns
     -------
     Trajectory
-        At rest at both ends. `Trajectory.stops` and `Trajectory.blends` say how it takes the corners.
+        At rest at both ends. `Trajectory.stops` and `Trajectory.blends` describe how it takes the corners.
 
     Raises
     ------
     InputError
-        If an argument has the wrong shape or value; if there is no limit of velocity for a joint that moves; if the
-        robot has a floating or ball joint, whose orientations do not run straight; or if the checker is another
-        robot's.
+        If an argument has the wrong shape or value; if a joint that moves has no velocity limit; if the robot has a
+        floating or ball joint, whose orientations do not change linearly; or if the checker belongs to another robot.
     PlanningError
         If there is a checker and a motion of the path is not proven free; the message names it and a pair of bodies.
 
@@ -438,8 +437,8 @@ def trajectory(
 
     Notes
     -----
-    Stopping at corners, the trajectory is the fastest along the path. A blend is passed with a constant acceleration,
-    as fast as limits and neighbours allow. Each joint keeps its limits at every time, up to rounding.
+    If it stops at corners, the trajectory is the fastest along the path. A blend has constant acceleration, and is as
+    fast as limits and neighbouring motions allow. Each joint keeps its limits at every time, up to rounding.
 
     Examples
     --------
@@ -475,13 +474,13 @@ class Straights(NamedTuple):
     Attributes
     ----------
     rows : ndarray, shape (k + 1, dof)
-        Their ends.
+        The ends of the motions.
     lengths : ndarray, shape (k,)
-        Seconds that they take at full speed.
+        Their durations at full speed, in seconds.
     full : ndarray, shape (k, dof)
-        Velocities at full speed, at which a joint is at its limit.
+        Velocities at full speed, at which one joint is at its limit.
     gains : ndarray, shape (k,)
-        Shares of full speed that a second can add.
+        Fractions of full speed that can be added per second.
     strongest : ndarray, shape (dof,)
         Limits of acceleration.
     """
@@ -510,19 +509,19 @@ class Straights(NamedTuple):
         return cls(rows, lengths, full, gains, strongest)
 
     def part(self, first: int, last: int) -> Straights:
-        """Those about the corners first .. last, `last` excluded."""
+        """The motions at the corners first .. last, `last` excluded."""
         motions = slice(first, last + 1)
         return Straights(
             self.rows[first : last + 2], self.lengths[motions], self.full[motions], self.gains[motions], self.strongest
         )
 
     def at(self, k: Any, share: Floats) -> Floats:
-        """Configurations on motions, by the share of the way."""
+        """Configurations on motions, by the fraction of the motion."""
         a, b = self.rows[k], self.rows[k + 1]
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
     def corners(self, halves: Floats) -> tuple[Floats, Floats, Floats]:
-        """Where blends leave their motions, the corners, and where they join the next; `halves` as for `_passed`."""
+        """Where blends leave their motions, the corners, and where blends end; `halves` as for `_passed`."""
         k = np.arange(len(halves))
         return self.at(k, 1 - halves / self.lengths[:-1]), self.rows[1:-1], self.at(k + 1, halves / self.lengths[1:])
 

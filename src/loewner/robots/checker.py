@@ -1,7 +1,7 @@
-"""Is a robot free in a scene: at one configuration, at a million, along motions.
+"""Is a robot free in a scene, at one configuration, at a million, or along motions?
 
 A `CollisionChecker` checks arguments, keeps the prepared pairs (`checked_pairs`) while the scene does not change, and
-wraps what `verdicts`, `proofs` and `distances` compute of them. Only here does an unsettled answer raise.
+wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
 """
 
 from __future__ import annotations
@@ -38,34 +38,34 @@ class CollisionChecker:
     ----------
     robot : Robot
     scene : Scene, optional
-        May be changed afterwards; the next query sees it. None: the robot alone.
+        It may be changed afterwards; the next query uses the changed scene. None: the robot alone.
     allowed : iterable of pairs of str, optional
         Links that may touch, in addition to the robot's `disabled_pairs`: for instance the keys of `pairs_by_sampling`.
     skip_adjacent : bool, optional
-        Leave out links that a joint joins, which mostly overlap by design. Default: only if the robot came without an
-        SRDF, which usually disables those that must be.
+        Skip pairs of links that a joint joins, which mostly overlap by design. Default: only if the robot came without
+        an SRDF, which usually disables the pairs that need it.
 
     Raises
     ------
     InputError
         If the robot has no collision geometry: it would always be free.
     UnknownNameError
-        If a link in `allowed` is not the robot's.
+        If a link in `allowed` does not belong to the robot.
 
     Notes
     -----
-    Checked are all pairs of links that can move against each other, and of links and what is attached to them with
-    the bodies of the scene, except for pairs that are allowed. What is rigidly joined is never checked against each
-    other. Bodies of the scene are not checked against each other: see `Scene.pairs`.
+    The checker tests all pairs of links that can move against each other, and all pairs of a link (or a body attached
+    to it) and a body of the scene, except for allowed pairs. Rigidly joined bodies are never checked against each
+    other. Bodies of the scene are not checked against each other either: see `Scene.pairs`.
 
-    The scene's margin holds for pairs with a body of the scene; pairs of links keep a margin only if `Scene.set_margin`
-    gave one to all links, to one of the two, or to the pair (`Scene.margin_of`).
+    The scene's margin applies to pairs with a body of the scene; pairs of links keep a margin only if
+    `Scene.set_margin` sets one for all links, for one of the two, or for the pair (`Scene.margin_of`).
 
-    Where no pair is checked (a robot of one link alone; all pairs allowed), every configuration is free: look at
+    If no pair is checked (a robot with only one link; all pairs allowed), every configuration is free: see
     `checked_pairs`.
 
-    A checker may be used by several threads at once, and its scene changed by others: each answer is about the scene as
-    it was at one moment.
+    Several threads may use a checker at once, and others may change its scene: each answer refers to one consistent
+    state of the scene.
 
     Examples
     --------
@@ -121,12 +121,12 @@ class CollisionChecker:
     # Read-only: what is prepared belongs to these two, and another one would get its answers.
     @property
     def robot(self) -> Robot:
-        """The robot that is checked; for another one, or another base, make another checker."""
+        """The checked robot; for another robot, or another base, make another checker."""
         return self._robot
 
     @property
     def scene(self) -> Scene:
-        """The scene it is checked in. What is in it may change; for another scene make another checker."""
+        """The scene in which the robot is checked. Its contents may change; for another scene make another checker."""
         return self._scene
 
     @property
@@ -141,12 +141,12 @@ class CollisionChecker:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Entries as `Robot.configuration_names`. Limits are no obstacle: see `Robot.lower`.
+            Entries as in `Robot.configuration_names`. Limits are not enforced: see `Robot.lower`.
 
         Returns
         -------
         bool, or ndarray of bool, shape (...)
-            Touching, or coming within the margin, is colliding.
+            Touching, or coming within the margin, counts as colliding.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class CollisionChecker:
         Warns
         -----
         UserWarning
-            Once for a robot, if a configuration is far outside the limits: see `Robot.checked`.
+            Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
         ready = self._at_hand()
         if ready is not None:
@@ -202,7 +202,7 @@ class CollisionChecker:
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
 
     def tiers(self, Q: ArrayLike) -> Settled:
-        """Count what it took to settle configurations exactly.
+        """Count the tests that settled the configurations exactly.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class CollisionChecker:
         return self.settle(Q)[1]
 
     def settle(self, Q: ArrayLike) -> tuple[OneOrMany, Settled]:
-        """Decide as `collide` does, and count as `tiers` does, in one go.
+        """Decide as `collide` does, and count as `tiers` does, in one call.
 
         Parameters
         ----------
@@ -253,17 +253,18 @@ class CollisionChecker:
         Q0, Q1 : array_like, shape (..., dof)
             Ends, broadcast together.
         resolution : float
-            Largest Euclidean distance of two configurations checked, in the units of the joints.
+            Largest Euclidean distance between two checked configurations, in the units of the joints.
 
         Returns
         -------
         bool, or ndarray of bool, shape (...)
-            True if both ends and all configurations between are free. What happens between two of them is not seen.
+            True if both ends and all configurations between them are free. Collisions between two of these
+            configurations are not detected.
 
         Notes
         -----
-        Joint values run straight, quaternions along the shorter arc. A motion is checked at its ends, then in its
-        middle, then at quarters: collisions tend to be found early.
+        Joint values change linearly, and quaternions follow the shorter arc. A motion is checked at its ends, then in
+        its middle, then at quarters: collisions tend to be found early.
 
         Examples
         --------
@@ -298,7 +299,8 @@ class CollisionChecker:
         Q0, Q1 : array_like, shape (..., dof)
             Ends, broadcast together.
         tolerance : float
-            Metres. A motion that comes within this of colliding may be AMBIGUOUS; every other is FREE or COLLIDING.
+            In metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other motion is
+            FREE or COLLIDING.
 
         Returns
         -------
@@ -314,19 +316,19 @@ class CollisionChecker:
 
         See Also
         --------
-        valid_edges : The same at samples, with nothing said about what is between them.
+        valid_edges : The same question at samples, without a claim about the motion between them.
 
         Notes
         -----
-        Joint values run straight, orientations turn at a constant rate along the shorter arc, as in `Robot.between`.
-        Nothing is sampled: a plane is found between two bodies that proves a whole interval of the motion, and where
-        there is none the interval is halved. docs/certified.md derives it. Surfaces and clouds that stand are seen as
-        boxes around up to 128 parts of them: what comes nearer than these boxes allow is AMBIGUOUS. The first call with
-        a new surface takes longer, since the parts are made then.
+        Joint values change linearly, and orientations turn at a constant rate along the shorter arc, as in
+        `Robot.between`. The proof does not sample: a plane between two bodies proves a whole interval of the motion,
+        and an interval without such a plane is halved. docs/certified.md derives it. Static surfaces and clouds are
+        replaced by boxes around up to 128 parts of them: a motion that comes nearer than these boxes allow is
+        AMBIGUOUS. The first call with a new surface takes longer, since it makes the parts.
 
         Pairs named by `Scene.leave` may be in contact at the start of a motion, pairs named by `Scene.reach` at its
-        end. On its way the contact gets deeper by no more than the tolerance, and at such an end it is no deeper than
-        that.
+        end. Along such a motion the contact gets deeper by no more than the tolerance, and at such an end it is no
+        deeper than the tolerance.
 
         Examples
         --------
@@ -371,7 +373,7 @@ class CollisionChecker:
         return found
 
     def collide_by_pair(self, Q: ArrayLike) -> Bools:
-        """Decide exactly which pairs collide at which configurations; where any pair will do, `collide` is quicker.
+        """Decide exactly which pairs collide at which configurations; if the pair does not matter, `collide` is faster.
 
         Parameters
         ----------
@@ -380,7 +382,7 @@ class CollisionChecker:
         Returns
         -------
         ndarray of bool, shape (..., pairs)
-            Pairs as `checked_pairs`.
+            Pairs in the order of `checked_pairs`.
 
         Raises
         ------
@@ -412,7 +414,7 @@ class CollisionChecker:
     @overload
     def distance(self, Q: ArrayLike, *, exact: bool, gradient: bool = ...) -> StateDistance: ...
     def distance(self, Q: ArrayLike, *, exact: bool = False, gradient: bool = False) -> StateDistance:
-        """Bounds on how far the nearest pair is apart, and on request its exact distance; margins are not looked at.
+        """Bounds on the distance of the nearest pair, and on request its exact distance; margins are ignored.
 
         Parameters
         ----------
@@ -420,26 +422,27 @@ class CollisionChecker:
         exact : bool
             Also compute the distance or depth, the pair, witnesses and normal.
         gradient : bool
-            Also compute the derivative of the exact distance by the configuration, in metres for each radian or metre.
+            Also compute the derivative of the exact distance with respect to the configuration, in metres per radian or
+            metre.
 
         Returns
         -------
         StateDistance
-            In metres; of one configuration floats and names, of a batch arrays.
+            In metres; floats and names for one configuration, arrays for a batch.
 
         Raises
         ------
         InputError
-            As for `collide`; also if there is no pair to check, or a gradient is asked for without the exact distance.
+            As for `collide`; also if there is no pair to check, or a gradient is requested without the exact distance.
         ConvergenceError
             As for `loewner.distance`.
 
         Notes
         -----
         The gradient is n · (J_b x_b - J_a x_a), with the normal n from a to b and the Jacobians of the witnesses as
-        points of their links. Where the nearest pair, or its witnesses, are not the only ones the distance has a kink
-        (two pairs tie; faces or edges are parallel): what is returned is the derivative of one of them. The derivative
-        by a quaternion is that of the rotation it stands for, so that its component along the quaternion is 0.
+        points of their links. Where the nearest pair, or its witnesses, are not unique (two pairs tie; faces or edges
+        are parallel) the distance has a kink, and the derivative for one choice is returned. The derivative with
+        respect to a quaternion is taken through its rotation, so its component along the quaternion is 0.
 
         Examples
         --------
@@ -482,23 +485,23 @@ class CollisionChecker:
     def clearance(
         self, Q: ArrayLike, *, softness: float = 0.005, gradient: bool = False
     ) -> OneOrMany | tuple[OneOrMany, Floats]:
-        """Certified lower bound on the distance of the nearest pair that changes smoothly, and its gradient.
+        """Smooth certified lower bound on the distance of the nearest pair, and its gradient.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
         softness : float
-            Metres. The bound lies at most this times the logarithm of the number of pairs of pieces below the least of
-            the gaps that it is taken of; the smaller, the nearer, and the sharper its bends.
+            In metres. The bound is below the least gap by at most this value times the logarithm of the number of pairs
+            of pieces; a smaller value gives a tighter bound with sharper bends.
         gradient : bool
-            Also compute the derivative by the configuration.
+            Also compute the derivative with respect to the configuration.
 
         Returns
         -------
         clearance : float or ndarray, shape (...)
-            In metres; negative where outer ellipsoids overlap. Margins are not looked at.
+            In metres; negative where outer ellipsoids overlap. Margins are ignored.
         gradient : ndarray, shape (..., dof)
-            In metres for each radian or metre; only if it is asked for.
+            In metres per radian or metre; only if requested.
 
         Raises
         ------
@@ -513,13 +516,13 @@ class CollisionChecker:
 
         Notes
         -----
-        Two ellipsoids have a gap between the planes that support them across their contact normal, n·r (1 - 1/√F) / ‖n‖
-        with the contact function F of Perram and Wertheim. It is no more than their signed distance, and analytic
-        except where centers coincide. Of the gaps g of all pairs of pieces, whose outer ellipsoids these are,
-        -softness log Σ exp(-g / softness) is returned, less what rounding may have added. Surfaces and clouds that
-        stand enter with up to 128 ellipsoids each, around parts of them, unless one of them is a solid. Where centers
-        of two ellipsoids coincide the pair adds nothing to the gradient. The derivative by a quaternion is as in
-        `distance`. Where they nearly do, it is finite but may be huge.
+        The gap of two ellipsoids is the distance between their supporting planes across their contact normal, n·r (1 -
+        1/√F) / ‖n‖ with the contact function F of Perram and Wertheim. It is at most their signed distance, and
+        analytic except where centers coincide. Returns -softness log Σ exp(-g / softness) over the gaps g between the
+        outer ellipsoids of all pairs of pieces, minus a bound on rounding. Static surfaces and clouds contribute up to
+        128 ellipsoids each, around parts of them, unless one of them is a solid. Where the centers of two ellipsoids
+        coincide, the pair contributes nothing to the gradient; where they nearly coincide, the gradient is finite but
+        may be huge. The derivative with respect to a quaternion is as in `distance`.
 
         Examples
         --------
@@ -552,14 +555,15 @@ class CollisionChecker:
         ----------
         Q : array_like, shape (..., dof)
         within : float
-            Metres, >= 0; pairs in contact are always listed. Margins are not looked at.
+            In metres, >= 0; pairs in contact are always listed. Margins are ignored.
         gradient : bool
-            Also compute the derivatives of the distances by the configuration.
+            Also compute the derivatives of the distances with respect to the configuration.
 
         Returns
         -------
         PairDistances
-            An entry for each pair at each configuration where it is that near, in the order of the configurations.
+            One entry for each pair at each configuration where it is within this distance, in the order of the
+            configurations.
 
         Raises
         ------
@@ -625,7 +629,7 @@ class CollisionChecker:
 
 
 def prepared_of(checker: CollisionChecker) -> CheckedPairs:
-    """Return the pairs of a checker in its scene as it is now, for several questions about the same moment."""
+    """Return the pairs of a checker in its scene's current state, for several queries of the same state."""
     return checker._ready()
 
 

@@ -1,9 +1,9 @@
 """Motions that begin or end in contact, by the rules of `Scene.leave` and `Scene.reach`.
 
-Two convex pieces that touch have a plane between them, or nearly so: the one across their contact normal. Moved back by
-their depth and by the tolerance it leaves one of them in front, and while that piece stays in front the two are no
-deeper in each other than at the start. What lies behind the plane is a body like any other, so that the proof of
-motions itself settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
+Two convex pieces that touch have a plane between them, or nearly so: the plane across their contact normal. Moved back
+by their depth and by the tolerance it leaves one of them in front, and while that piece stays in front the two are no
+deeper in each other than at the start. The space behind the plane is treated as a body, so the proof of motions itself
+settles whether the piece stays in front: docs/certified.md, "Contact that has to end".
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: floa
     ----------
     ready : CheckedPairs
     pair : int
-        Its number. It is in `ready.leaving` or `ready.reaching`.
+        Its index. It is in `ready.leaving` or `ready.reaching`.
     a, b : ndarray, shape (dof,)
         The motion, as `motions.settle` takes it.
     tolerance : float
-        Metres by which the contact may get deeper.
+        Distance in metres by which the contact may get deeper.
 
     Returns
     -------
     verdict : int
         FREE, COLLIDING where the two are deeper in each other than at the start, else AMBIGUOUS.
     fraction : float
-        Of the way; NaN where FREE.
+        Fraction of the motion; NaN where FREE.
     """
     middle = ready.robot.between(a, b, 0.5)
     # Stretches from the end where contact is allowed, with the fractions of the motion at which they begin and end. How
@@ -80,7 +80,7 @@ def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: floa
 
 
 def deeper_than_ends(ready: CheckedPairs, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
-    """Row of a path, of some, and pair in contact there that is deeper than a rule allows at the ends of the path.
+    """First row of a path where a pair is in deeper contact than a rule allows at the ends of the path, and the pair.
 
     Each motion of a path may get deeper by the tolerance; all of them together may not.
     """

@@ -20,20 +20,20 @@ from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
 
 @dataclass(frozen=True, eq=False)
 class StateDistance(Generic[Exact, Vector]):
-    """How far a robot is from touching, at one configuration or many; metres, negative is a depth.
+    """Signed distance of a robot from contact, at one configuration or many; in metres, a negative value is a depth.
 
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the least over all pairs that are checked.
+        Certified bounds from the ellipsoids: the least over all checked pairs.
     distance : float or ndarray, or None
         With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
-        That pair.
+        Names of this pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
-        Where it is nearest; see `Distance`.
+        Its witnesses and normal; see `Distance`.
     gradient : ndarray, shape (..., dof), or None
-        With ``gradient=True``: the derivative of the distance by the configuration.
+        With ``gradient=True``: the derivative of the distance with respect to the configuration.
 
     Examples
     --------
@@ -60,20 +60,20 @@ class StateDistance(Generic[Exact, Vector]):
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Pairs of bodies that are near each other, one entry each.
+    """Pairs of bodies that are near each other, one entry per pair.
 
     Attributes
     ----------
     configuration : ndarray of int64, shape (M,)
-        Its number among all configurations of the query.
+        Index of the configuration in the query.
     pair : ndarray of int64, shape (M,)
-        Its number in `CollisionChecker.checked_pairs`.
+        Index of the pair in `CollisionChecker.checked_pairs`.
     names : ndarray of str, shape (M, 2)
     distance : ndarray, shape (M,)
-        Metres; negative is a depth, see `Distance`.
+        In metres; a negative value is a depth, see `Distance`.
     witness_a, witness_b, normal : ndarray, shape (M, 3)
     gradient : ndarray, shape (M, dof), or None
-        With ``gradient=True``: the derivative of the distance by the configuration.
+        With ``gradient=True``: the derivative of the distance with respect to the configuration.
 
     Examples
     --------
@@ -102,7 +102,7 @@ class PairDistances:
 
 
 def nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
-    """Columns of a `StateDistance` for some configurations, with numbers of bodies instead of names."""
+    """Columns of a `StateDistance` for some configurations, with indices of bodies instead of names."""
     n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
     lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
     vectors = [np.empty((m, 3)) for _ in range(3)]
@@ -142,7 +142,7 @@ def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
 
 
 def gradients(ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
-    """Derivatives of exact distances of pairs of bodies by the configuration, one each."""
+    """Derivatives of exact distances of pairs of bodies with respect to the configuration, one per pair."""
     slopes = np.empty((len(Q), ready.robot.dof))
 
     def run(first: int, last: int) -> None:

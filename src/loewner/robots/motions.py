@@ -1,4 +1,4 @@
-"""Motions that are proven: what `CollisionChecker.certify_edges` returns, and the calls of its kernel."""
+"""Proven motions: the results of `CollisionChecker.certify_edges`, and the calls of its kernel."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class CertifiedMotions:
     verdict : Verdict, or ndarray of int8
         FREE: every pair is farther apart than its margin at every real fraction from 0 to 1, proven. COLLIDING: the
         configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the tolerance,
-        or arithmetic could not settle it; to be treated as not free.
+        or arithmetic could not settle it; treat it as not free.
     fraction : float or ndarray
-        Of the way, as `Robot.between` takes it; NaN where FREE. Where COLLIDING it leads to a configuration that does,
-        not to the first one.
+        Fraction of the motion, as `Robot.between` takes it; NaN where FREE. Where COLLIDING, it gives a colliding
+        configuration, not necessarily the first one.
     names : tuple of str, or ndarray of str, shape (..., 2)
         The pair that collides or is ambiguous there; empty where FREE.
     poses, searches : int or ndarray of int64
-        Work done: configurations that the robot was placed at, and searches on single pairs of pieces.
+        Work of the proof: configurations at which the robot was placed, and searches on single pairs of pieces.
 
     Examples
     --------
@@ -62,17 +62,17 @@ class CertifiedMotions:
 
 
 class Found(NamedTuple):
-    """What the kernel says of N motions.
+    """The kernel's results for N motions.
 
     Attributes
     ----------
     verdicts : ndarray of int8, shape (N,)
-        As of `CertifiedMotions`; or TOO_LONG; or, from `settle`, BY_CARE: COLLIDING if `collide` says so.
+        As for `CertifiedMotions`; or TOO_LONG; or, from `settle`, BY_CARE: COLLIDING if `collide` confirms it.
     fractions : ndarray, shape (N,)
     pairs : ndarray of int64, shape (N,)
-        Numbers of the pairs; -1 for none.
+        Indices of the pairs; -1 for none.
     work : ndarray of int64, shape (N, 2)
-        Poses and searches.
+        Numbers of poses and searches.
     """
 
     verdicts: NDArray[np.int8]

@@ -22,7 +22,7 @@ def prove(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | 
     courses : ndarray, shape (N, degree + 1, dof)
         See `courses`. In C order, writeable.
     tolerance : float
-        Metres.
+        In metres.
     off : ndarray, shape (N, dof), optional
         How far joint values may be from the course at the same fraction: FREE holds for all such configurations.
 

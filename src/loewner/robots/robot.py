@@ -1,4 +1,4 @@
-"""Robots: links on joints, with their bodies, and where the links are in many configurations."""
+"""Robots: links connected by joints, with their bodies, and the poses of the links in many configurations."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _model(meshes: str, decompose: bool) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """A tree of links on joints; read one by `from_urdf` or `from_mjcf`.
+    """A tree of links connected by joints; read one with `from_urdf` or `from_mjcf`.
 
     Attributes
     ----------
@@ -77,34 +77,34 @@ class Robot:
     joint_names : tuple of str
         Joints that have values of their own (movable, and not mimicking another one), in the order of the URDF.
     configuration_names : tuple of str
-        Meaning of the entries of a configuration. A joint of one value (rad or m) gives its name; a planar joint j has
-        "j/x", "j/y" [m] and "j/theta" [rad]; a floating one "j/x", "j/y", "j/z" [m] and the unit quaternion "j/qw",
-        "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF has, has the last four.
+        Meaning of the entries of a configuration. A joint with one value (rad or m) appears by its name; a planar joint
+        j has "j/x", "j/y" [m] and "j/theta" [rad]; a floating joint has "j/x", "j/y", "j/z" [m] and the unit quaternion
+        "j/qw", "j/qx", "j/qy", "j/qz"; a ball joint, which only MJCF has, has the last four.
     lower, upper : ndarray, shape (dof,)
-        Limits, in radians for what turns and metres for what slides; infinite where there are none. Configurations
-        outside are allowed everywhere; one that is far outside causes one warning (see `checked`).
+        Limits, in radians for joints that turn and metres for joints that slide; infinite where there are none.
+        Configurations outside are allowed everywhere; a configuration far outside causes one warning (see `checked`).
     velocity : ndarray, shape (dof,)
-        The fastest that each value may change [rad/s or m/s]: the URDF's limit, or less where a joint that mimics it
-        would break its own. NaN where the URDF gives none above 0, and for planar and floating joints.
+        The largest rate of each value [rad/s or m/s]: the URDF's limit, or less where a mimic joint would exceed its
+        own. NaN where the URDF gives none above 0, and for planar and floating joints.
     bodies : dict
-        Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next
-        two, any other name is an UnknownNameError that lists the known ones.
+        Link name to `Body`, in the frame of the link, for links with collision geometry. Here, and in the next two
+        attributes, any other name is an UnknownNameError that lists the known names.
     groups : dict
         Group name to joint names, from the SRDF.
     states : dict
-        State name to (group, {joint: value}), from the SRDF; a value of several is a tuple in the order of
-        `configuration_names`. Where several groups have a state of one name, the second is "group/name".
+        State name to (group, {joint: value}), from the SRDF; for a joint with several values a tuple in the order of
+        `configuration_names`. If several groups have a state of the same name, the second is "group/name".
     disabled_pairs : frozenset
         Sorted pairs of links that the SRDF exempts from checking.
     adjacent_pairs : frozenset
         Sorted pairs of links with bodies that a joint joins, directly or through links without bodies and at most one
         moving joint.
     tree : Tree
-        What kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
+        The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file it was read from: a URDF or an MJCF. For a text, a name in the working directory of that time.
+        The file that was read: a URDF or an MJCF. If a text was read, a name in the working directory at that time.
     package_dirs : tuple of Path
-        Where else its meshes are sought.
+        Further folders that are searched for its meshes.
 
     Examples
     --------
@@ -164,8 +164,8 @@ class Robot:
         path : path, optional
             URDF file, xacro expanded.
         text : str, optional
-            What would be in such a file, instead: ROS's ``/robot_description``. Meshes that it names by relative paths
-            are sought from the working directory.
+            The contents of such a file, instead of a path: ROS's ``/robot_description``. Relative paths of meshes in it
+            are resolved from the working directory.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
@@ -176,11 +176,11 @@ class Robot:
             that is not convex is split (`Body.from_mesh`), once: see `cache`; or its triangles (`Body.from_surface`),
             including the enclosed space if the mesh is closed.
         decompose : bool
-            True: the same as ``meshes="pieces"``.
+            True means the same as ``meshes="pieces"``.
         tol : float
             Certified log-volume gap of all fits.
         cache : bool
-            Keep the bodies of meshes on disk, by content, so that the next time they are read only.
+            Keep the bodies of meshes on disk, by content, so that later calls only read them.
         progress : callable, optional
             Called as ``progress(done, total)`` after each collision shape.
 
@@ -191,12 +191,12 @@ class Robot:
         Raises
         ------
         FileError
-            If a file is missing or cannot be read; for a mesh the message names its link and where it was sought.
-            If one of `package_dirs` is no folder.
+            If a file is missing or cannot be read; for a mesh the message names its link and the places that were
+            searched. If one of `package_dirs` is not a folder.
         InputError
-            If there is neither path nor text, or both; if a path is none (XML text, for instance), the SRDF is a URDF,
-            the links are no tree, or a joint is not
-            well defined; GeometryError if a shape is flat or has no size.
+            If there is neither path nor text, or both; if a path is not a path (but XML text, for instance), the SRDF
+            is a URDF, the links do not form a tree, or a joint is not well defined; GeometryError if a shape is flat or
+            has no size.
         UnknownNameError
             If a joint refers to a name that does not exist, or the SRDF is another robot's.
         MissingExtraError
@@ -206,8 +206,8 @@ class Robot:
         -----
         UserWarning
             If the SRDF names some links or joints that the robot does not have, or none that it has; if it names
-            another robot, or has elements that no SRDF has. If a body seems not to be in metres, or an origin not in
-            radians.
+            another robot, or has elements that are not defined in SRDF. If a body is probably not in metres, or an
+            origin not in radians.
 
         Examples
         --------
@@ -278,23 +278,23 @@ class Robot:
     @classmethod
     @guarded
     def from_mjcf(cls, path: str | os.PathLike[str], *, tol: float = 1e-4) -> Robot:
-        """Read a robot, with the world around it, from an MJCF file, which MuJoCo compiles.
+        """Read a robot, with the world around it, from an MJCF file, using MuJoCo's compiler.
 
-        A configuration is what MuJoCo calls `qpos`, entry by entry. Pairs that MuJoCo does not collide are in
-        `disabled_pairs`, keyframes in `states`. See docs/howto/mujoco.md for what maps to what.
+        A configuration equals MuJoCo's `qpos`, entry by entry. Pairs that MuJoCo does not collide are in
+        `disabled_pairs`, keyframes in `states`. docs/howto/mujoco.md lists the correspondences.
 
         Parameters
         ----------
         path : path
-            MJCF file; or a URDF that MuJoCo takes.
+            MJCF file, or a URDF that MuJoCo accepts.
         tol : float
             Certified log-volume gap of the fits of meshes.
 
         Returns
         -------
         Robot
-            The root link is the world, and each geom that collides there a link of its own, fixed to it. Every body is
-            a link, in MuJoCo's frame. Links without bodies are above links that several joints move.
+            The root link is the world, and each colliding geom of the world is a separate link, fixed to it. Every body
+            is a link, in MuJoCo's frame. A link that several joints move has links without bodies above it.
 
         Raises
         ------
@@ -310,7 +310,7 @@ class Robot:
         Warns
         -----
         UserWarning
-            If the file has flexible bodies, which are left out.
+            If the file has flexible bodies, which are ignored.
 
         Examples
         --------
@@ -331,7 +331,7 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """Entries of a configuration."""
+        """Number of entries of a configuration."""
         return len(self.configuration_names)
 
     def __repr__(self) -> str:
@@ -343,7 +343,7 @@ class Robot:
     def placed(self, T_world_base: ArrayLike) -> Robot:
         """The same robot with its root link at a pose of shape (4, 4) instead of the world's origin.
 
-        If a robot is placed already, the new pose is given in the same frame as the old one.
+        If a robot has been placed before, the new pose is given in the same frame as the old one.
 
         Parameters
         ----------
@@ -357,7 +357,7 @@ class Robot:
         Raises
         ------
         PoseError
-            If the pose is no rigid motion.
+            If the pose is not a rigid motion.
 
         Examples
         --------
@@ -370,12 +370,12 @@ class Robot:
 
     @guarded
     def disabling(self, pairs: Iterable[Pair]) -> Robot:
-        """The same robot with more pairs of links that are exempt from checking, in addition to its `disabled_pairs`.
+        """The same robot with more pairs of links exempt from checking, in addition to its `disabled_pairs`.
 
         Parameters
         ----------
         pairs : iterable of pairs of str
-            For instance what `pairs_by_sampling` returns.
+            For instance the pairs that `pairs_by_sampling` returns.
 
         Returns
         -------
@@ -386,7 +386,7 @@ class Robot:
         UnknownNameError
             If the robot has no such link.
         InputError
-            If they are no pairs of two different links.
+            If an entry is not a pair of two different links.
 
         Examples
         --------
@@ -402,7 +402,7 @@ class Robot:
         ----------
         pairs : iterable of pairs of str
         name : str
-            What the caller calls them, for messages.
+            The caller's name for them, for messages.
 
         Returns
         -------
@@ -413,7 +413,7 @@ class Robot:
         UnknownNameError
             If the robot has no such link.
         InputError
-            If they are no pairs of two different links.
+            If an entry is not a pair of two different links.
         """
         found, known = set(), set(self.link_names)
         for pair in _validate.listed(pairs, name, wanted="pairs of names of links"):
@@ -435,7 +435,8 @@ class Robot:
         Parameters
         ----------
         Q : array_like, shape (..., dof)
-            Configurations, entries as `configuration_names`: radians for what turns, metres for what slides.
+            Configurations with entries as in `configuration_names`: radians for joints that turn, metres for joints
+            that slide.
 
         Returns
         -------
@@ -480,7 +481,7 @@ class Robot:
         Returns
         -------
         ndarray, shape (..., 6, dof)
-            In the world's axes, by each value of the configuration: the velocity of the point [m], then the angular
+            In the world's axes, for each value of the configuration: the velocity of the point [m], then the angular
             velocity of the link [rad].
 
         Raises
@@ -492,7 +493,7 @@ class Robot:
 
         Notes
         -----
-        Columns of a quaternion are derivatives of its rotation: a change of the quaternion's length alone turns
+        Columns of a quaternion are derivatives of its rotation: a change of the quaternion's length alone rotates
         nothing.
 
         Examples
@@ -515,20 +516,20 @@ class Robot:
         return J.reshape(*batch, 6, self.dof)
 
     def checked(self, Q: ArrayLike, name: str = "Q") -> Floats:
-        """Configurations as kernels take them: C-order float64, finite, quaternions of norm 1.
+        """Configurations as kernels take them: C-order float64, finite, with quaternions of norm 1.
 
-        All that takes configurations has them checked by this.
+        Every function that takes configurations checks them with this one.
 
         Parameters
         ----------
         Q : array_like, shape (..., dof)
         name : str
-            What the caller calls it, for messages.
+            The caller's name for it, for messages.
 
         Returns
         -------
         ndarray, shape (..., dof)
-            `Q` itself where it can be.
+            `Q` itself if possible.
 
         Raises
         ------
@@ -538,8 +539,8 @@ class Robot:
         Warns
         -----
         UserWarning
-            Once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn, a
-            length by more than a metre and ten times the way between the limits; or if a joint that turns without
+            Given once for a robot and its copies, if a value is far outside its limits: an angle by more than a turn,
+            or a length by more than a metre and ten times the range of the limits; or if a joint that turns without
             limit is beyond ±50 rad. It names the joint, and suggests degrees or millimetres.
         """
         # The usual single configuration, quickly: NumPy takes longer to start than this has entries.
@@ -578,17 +579,17 @@ class Robot:
         ----------
         q : array_like, shape (dof,)
         name : str
-            What the caller calls it, for messages.
+            The caller's name for it, for messages.
 
         Returns
         -------
         ndarray, shape (dof,)
-            `q` itself where it can be.
+            `q` itself if possible.
 
         Raises
         ------
         InputError
-            As for `checked`, or if there are several.
+            As for `checked`, or if there is more than one.
         """
         checked = self.checked(q, name)
         if checked.ndim != 1:
@@ -602,8 +603,8 @@ class Robot:
         Parameters
         ----------
         values : dict or str, optional
-            Values by joint name or configuration name, or the name of a state. All other joints are at 0 (a
-            quaternion at the identity), whether or not their limits allow that.
+            Values by joint name or configuration name, or the name of a state. All other joints are at 0 (a quaternion
+            at the identity), whether or not their limits allow it.
 
         Returns
         -------
@@ -612,9 +613,9 @@ class Robot:
         Raises
         ------
         UnknownNameError
-            With the valid names.
+            The message lists the valid names.
         InputError
-            If `values` is neither names nor the name of a state, or a value is no number or not finite.
+            If `values` is neither a mapping nor the name of a state, or a value is not a finite number.
 
         Examples
         --------
@@ -651,15 +652,15 @@ class Robot:
     def random_configurations(self, n: int, seed: int = 0) -> Floats:
         """Draw n configurations uniformly within the limits, shape (n, dof).
 
-        Where a value has no limit it is drawn from -π .. π (also a length, in metres); quaternions are uniform. Where
-        it has one limit only, over a way of 2π from there, or to the far end of that range if that is farther. A limit
-        beyond ±1e6 counts as none, and holds all the same.
+        A value without limits is drawn from -π .. π (even a length, in metres); quaternions are uniform. A value with
+        one limit is drawn from a range of 2π that starts there, or that reaches the far end of -π .. π if that is
+        farther. A limit beyond ±1e6 counts as none for drawing, but is still respected.
 
         Parameters
         ----------
         n : int
         seed : int
-            Neither is below 0.
+            Neither may be negative.
 
         Returns
         -------
@@ -668,7 +669,7 @@ class Robot:
         Raises
         ------
         InputError
-            If one is no such integer, or n configurations do not fit into memory.
+            If one is not such an integer, or n configurations do not fit into memory.
 
         Examples
         --------
@@ -694,8 +695,8 @@ class Robot:
         Parameters
         ----------
         reach : float
-            Where a value has no limit (or one beyond ±1e6, which some programs write for none), this far from 0; twice
-            as far from the other limit if that is farther.
+            Range for values without a limit (or with one beyond ±1e6, which some programs write for none): this far
+            from 0, or twice as far from the other limit if that is farther.
 
         Returns
         -------
@@ -717,7 +718,7 @@ class Robot:
 
     @guarded
     def distances(self, Q0: ArrayLike, Q1: ArrayLike) -> OneOrMany:
-        """Euclidean distances of configurations in the units of the joints; of orientations, the angle between.
+        """Euclidean distances of configurations in the units of the joints; for orientations, the angle between them.
 
         Parameters
         ----------
@@ -752,17 +753,17 @@ class Robot:
 
     @kept
     def runs_straight(self) -> bool:
-        """Whether all that lies between two configurations is straight: no joint has an orientation of its own."""
+        """Whether all motions between configurations are straight: no joint has an orientation of its own."""
         return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:
-        """Configurations on the way: values run straight, orientations along the shorter arc.
+        """Configurations along a motion: values change linearly, orientations follow the shorter arc.
 
         Parameters
         ----------
         Q0, Q1 : array_like, shape (..., dof)
         t : array_like, shape (...)
-            0 is Q0, 1 is Q1; broadcast with the configurations.
+            Fraction of the motion: 0 is Q0, 1 is Q1; broadcast with the configurations.
 
         Returns
         -------

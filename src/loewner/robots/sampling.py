@@ -29,32 +29,32 @@ def pairs_by_sampling(
     Parameters
     ----------
     robot : Robot
-        Its `disabled_pairs` are not looked at.
+        Its `disabled_pairs` are skipped.
     samples : int
         Random configurations within the limits, see `Robot.random_configurations`.
     seed : int
     known_free : array_like, shape (..., dof), optional
-        Configurations that the robot is known to be free at, such as one that it stands in: what collides there does so
-        because its bodies are larger than the links.
+        Configurations at which the robot is known to be free, for instance its current one: pairs that collide there do
+        so because the bodies are larger than the links.
     always : float
-        Share of the samples, above 0 and up to 1, from which on two links count as always colliding.
+        Fraction of the samples, above 0 and at most 1, from which two links count as always colliding.
 
     Returns
     -------
     dict
-        Sorted pairs of links, and why: "adjacent" if a joint joins them; "default" if they collide at `known_free`;
-        "always", or "never", if they collide at all samples or at none. Links that are rigidly joined are never
-        checked, and not in it.
+        Sorted pairs of links with a reason: "adjacent" if a joint joins them; "default" if they collide at
+        `known_free`; "always", or "never", if they collide at all samples or at none. Rigidly joined links are never
+        checked and are not listed.
 
     Raises
     ------
     InputError
-        If the robot has no collision geometry, or an argument is none of what it should be.
+        If the robot has no collision geometry, or an argument has a wrong type or value.
 
     Notes
     -----
-    "never" is no proof: a pair that meets in one configuration of a million is likely to be missed by ten thousand
-    samples. Give the pairs to `Robot.disabling`, all or only those of some kinds.
+    "never" is not a proof: ten thousand samples are likely to miss a pair that meets in one configuration of a million.
+    Pass the pairs to `Robot.disabling`, all of them or only certain kinds.
 
     Examples
     --------

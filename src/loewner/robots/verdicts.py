@@ -24,12 +24,12 @@ from loewner.scenes import Contact
 
 @dataclass(frozen=True)
 class Settled:
-    """How many configurations each tier settled.
+    """Number of configurations that each tier settled.
 
     Attributes
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Free, with the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes about
+        Free, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes between
         the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact search.
     colliding_by_ellipsoids, colliding_by_search : int
         Colliding, found by inner ellipsoids or by the exact search.
@@ -52,17 +52,17 @@ class Settled:
 
     @property
     def total(self) -> int:
-        """All configurations."""
+        """Number of all configurations."""
         return self.free + self.colliding
 
     @property
     def free(self) -> int:
-        """Configurations without contact."""
+        """Number of configurations without contact."""
         return self.free_by_bounds + self.free_by_ellipsoids + self.free_by_planes + self.free_by_search
 
     @property
     def colliding(self) -> int:
-        """Configurations with contact."""
+        """Number of configurations with contact."""
         return self.colliding_by_ellipsoids + self.colliding_by_search
 
 
@@ -74,7 +74,7 @@ class Verdicts(NamedTuple):
     verdicts : ndarray of int8, shape (N,)
         AMBIGUOUS where nothing could be proven, or in mode EXACT where arithmetic could not settle it.
     tiers : ndarray of int8, shape (N,)
-        The costliest test that it took, as `codes` numbers them.
+        The costliest test that was needed, as numbered in `codes`.
     """
 
     verdicts: NDArray[np.int8]
@@ -110,18 +110,18 @@ def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
 
 
 def free(ready: CheckedPairs, Q: Floats) -> Bools:
-    """Which configurations, shape (N, dof), are proven free; what could not be settled is not."""
+    """Which configurations, shape (N, dof), are proven free; unsettled ones are not."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == Verdict.FREE)
 
 
 def is_free(ready: CheckedPairs, q: Floats) -> bool:
-    """Whether one configuration, shape (dof,), is proven free: the quickest way there is."""
+    """Whether one configuration, shape (dof,), is proven free: the fastest way to find out."""
     collides = ready.single.collide(q)
     return bool(free(ready, q[None].copy())[0]) if collides is None else not collides
 
 
 def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> bool:
-    """Whether one motion is free at samples no farther apart than `step`; likewise."""
+    """Whether one motion is proven free at samples no farther apart than `step`; an unsettled motion is not."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
         return bool(sampled(ready, a[None], b[None], step)[0][0] == Verdict.FREE)
@@ -129,12 +129,12 @@ def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> b
 
 
 def expect_settled(ready: CheckedPairs, Q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Refuse verdicts if one is AMBIGUOUS.
+    """Raise an error if one verdict is AMBIGUOUS.
 
     Raises
     ------
     ConvergenceError
-        With the pair and the configuration.
+        The message names the pair and the configuration.
     """
     for k in _ambiguous(verdicts)[:1]:
         expect_pairs_settled(ready, Q[k], pair_verdicts(ready, ready.poses(Q[k : k + 1])[0]))
@@ -148,7 +148,7 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
     verdicts : ndarray of int8, shape (N,)
         FREE if all samples are free.
     fractions : ndarray, shape (N,)
-        Fraction of the way at which a sample is not free; NaN where FREE.
+        Fraction of the motion at which a sample is not free; NaN where FREE.
 
     Raises
     ------
@@ -178,12 +178,12 @@ def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
 
 
 def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
-    """Refuse verdicts of pairs at a configuration if one is AMBIGUOUS.
+    """Raise an error if one pair's verdict at a configuration is AMBIGUOUS.
 
     Raises
     ------
     ConvergenceError
-        With the pair and the configuration.
+        The message names the pair and the configuration.
     """
     for pair in _ambiguous(verdicts)[:1]:
         raise ConvergenceError(unsettled(ready, int(pair), q))
@@ -210,7 +210,7 @@ def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
 
 
 def lengths(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Floats:
-    """Lengths of motions, each as if it were alone where the last bit decides in how many steps it is divided."""
+    """Lengths of motions, each as if it were alone where the last bit decides the number of its steps."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):

@@ -43,26 +43,26 @@ PLACE_KEYS = ("position", "orientation_quat_xyzw", "orientation_euler_xyz")
 @guarded
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A motion planning problem: a scene, and from where to where.
+    """A motion planning problem: a scene, a start and goals.
 
     Attributes
     ----------
     group : str
-        The family that it belongs to, such as "bookshelf_thin".
+        The family of the problem, such as "bookshelf_thin".
     index : int
-        Its number in the family, as the file counts.
+        Its number in the family, as counted in the file.
     robot : str
         Name of the robot.
     joint_names : tuple of str
-        What the columns of `start` and `goals` are.
+        Names of the columns of `start` and `goals`.
     start : ndarray, shape (dof,)
         Configuration to start from, in radians or metres.
     goals : ndarray, shape (k, dof)
-        Configurations of which any one is to be reached.
+        Goal configurations; reaching any one is enough.
     scene : Scene
         Obstacles, in the frame of the robot's base.
     valid : bool or None
-        The file's own word on whether the problem is sound, not checked here; None if it says nothing.
+        The file's own claim that the problem is sound, not checked here; None if it makes none.
 
     Examples
     --------
@@ -98,8 +98,8 @@ def read_motion_bench_maker(path: str | PathLike[str]) -> tuple[Problem, ...]:
     Raises
     ------
     FileError
-        If the file is missing or malformed, or has obstacles of a kind unknown here. The message says which problem
-        and which key.
+        If the file is missing or malformed, or has obstacles of an unknown kind. The message names the problem and the
+        key.
 
     References
     ----------
@@ -159,14 +159,14 @@ def _once(file: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class JsonNode(Node):
-    """A place in a JSON file, whose reader knows no lines."""
+    """A place in a JSON file, whose reader records no line numbers."""
 
     @property
     def line(self) -> None:
-        """Not known."""
+        """Unknown."""
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, a plain value."""
+        """Content of the place if of the expected kind: pairs of a mapping, entries of a sequence, a plain value."""
         raw = self.raw
         found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
         if found != kind:
@@ -174,7 +174,7 @@ class JsonNode(Node):
         return raw.items() if isinstance(raw, dict) else raw
 
     def described(self) -> str:
-        """What the place holds, for messages."""
+        """Description of the content, for messages."""
         if isinstance(self.raw, dict | list):
             return f"a {'mapping' if isinstance(self.raw, dict) else 'sequence'} of {len(self.raw)}"
         return cut(repr(self.raw) if isinstance(self.raw, str) else reprlib.repr(self.raw))

@@ -61,8 +61,8 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     Parameters
     ----------
     path : path
-        Files that it names are looked for relative to its folder. Of a name that ends in ``.xml`` or ``.mjcf``, a model
-        of MuJoCo: all that collides, its joints at their references. Take `Robot.from_mjcf` for what is to move.
+        Paths in it are relative to its folder. A name that ends in ``.xml`` or ``.mjcf`` is read as a MuJoCo model: all
+        colliding geoms, with joints at their references. Use `Robot.from_mjcf` for parts that move.
 
     Returns
     -------
@@ -73,14 +73,14 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     FileError
         If the file, or one that it names, is missing or malformed. The message gives line and key.
     MissingExtraError
-        If PyYAML is not installed, or MuJoCo for a model of it, or what a mesh needs.
+        If PyYAML is not installed, or MuJoCo for a model, or a package that a mesh needs.
     InputError, GeometryError
-        If a geom of a model collides and cannot be read: as `Robot.from_mjcf`.
+        If a colliding geom of a model cannot be read: as `Robot.from_mjcf`.
 
     Warns
     -----
     UserWarning
-        If a body seems not to be in metres, or an angle not in radians.
+        If a body is probably not in metres, or an angle not in radians.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def _set_margin(scene: Scene, entry: YamlNode) -> None:
 
 @guarded
 def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
-    """Write a scene to YAML, such that `load_scene` gives the same verdicts.
+    """Write a scene to YAML, such that the scene read by `load_scene` gives the same verdicts.
 
     Boxes, spheres, cylinders, capsules, cones and ellipsoids are written by their sizes. Any other body is saved
     next to the file, as ``STEM-NAME.npz``; a body that several names share is saved once.
@@ -142,7 +142,7 @@ def save_scene(scene: Scene, path: str | PathLike[str]) -> None:
     ----------
     scene : Scene
     path : path
-        Written under a temporary name first, then renamed, after the files of its bodies.
+        Written under a temporary name and then renamed, after the files of its bodies.
 
     Raises
     ------
@@ -278,11 +278,11 @@ class YamlNode(Node):
 
     @property
     def line(self) -> int:
-        """Where it begins."""
+        """Line where it begins."""
         return int(self.raw.start_mark.line) + 1
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, text of a scalar."""
+        """Content of the place if of the expected kind: pairs of a mapping, entries of a sequence, text of a scalar."""
         if self.raw.tag not in YAML_TAGS:
             raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
         if self.raw.id != kind:
@@ -290,20 +290,20 @@ class YamlNode(Node):
         return self.raw.value
 
     def described(self) -> str:
-        """What the place holds, for messages."""
+        """Description of the content, for messages."""
         if self.raw.id == "scalar":
             return cut(repr(self.raw.value)) if self.raw.value else "nothing"
         return f"a {self.raw.id} of {len(self.raw.value)}"
 
     def text(self) -> str:
-        """A name; YAML may take it for a number."""
+        """A name, even where YAML reads a number."""
         value: str = self.expect("scalar", "a name")
         if not value:
             raise self.error("expected a name, found nothing")
         return value
 
     def number(self) -> float:
-        """A finite number. YAML 1.1 takes 1e-3 for text; here the text decides, unless it is quoted."""
+        """A finite number. YAML 1.1 reads 1e-3 as text; here its value counts unless it is quoted."""
         value = self.expect("scalar", "a number")
         try:
             plain = self.raw.style is None and value.isascii() and "_" not in value

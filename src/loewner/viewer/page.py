@@ -1,4 +1,4 @@
-"""The page itself: its server, the thread that answers what is done on it, and what both kinds of page share."""
+"""The page itself: its server, the thread that answers user actions, and the parts that both kinds of page share."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ BAD: Rgb = (119, 119, 119)
 class Viewer:
     """An open page; made by `show_pair` or `show_robot`.
 
-    What is done on the page and what Python does are both answered by `_answer`, one at a time, under `lock`. Of
-    several moves that wait, only the last is answered: the page never lags behind the mouse.
+    `_answer` handles actions on the page and calls from Python, one at a time, under `lock`. Of several waiting moves,
+    only the last is answered, so the page never lags behind the mouse.
 
     Attributes
     ----------
     server : viser.ViserServer
-        For more to be drawn on the same page.
+        For drawing more on the same page.
     lock : threading.RLock
-        Hold it to change a scene that the page shows from a thread of your own.
+        Hold it to change a scene that the page shows from another thread.
     answered : int
-        How many times the page has been brought up to date.
+        Number of updates of the page.
     seconds : float
-        What the last time took.
+        Duration of the last update.
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
+        The certified answer that the page shows; AMBIGUOUS if there is none.
     colliding : bool
-        The exact one; True where there is none.
+        The exact answer; True if there is none.
     """
 
     verdict: Verdict
@@ -92,7 +92,7 @@ class Viewer:
         return self._guard.where.url(self._guard.port, self._guard.token)
 
     def close(self) -> None:
-        """Close the page and stop its server; a second time does nothing."""
+        """Close the page and stop its server; a second call does nothing."""
         if not self._closed.is_set():
             self._closed.set()
             self._events.put(None)
@@ -215,9 +215,9 @@ class Viewer:
 
 
 class Mover:
-    """What moves one body on the page: a gizmo to drag, and its position and turn as numbers.
+    """Controls that move one body on the page: a gizmo to drag, and its position and rotation as numbers.
 
-    The gizmo's node carries the body's pose, so that the body follows the mouse at the pace of the browser.
+    The gizmo's node has the body's pose, so that the browser moves the body with the mouse.
     """
 
     def __init__(self, page: Viewer, node: str, name: str, T: Floats) -> None:
@@ -229,16 +229,16 @@ class Mover:
         page._watch(self.gizmo, f"drag {name}")
 
     def fit(self, box: Floats, most: float) -> None:
-        """Make the gizmo as large as fits a body of this box, and no larger than `most` [m]."""
+        """Make the gizmo large enough for a body in this box, but no larger than `most` [m]."""
         self.gizmo.scale = min(GIZMO * float(np.ptp(box, axis=0).max()), most)
 
     def show(self, on: bool) -> None:
-        """Show the handles of the gizmo, or the body alone."""
+        """Show the handles of the gizmo, or only the body."""
         if self.gizmo.disable_axes == on:
             self.gizmo.disable_axes = self.gizmo.disable_sliders = self.gizmo.disable_rotations = not on
 
     def take(self) -> Floats:
-        """Read the pose that the gizmo was dragged to."""
+        """Read the pose to which the gizmo was dragged."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = from_quaternion(self.gizmo.wxyz, self._name), self.gizmo.position
         self.T = T

@@ -1,4 +1,4 @@
-"""The page of two bodies: drag one towards the other and see what can be said about them."""
+"""The page for two bodies: drag one towards the other and watch their verdict."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ def show_pair(
     ----------
     a, b : Body
     T_world_a, T_world_b : array_like, shape (4, 4), or None
-        Where they are at first; translation in metres. None is the identity.
+        Initial poses; translation in metres. None is the identity.
     margin : float
-        Metres that the bodies must keep.
+        Distance in metres that the bodies must keep.
     mesh_a, mesh_b : path, trimesh.Trimesh or trimesh.Scene, optional
-        What the bodies were made from, in their frames: a layer of its own, off at first, for it is the pieces that
-        are checked. A body without one shows its pieces in that layer.
+        The meshes from which the bodies were made, in their frames. They form a separate layer, hidden at first,
+        because the pieces are checked and not the meshes. A body without a mesh shows its pieces in that layer.
     host : str
-        Address to listen at. The default, "::1" and "localhost" are for this machine alone. With any other, others
-        may see the page and move the bodies if they have its address: it ends in a random token, and is printed once.
-        "0.0.0.0" is all addresses of this machine.
+        Address on which the server listens. The default, "::1" and "localhost" restrict the page to this machine. With
+        any other host, others can open the page and move the bodies if they have its address, which ends in a random
+        token and is printed once. "0.0.0.0" means all addresses of this machine.
     port : int
-        0 is any free port.
+        0 means any free port.
     block : bool
-        Return only when the page is closed, by an interrupt from the keyboard.
+        Return only when the page is closed or the keyboard interrupts.
 
     Returns
     -------
@@ -62,10 +62,10 @@ def show_pair(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or is a version that cannot be kept from serving foreign requests.
+        If viser is not installed, or is a version that cannot be kept from answering foreign requests.
     InputError
-        If an operand is no body, the margin is negative, the host is none of this machine's, or the port is taken;
-        PoseError if a pose is no rigid motion.
+        If an operand is not a body, the margin is negative, the host does not belong to this machine, or the port is
+        taken; PoseError if a pose is not a rigid motion.
     FileError, GeometryError
         If a mesh cannot be read.
 
@@ -86,14 +86,14 @@ def show_pair(
 
 
 class PairViewer(Viewer):
-    """A page of two bodies; made by `show_pair`.
+    """A page for two bodies; made by `show_pair`.
 
     Attributes
     ----------
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
+        The certified answer that the page shows; AMBIGUOUS if there is none.
     colliding : bool
-        The exact one; True where there is none.
+        The exact answer; True if there is none.
     found : Distance
         Bounds, estimate, exact distance, near points and normal.
 

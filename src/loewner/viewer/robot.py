@@ -1,4 +1,4 @@
-"""The page of a robot in a scene: move joints and bodies and see what touches."""
+"""The page for a robot in a scene: move joints and bodies, and see which of them touch."""
 
 from __future__ import annotations
 
@@ -70,20 +70,20 @@ def show_robot(
     port: int = 0,
     block: bool = False,
 ) -> RobotViewer:
-    """Open a page that shows a robot in its scene, with sliders for the joints, and names what touches.
+    """Open a page that shows a robot in its scene, with sliders for the joints, and names the bodies that touch.
 
     Parameters
     ----------
     checker : CollisionChecker
-        Of the robot and the scene to show. Bodies moved on the page are moved in this scene.
+        Checker of the robot and the scene to show. Moving a body on the page moves it in this scene.
     q : array_like, shape (dof,), optional
-        The first configuration; default: all joints at 0, or where the path starts.
+        The first configuration; default: all joints at 0, or the start of the path.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
-        Configurations of this robot, n >= 2. The page gets a slider for the time, a button to play the path, and a bar
-        that shows where along it the robot collides. A path without times is played at 1 rad or m a second, measured by
+        Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, and a bar that
+        shows where along it the robot collides. A path without times is played at 1 rad or m a second, measured by
         `Robot.distances`.
     trajectory : planners.Trajectory, optional
-        The same for a trajectory alone; give either this or `path`.
+        A trajectory instead of a path; give either this or `path`.
     host, port, block
         As for `show_pair`.
 
@@ -94,10 +94,10 @@ def show_robot(
     Raises
     ------
     MissingExtraError
-        If viser is not installed, or is a version that cannot be kept from serving foreign requests.
+        If viser is not installed, or is a version that cannot be kept from answering foreign requests.
     InputError
         If the configuration or the path does not fit, both `path` and `trajectory` are given, there is nothing to
-        check, the host is none of this machine's, or the port is taken.
+        check, the host does not belong to this machine, or the port is taken.
 
     Examples
     --------
@@ -128,24 +128,24 @@ class _Shown:
 
 
 class RobotViewer(Viewer):
-    """A page of a robot in a scene; made by `show_robot`.
+    """A page for a robot in a scene; made by `show_robot`.
 
-    Changes of the scene made in Python show within a tenth of a second, or at once after `refresh`.
+    Changes of the scene made in Python appear within a tenth of a second, or immediately after `refresh`.
 
     Attributes
     ----------
     checker : CollisionChecker
     trajectory : planners.Trajectory or None
-        What can be played, if it has times of its own.
+        The trajectory that can be played, if it has its own times.
     verdict : Verdict
-        The certified answer that the page shows; AMBIGUOUS where the page says that there is none.
+        The certified answer that the page shows; AMBIGUOUS if there is none.
     colliding : bool
-        The exact one; True where there is none.
+        The exact answer; True if there is none.
     contacts : tuple of Contact
         Pairs that touch, or come within their margin.
     bounds : StateDistance
-        Certified bounds on the distance of the nearest pair, the exact distance, and where it is nearest; bounds alone
-        if the exact search cannot settle it.
+        Certified bounds on the distance of the nearest pair, the exact distance, and its witnesses; only bounds if the
+        exact search cannot settle it.
 
     Examples
     --------
@@ -218,7 +218,7 @@ class RobotViewer(Viewer):
 
     @property
     def time(self) -> float:
-        """Where the page is on its path, in seconds; set it to move the robot there."""
+        """The position on the path, in seconds; set it to move the robot there."""
         return self._time
 
     @time.setter
@@ -236,7 +236,7 @@ class RobotViewer(Viewer):
         return self._began is not None
 
     def play(self) -> None:
-        """Let the robot follow its path from where it is, or from the start if it is at the end.
+        """Let the robot follow its path from its current position, or from the start if it is at the end.
 
         Raises
         ------
@@ -262,7 +262,7 @@ class RobotViewer(Viewer):
             self.refresh()
 
     def pause(self) -> None:
-        """Stop it where it is; InputError if there is no path."""
+        """Stop the robot in place; InputError if there is no path."""
         self._check_open()
         self._the_way()
         with self.lock:
@@ -270,12 +270,12 @@ class RobotViewer(Viewer):
             self.refresh()
 
     def move(self, name: str, T_world_body: ArrayLike | None) -> None:
-        """Move a body of the scene, and show it at once.
+        """Move a body of the scene, and show it immediately.
 
         Parameters
         ----------
         name : str
-            A body that stands in the world.
+            A static body in the world.
         T_world_body : array_like, shape (4, 4), or None
             The new pose; translation in metres. None is the identity.
 
@@ -598,7 +598,7 @@ class RobotViewer(Viewer):
 
 
 def cut_short(lines: list[str]) -> list[str]:
-    """No more lines than fit on the panel."""
+    """The lines that fit on the panel."""
     return lines if len(lines) <= MOST_LINES else [*lines[:MOST_LINES], f"and {len(lines) - MOST_LINES} more"]
 
 
