@@ -19,13 +19,13 @@ FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
 
 def through(rng, robot, Q, degree, length):
-    """Courses from configurations Q in random directions; quaternions turn by up to a right angle."""
+    """Courses from configurations Q in random directions; quaternions turn a little."""
     step = rng.normal(size=(len(Q), degree + 1, robot.dof)) * np.minimum(robot.upper - robot.lower, 1.0)
     step *= length / np.linalg.norm(step, axis=2, keepdims=True)
     step[:, 0] = 0.0
     made = Q[:, None] + np.cumsum(step, axis=1)
     for at in robot._quaternions.values():
-        made[:, :, at] = Q[:, None, at] + rng.uniform(-0.2, 0.2, (len(Q), degree + 1, 4))
+        made[:, :, at] = Q[:, None, at] + rng.uniform(-0.07, 0.07, (len(Q), degree + 1, 4))
     return made
 
 

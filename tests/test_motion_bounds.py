@@ -35,11 +35,11 @@ def straight(robot, a, b):
 
 
 def bent(robot, rng, q, degree, length):
-    """A course of some degree that begins at q; its orientations turn by up to a right angle."""
+    """A course of some degree that begins at q; its orientations turn a little."""
     points = q + np.cumsum(rng.uniform(-length, length, (degree + 1, robot.dof)), axis=0) / degree
     points[0] = q
     for at in robot._quaternions.values():
-        points[:, at] = q[at] + rng.uniform(-0.2, 0.2, (degree + 1, 4))
+        points[:, at] = q[at] + rng.uniform(-0.07, 0.07, (degree + 1, 4))
     return points
 
 

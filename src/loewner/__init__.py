@@ -28,6 +28,7 @@ from loewner.polytopes import Polytope
 from loewner.queries import Distance, Verdict, classify, collide, distance
 from loewner.robots import (
     CertifiedMotions,
+    CertifiedTrajectory,
     CollisionChecker,
     PairDistances,
     Robot,
@@ -49,6 +50,7 @@ __all__ = [
     "Body",
     "BodyIndexError",
     "CertifiedMotions",
+    "CertifiedTrajectory",
     "CollisionChecker",
     "Contact",
     "ConvergenceError",

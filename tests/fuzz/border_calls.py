@@ -1358,7 +1358,8 @@ if find_spec("distributed"):
 # Records that the library makes and hands out: whoever makes one by hand gets what was put in.
 RECORDS = {
     "Attachment", "Contact", "Covering", "Distance", "Fit", "NearPoints", "Piece", "Polytope", "Problem", "Robot",
-    "CertifiedMotions", "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
+    "CertifiedMotions", "CertifiedTrajectory",
+    "Overlaps", "PairDistances", "Settled", "StateDistance", "paper.Answers", "paper.Confusion",
     "paper.DataSet", "paper.Experiment", "paper.Fitting", "paper.Pairs", "paper.Result", "planners.Trajectory",
     "cluster.Fitted",
 }  # fmt: skip

@@ -1,8 +1,9 @@
 """Paths from start to goal whose motions are proven free, and the trajectories made from them."""
 
+from loewner.planners.controller_points import ControllerPoints
 from loewner.planners.ompl_planners import space_information
 from loewner.planners.planning import plan, shorten
 from loewner.planners.roadmaps import Roadmap, roadmap
 from loewner.planners.trajectories import Trajectory, trajectory
 
-__all__ = ["Roadmap", "Trajectory", "plan", "roadmap", "shorten", "space_information", "trajectory"]
+__all__ = ["ControllerPoints", "Roadmap", "Trajectory", "plan", "roadmap", "shorten", "space_information", "trajectory"]

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.robots.curves import CURVE_ROUNDINGS, Curve
 
@@ -54,17 +53,23 @@ class ControllerPoints:
     ) -> None:
         self.times = _validate.finite_array(times, "times", ("n",))
         if len(self.times) < 2 or not (np.diff(self.times) > 0).all():
-            raise InputError(f"times: expected two or more that increase, found {_validate.shape_text(self.times.shape)}")
+            raise InputError(
+                f"times: expected two or more that increase, found {_validate.shape_text(self.times.shape)}"
+            )
         if accelerations is not None and velocities is None:
             raise InputError("accelerations: expected velocities with them, found none")
         self.names = None if names is None else tuple(names)
-        given = {"positions": positions, "velocities": velocities, "accelerations": accelerations}
-        arrays = [None if a is None else _validate.finite_array(a, name, ("n", "dof")) for name, a in given.items()]
-        self.positions, self.velocities, self.accelerations = arrays
-        shape = (len(self.times), arrays[0].shape[1] if self.names is None else len(self.names))
-        for name, array in zip(given, arrays, strict=True):
-            if array is not None and array.shape != shape:
-                raise InputError(f"{name}: expected shape {shape}, found {_validate.shape_text(array.shape)}")
+        self.positions = _validate.finite_array(positions, "positions", ("n", "dof"))
+        dof = self.positions.shape[1] if self.names is None else len(self.names)
+        self.velocities = None if velocities is None else _validate.finite_array(velocities, "velocities", ("n", "dof"))
+        self.accelerations = (
+            None if accelerations is None else _validate.finite_array(accelerations, "accelerations", ("n", "dof"))
+        )
+        for name in ("positions", "velocities", "accelerations"):
+            array = getattr(self, name)
+            if array is not None and array.shape != (len(self.times), dof):
+                found = _validate.shape_text(array.shape)
+                raise InputError(f"{name}: expected shape ({len(self.times)}, {dof}), found {found}")
 
     def courses(self) -> Curve:
         """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""

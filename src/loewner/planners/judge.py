@@ -113,16 +113,9 @@ class Judge:
         found, _ = verdicts.sampled(self.ready, Q0, Q1, self.resolution)
         return np.asarray(found == Verdict.FREE)
 
-<<<<<<< HEAD
     def proven(self, courses: Floats, off: Floats | None = None) -> Bools:
         """Which courses of a batch are proven free; with `off`, all configurations so far away from them too."""
         return np.asarray(prove(self.ready, courses, TOLERANCE, off).verdicts == Verdict.FREE)
-=======
-    def proven(self, Q0: Floats, Q1: Floats, off: Floats | None = None) -> Bools:
-        """Which motions of a batch are proven free; with `off`, including all configurations within that distance."""
-        Q0, Q1 = np.array(Q0, order="C"), np.array(Q1, order="C")  # kernels take no views
-        return np.asarray(prove(self.ready, Q0, Q1, TOLERANCE, off).verdicts == Verdict.FREE)
->>>>>>> prose
 
 
 def free_now(checker: CollisionChecker, a: Floats, b: Floats, resolution: float) -> bool:

@@ -27,7 +27,8 @@ from loewner._validate import Bools, Floats
 from loewner.errors import FileError, InputError
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import checked_checker
-from loewner.robots import CollisionChecker, Robot
+from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
+from loewner.robots.curves import Curve
 
 # Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
 UP_IN = 1.0
@@ -309,6 +310,35 @@ class Trajectory:
         if fault:
             raise FileError(f"{name}: expected {fault}")
         return read._read_only()
+
+    def certify(self, checker: CollisionChecker, *, joint_error: ArrayLike = 0.0) -> CertifiedTrajectory:
+        """Prove that the robot is free of collisions at every time; see `CollisionChecker.certify_trajectory`.
+
+        Parameters
+        ----------
+        checker : CollisionChecker
+            Of a robot with joints of these names.
+        joint_error : float or array_like, shape (dof,)
+            Radians or metres by which each value may be off at any time.
+
+        Returns
+        -------
+        CertifiedTrajectory
+
+        Examples
+        --------
+        >>> from loewner import CollisionChecker, Robot
+        >>> robot = Robot.from_urdf("arm.urdf")
+        >>> trajectory(robot, [[0, 0], [2, 0]], acceleration=1.0).certify(CollisionChecker(robot)).verdict
+        <Verdict.FREE: 0>
+        """
+        return checked_checker(checker).certify_trajectory(self, joint_error=joint_error)
+
+    def courses(self) -> Curve:
+        """The curve for `CollisionChecker.certify_trajectory`: parabolas between knots."""
+        T = np.diff(self.times)[:, None]
+        courses = np.stack([self.knots[:-1], self.knots[:-1] + self.rates[:-1] * (T / 2), self.knots[1:]], axis=1)
+        return Curve(self.names, self.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
 
     # -- inside -------------------------------------------------------------------------------
 

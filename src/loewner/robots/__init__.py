@@ -5,6 +5,7 @@ prepares, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pair
 """
 
 from loewner.robots.checker import CollisionChecker
+from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
@@ -13,6 +14,7 @@ from loewner.robots.verdicts import Settled
 
 __all__ = [
     "CertifiedMotions",
+    "CertifiedTrajectory",
     "CollisionChecker",
     "PairDistances",
     "Robot",

@@ -18,8 +18,9 @@ from loewner._kernels import codes
 from loewner._validate import Bools, Floats, OneOrMany, Pair
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
-from loewner.robots import distances, edges, proofs, verdicts
+from loewner.robots import curves, distances, edges, proofs, verdicts
 from loewner.robots.checked_pairs import CheckedPairs, prepared
+from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
 from loewner.robots.robot import Robot
@@ -353,6 +354,67 @@ class CollisionChecker:
         found = proofs.prove_by_rules(ready, a, b, tolerance)
         found.expect_short(a, b)
         return found.of_shape(shape, ready)
+
+    @overload
+    def certify_trajectory(
+        self, curve: list[Any] | tuple[Any, ...], *, tolerance: float = ..., joint_error: ArrayLike = ...
+    ) -> tuple[CertifiedTrajectory, ...]: ...
+    @overload
+    def certify_trajectory(
+        self, curve: Any, *, tolerance: float = ..., joint_error: ArrayLike = ...
+    ) -> CertifiedTrajectory: ...
+    def certify_trajectory(
+        self, curve: Any, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+    ) -> CertifiedTrajectory | tuple[CertifiedTrajectory, ...]:
+        """Prove that the curve which a robot executes is free of collisions at every real time.
+
+        Parameters
+        ----------
+        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of these
+            A continuous function of time with values of shape (dof,), in pieces of degree 7 at most: of SciPy with its
+            children, such as ``CubicSpline(times, path)``. Columns are those of `Robot.configuration_names`; where the
+            curve names them, names decide. Quaternions are scaled to norm 1.
+        tolerance : float
+            Metres, as for `certify_edges`.
+        joint_error : float or array_like, shape (dof,)
+            Radians or metres by which each value may be off the curve at any time: FREE holds for all of that.
+
+        Returns
+        -------
+        CertifiedTrajectory
+            A tuple of them for a list.
+
+        Raises
+        ------
+        InputError
+            If it is no such curve: of another type or for other joints, with jumps, of too high a degree, with numbers
+            that are not finite or times that do not increase.
+
+        Notes
+        -----
+        Each piece is proven as a polynomial: planes hold over intervals of it, by bounds on its first and second
+        derivatives. docs/certified.md derives them. Pairs named by `Scene.leave` and `Scene.reach` have no exception
+        here: a curve that begins in contact is not FREE.
+
+        Examples
+        --------
+        >>> from loewner import Body, CollisionChecker
+        >>> from scipy.interpolate import CubicSpline
+        >>> scene = Scene()
+        >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
+        >>> path = [[0.0, 1.57], [0.4, 1.57], [0.5, 0.5]]
+        >>> found = checker.certify_trajectory(CubicSpline([0.0, 1.0, 2.0], path))
+        >>> print(found.verdict, found.names)
+        COLLIDING ('cart', 'post')
+        """
+        tolerance = _validate.positive_scalar(tolerance, "tolerance")
+        errors = curves.joint_errors(self.robot, joint_error)
+        many = isinstance(curve, (list, tuple))
+        each = [(f"curve {k}", one) for k, one in enumerate(curve)] if many else [("curve", curve)]
+        given = [curves.curve_of(self.robot, one, name) for name, one in each]
+        found = curves.certified(self._ready(), given, tolerance, errors)
+        return tuple(found) if many else found[0]
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.

@@ -22,7 +22,7 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
         return robot.between(courses[:, 0], courses[:, 1], fractions)
     t = fractions[:, None]
     weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
-    Q = np.einsum("knc,nkc->nc", np.broadcast_to(weights, (degree + 1, *courses[:, 0].shape)), courses)
+    Q: Floats = np.einsum("knc,nkc->nc", np.broadcast_to(weights, (degree + 1, *courses[:, 0].shape)), courses)
     for columns in robot._quaternions.values():
         Q[:, columns] /= np.linalg.norm(Q[:, columns], axis=1, keepdims=True)
     return Q

@@ -27,9 +27,7 @@ CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B
 # Two segments of a curve meet if they are no farther apart than this share of the curve's values.
 JUMP = 1e-9
 
-EXPECTED = (
-    "expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or planners.ControllerPoints"
-)
+EXPECTED = "expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or planners.ControllerPoints"
 
 
 class Curve(NamedTuple):
@@ -91,13 +89,14 @@ def certified(
     for degree in np.unique(degrees):
         at = np.flatnonzero(degrees == degree).tolist()
         courses = np.concatenate([curves[k].courses for k in at])
-        proven = prove(ready, courses, tolerance, np.concatenate([curves[k].off for k in at]) + joint_error)
+        off = np.ascontiguousarray(np.concatenate([curves[k].off for k in at]) + joint_error)
+        proven = prove(ready, courses, tolerance, off)
         proven.expect_short(courses[:, 0], courses[:, -1])
         first = 0
         for k in at:
             last = first + len(curves[k].courses)
-            part = Found(*(array[first:last] for array in proven))
-            found[k] = _of_segments(curves[k].times, part.of_shape((last - first,), ready))
+            part: Any = (array[first:last] for array in proven)
+            found[k] = _of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
     return [one for one in found if one is not None]
 

@@ -1,0 +1,200 @@
+"""Curves in time are proven as SciPy, controllers and trajectories define them."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.interpolate import (
+    Akima1DInterpolator,
+    BPoly,
+    BSpline,
+    CubicSpline,
+    PchipInterpolator,
+    PPoly,
+    make_interp_spline,
+)
+
+from families import translation
+from loewner import Body, CollisionChecker, InputError, Scene, Verdict
+from loewner.planners import ControllerPoints, trajectory
+from loewner.robots.courses import configurations
+from loewner.robots.curves import curve_of
+from motion_oracle import example, free_configurations, ring, steps
+
+FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return example("panda_description/urdf/panda.urdf", "panda_description/srdf/panda.srdf")
+
+
+@pytest.fixture
+def checker(arm, rng):
+    return CollisionChecker(arm, ring(rng, 10, 0.4, 0.9, 0.25))
+
+
+def paths(checker, rng, count, corners=5, length=0.4):
+    """Paths of free configurations, as an array of shape (count, corners, dof)."""
+    rows = [free_configurations(checker, count)]
+    for _ in range(corners - 1):
+        rows.append(steps(checker.robot, rng, rows[-1], length))
+    return np.stack(rows, axis=1)
+
+
+FORMS = {
+    "clamped": lambda t, q: CubicSpline(t, q, bc_type="clamped"),
+    "akima": Akima1DInterpolator,
+    "pchip": PchipInterpolator,
+    "b-spline": lambda t, q: make_interp_spline(t, q, k=3),
+    "linear": ControllerPoints,
+    "power": lambda t, q: PPoly(CubicSpline(t, q, bc_type="natural").c, t),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_curves_against_samples(checker, rng, form):
+    """No curve that is proven collides at one of 2,000 times, as its own library evaluates it; collisions are such."""
+    times = np.array([0.0, 0.7, 1.0, 2.5, 3.0])
+    given = [FORMS[form](times, q) for q in paths(checker, rng, 40)]
+    found = checker.certify_trajectory(given)
+    t = np.linspace(times[0], times[-1], 2000)
+    for curve, one in zip(given, found, strict=True):
+        if form == "linear":
+            Q = np.stack([np.interp(t, times, q) for q in curve.positions.T], axis=1)
+            at = np.stack([np.interp(one.time, times, q) for q in curve.positions.T])
+        else:
+            Q, at = curve(t), curve(one.time)
+        assert one.verdict != AMBIGUOUS
+        assert one.verdict != FREE or not checker.collide(Q).any()
+        if one.verdict == COLLIDING:
+            assert checker.collide(at)
+            assert one.names in checker.checked_pairs
+    verdicts = [one.verdict for one in found]
+    assert FREE in verdicts
+    assert COLLIDING in verdicts
+
+
+@pytest.mark.parametrize("degree", range(1, 8))
+def test_courses_are_the_curves(arm, rng, degree):
+    """Courses have the values that SciPy computes from powers, Bernstein polynomials and B-splines of any degree."""
+    x = np.array([-1.0, 0.5, 0.6, 4.0])
+    power = PPoly(rng.normal(size=(degree + 1, 3, 8)), x)
+    for k in (1, 2):  # continuous
+        power.c[-1, k] = power(x[k] - 1e-13)
+    knots = np.concatenate([np.full(degree + 1, -1.0), [0.0, 0.25, 0.25, 2.0], np.full(degree + 1, 3.0)])
+    knots = knots if degree > 2 else np.delete(knots, degree + 2)
+    spline = BSpline(knots, rng.normal(size=(len(knots) - degree - 1, 8)), degree)
+    for given in (power, BPoly.from_power_basis(power), spline):
+        curve = curve_of(arm, given, "curve")
+        for k, course in enumerate(curve.courses):
+            share = rng.random(20)
+            t = curve.times[k] + share * (curve.times[k + 1] - curve.times[k])
+            values = configurations(arm, np.broadcast_to(course, (20, *course.shape)), share)
+            assert values == pytest.approx(given(t), rel=1e-9, abs=1e-9)
+
+
+def test_controllers_interpolate_points(arm, rng):
+    """Positions, velocities and accelerations at the points are those that were given."""
+    times = np.array([0.0, 0.5, 2.0])
+    q, v, a = rng.normal(size=(3, 3, 8))
+    for given, known in (((q,), 1), ((q, v), 2), ((q, v, a), 3)):
+        curve = curve_of(arm, ControllerPoints(times, *given), "curve")
+        piece = BPoly(np.moveaxis(curve.courses, 1, 0), times)
+        for order in range(known):
+            for k in range(2):
+                T = 1e-12
+                assert piece(times[k] + T, order) == pytest.approx((q, v, a)[order][k], abs=1e-6)
+                assert piece(times[k + 1] - T, order) == pytest.approx((q, v, a)[order][k + 1], abs=1e-6)
+
+
+def test_trajectories(checker, rng):
+    """A blended trajectory is proven again, and so are its knots in a controller that takes velocities."""
+    Q = paths(checker, rng, 30, corners=3, length=0.3)
+    a, b = Q[:, :-1].reshape(-1, 8), Q[:, 1:].reshape(-1, 8)
+    free = (checker.certify_edges(a, b).verdict == FREE).reshape(30, 2).all(axis=1)
+    moved = [trajectory(checker.robot, q, velocity=1.0, acceleration=3.0, checker=checker) for q in Q[free]]
+    assert sum(len(one.blends) for one in moved) > 0
+    assert all(one.certify(checker).verdict == FREE for one in moved)
+    points = [ControllerPoints(one.times, one.knots, one.rates, names=one.names) for one in moved]
+    assert all(one.verdict == FREE for one in checker.certify_trajectory(points))
+
+
+def test_joint_errors(checker, rng):
+    """No configuration that is off a proven curve by the joint error collides; a larger error proves less."""
+    times = np.arange(4.0)
+    given = [CubicSpline(times, q) for q in paths(checker, rng, 30, corners=4, length=0.3)]
+    counts = []
+    for error in (0.0, 1e-3, 1e-2):
+        found = checker.certify_trajectory(given, joint_error=error)
+        free = [curve for curve, one in zip(given, found, strict=True) if one.verdict == FREE]
+        counts.append(len(free))
+        for curve in free:
+            Q = curve(rng.uniform(0, 3, 500))
+            assert not checker.collide(Q + error * rng.choice([-1.0, 1.0], Q.shape)).any()
+    assert counts[0] >= counts[1] > counts[2]
+
+
+def test_one_curve_and_its_segments(tmp_path, arm):
+    """The verdict of the whole is that of its worst segment, at a time of the curve; names decide the columns."""
+    scene = Scene()
+    q = np.array([0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0, 0.02])
+    other = q.copy()
+    other[0] = 1.0
+    hand = arm.forward_kinematics(q)[arm.link_names.index("panda_hand"), :3, 3]
+    scene.add("ball", Body.sphere(0.05), translation(*hand))
+    checker = CollisionChecker(arm, scene)
+    points = np.stack([other, other + 0.01, q, other])
+    found = checker.certify_trajectory(ControllerPoints([1.0, 2.0, 3.0, 5.0], points))
+    assert found.verdict == COLLIDING
+    assert 2.0 < found.time <= 3.0
+    assert "ball" in found.names
+    assert found.segments.verdict.tolist() == [FREE, COLLIDING, COLLIDING]
+    assert found.times.tolist() == [1.0, 2.0, 3.0, 5.0]
+    names = arm.configuration_names
+    turned = ControllerPoints([1.0, 2.0, 3.0, 5.0], points[:, ::-1].copy(), names=names[::-1])
+    assert checker.certify_trajectory(turned).time == found.time
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (3.0, "expected a PPoly"),
+        (CubicSpline([0, 1, 2], np.zeros((3, 9))), "expected 8 values"),
+        (CubicSpline([0, 1, 2], np.zeros((3, 2, 8))), "values of shape"),
+        (PPoly(np.full((2, 1, 8), np.nan), [0, 1]), "finite"),
+        (PPoly(np.zeros((2, 2, 8)), [2, 1, 0]), "increase"),
+        (PPoly(np.zeros((9, 1, 8)), [0, 1]), "degree 7"),
+        (PPoly(np.arange(16.0).reshape(1, 2, 8), [0, 1, 2]), "jump"),
+        (PPoly(np.zeros((2, 1, 8), dtype=complex), [0, 1]), "real"),
+        (ControllerPoints([0, 1], np.zeros((2, 8)), names=list("abcdefgh")), "expected the joints"),
+    ],
+)
+def test_what_is_no_curve_of_the_robot(checker, given, text):
+    """One clear error for each."""
+    with pytest.raises(InputError, match=text):
+        checker.certify_trajectory(given)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (([0.0], np.zeros((1, 9))), "two or more"),
+        (([0.0, 0.0], np.zeros((2, 9))), "increase"),
+        (([0.0, 1.0], np.zeros((3, 9))), "positions"),
+        (([0.0, 1.0], np.zeros((2, 9)), None, np.zeros((2, 9))), "velocities"),
+        (([0.0, 1.0], np.zeros((2, 9)), np.full((2, 9), np.inf)), "velocities"),
+    ],
+)
+def test_bad_points(arguments, text):
+    """Points of no controller are refused where they are made."""
+    with pytest.raises(InputError, match=text):
+        ControllerPoints(*arguments)
+
+
+def test_bad_joint_errors(checker):
+    """A joint error is one number or one for each joint, and none is negative."""
+    curve = CubicSpline([0, 1, 2], np.zeros((3, 8)))
+    for bad in (-1.0, [1.0, 2.0], math.nan):
+        with pytest.raises(InputError, match="joint_error"):
+            checker.certify_trajectory(curve, joint_error=bad)
