@@ -194,7 +194,7 @@ def _prepare(
 
 
 def expect_bodies(a: Any, b: Any) -> None:
-    """Refuse operands that are no bodies."""
+    """Refuse operands that are not bodies."""
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
     if not isinstance(b, (Body, Bodies)):

@@ -112,7 +112,7 @@ class KernelArrays:
 
     @classmethod
     def of(cls, p: PieceArrays, maps: Maps, trees: Trees) -> KernelArrays:
-        """Make the arrays of pieces, with the direction maps of those that are large and the trees of surfaces.
+        """Make the arrays of pieces, with the direction maps of large pieces and the trees of surfaces.
 
         Raises
         ------

@@ -173,7 +173,7 @@ def take(p: Packed, bodies: Ints) -> Packed:
 
 
 def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
-    """Some of the pieces, repeats allowed, as bodies that begin where `piece_start` says."""
+    """Some of the pieces, repeats allowed, as bodies that begin at the indices `piece_start`."""
     layout = p.layout[pieces]
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])

@@ -54,7 +54,7 @@ class NoProgress(nullcontext["NoProgress"]):
 
 
 def progress_bar() -> Progress | NoProgress:
-    """Progress on standard error, so that standard output stays the answer."""
+    """Progress on standard error, so that standard output contains only the answer."""
     try:
         from rich.console import Console
         from rich.progress import Progress

@@ -87,7 +87,7 @@ class CheckedPairs:
     version, structure_version : int
         Versions of the scene to which this belongs.
     names : tuple of str
-        Names of all bodies: first those that move with links, then the static ones.
+        Names of all bodies: first the bodies that move with links, then the static ones.
     bodies : Bodies
         The bodies in the same order, packed; moving bodies in the frame of their link.
     link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
@@ -314,7 +314,7 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     robot : Robot
     scene : Scene
     skipped : iterable of pairs of str
-        Links that may touch, in addition to what the scene allows.
+        Links that may touch, in addition to the pairs that the scene allows.
     version : int
         The scene's version, read before anything else of it.
 

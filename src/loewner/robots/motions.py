@@ -120,7 +120,7 @@ def settle(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, off: Flo
     tolerance : float
         Metres.
     off : ndarray, shape (N, dof), optional
-        How far values may be from those on the motion at the same fraction: FREE holds for all such configurations.
+        How far values may deviate from the motion at the same fraction: FREE holds for all such configurations.
 
     Notes
     -----

@@ -1,7 +1,7 @@
 """Elements of robot descriptions in XML, with their lines, which the errors name.
 
-The reader is the standard library's: it records the line of every element, and elements that are not needed (materials,
-sensors and transmissions) are ignored, broken or not.
+The standard library's reader is used: it records the line of every element, and elements that are not needed
+(materials, sensors and transmissions) are ignored, even if broken.
 """
 
 from __future__ import annotations

@@ -279,7 +279,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 
 def parts(body: Body) -> list[Part]:
-    """What draws the pieces of a body: triangles in one, the points of each cloud, and balls that are many."""
+    """Shapes that draw a body's pieces: all triangles as one, the points of each cloud, and large sets of balls."""
     packed = body._packed
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]

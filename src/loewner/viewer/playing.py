@@ -105,7 +105,7 @@ def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
 
 
 def strip(found: Ints, duration: float) -> str:
-    """A bar in the colours of what was found along the way, as HTML, and the stretches that are not free in words."""
+    """A bar in the colours of the answers along the way, as HTML, and a text about the stretches that are not free."""
     bars = "".join(
         f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
         for kind, start, end in _stretches(found)
