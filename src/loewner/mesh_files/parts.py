@@ -99,7 +99,8 @@ def strip(corners: Ints) -> Triangles:
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """One mesh of several; meshes that have the same array of vertices share it. Refused before it is too large."""
+    """One mesh of several; meshes with the same array of vertices share it. A mesh that would be too large is
+    refused."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`
