@@ -107,7 +107,7 @@ def around_point(radius: float) -> Floats:
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:
-    """Factors of ellipsoids around the sums of ellipsoids, given by shape matrices, and balls.
+    """Factors of ellipsoids around the sums of balls and ellipsoids, which are given by shape matrices.
 
     Shape (1 + 1/p) Q + (1 + p) r² 1 contains the sum for all p > 0; with this p its trace is least. Kurzhanski and
     Valyi (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
