@@ -1,7 +1,8 @@
-"""Clearances and distances of a checker with their gradients, in the numbers of who asks.
+"""Clearances and distances of a checker with their gradients, in the caller's number type.
 
-What `loewner.jax` and `loewner.torch` share: NumPy arrays of float32 or float64 in, the same out. The checker computes
-in float64, and a float32 number is a float64 number too, so that the answer is about exactly the configuration given.
+The common part of `loewner.jax` and `loewner.torch`: NumPy arrays of float32 or float64 in, the same out. The checker
+computes in float64, and every float32 number is also a float64 number, so the answer belongs to exactly the given
+configuration.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Measure:
-    """How near a robot is to touching, as a function of configurations that has a gradient."""
+    """Distance of a robot from contact, as a function of configurations that has a gradient."""
 
     name: str
     checker: CollisionChecker
@@ -41,7 +42,7 @@ class Measure:
         self.checker.robot._expect_width(shape, "Q")
 
     def no_second_derivatives(self) -> InputError:
-        """What is raised where they are asked for: zeros would be wrong, and nobody would notice."""
+        """The error for second derivatives: zeros would be wrong, and the mistake would go unnoticed."""
         return InputError(
             f"{self.name}: expected to be differentiated once, found a second derivative, which it does not have; "
             "use a method that needs gradients alone (L-BFGS, Gauss-Newton), or stop the gradient here"
@@ -72,7 +73,7 @@ def distance(checker: Any) -> Measure:
 
 
 def rounded_down(values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Values in another type, never above what they were: a lower bound stays one."""
+    """Values in another type, rounded down, so that a lower bound remains one."""
     exact = np.asarray(values, dtype=np.float64)
     rounded = exact.astype(dtype)
     return np.where(rounded > exact, np.nextafter(rounded, np.array(-np.inf, dtype)), rounded)

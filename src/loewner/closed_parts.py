@@ -1,4 +1,4 @@
-"""Closed parts of a mesh: told apart where they share edges, turned the right way out, cavities with their parts."""
+"""Closed parts of a mesh: separated where they share edges, oriented outward, cavities with their parts."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ WITNESSES = 64
 
 @dataclass(frozen=True, eq=False)
 class ClosedPart:
-    """A closed surface with the cavities in it.
+    """A closed surface with its cavities.
 
     Attributes
     ----------
     triangles : ndarray of int, shape (t, 3)
-        Counter-clockwise seen from outside the solid: those of cavities, seen from within them.
+        Counter-clockwise seen from outside the solid; the triangles of cavities, seen from within the cavity.
     volume : float
-        Cavities taken off, in cubic metres.
+        Volume without the cavities, in cubic metres.
     """
 
     triangles: Ints
@@ -33,10 +33,10 @@ class ClosedPart:
 
 
 def closed_parts(vertices: Floats, triangles: Ints) -> list[ClosedPart] | None:
-    """Split a mesh into closed parts; None if its surface ends somewhere, or changes its orientation.
+    """Split a mesh into closed parts; None if its surface has a border, or changes its orientation.
 
-    Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part that it
-    lies in; if it lies in none, it was turned inside out, and is turned back.
+    Parts may overlap, and share edges and corners. A part of negative volume is a cavity of the smallest part in which
+    it lies; if it lies in none, it was inside out and is reversed.
     """
     neighbours = _neighbours(vertices, triangles)
     if neighbours is None:

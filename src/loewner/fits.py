@@ -128,9 +128,9 @@ def mvce(
     needs memory for a few numbers per point for an eighth of the points, and up to 0.8 GB for the interior point. The
     paper's reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
-    The weights are those of a D-optimal design for a linear model with a constant term, whose experiments are the
-    points: they maximise the determinant of the information matrix (Titterington), to within twice the gap in its
-    logarithm. With ``center=0`` the model has no constant term.
+    The weights form a D-optimal design for a linear model with a constant term, whose experiments are the points: they
+    maximise the determinant of the information matrix (Titterington), to within twice the gap in its logarithm. With
+    ``center=0`` the model has no constant term.
 
     References
     ----------
@@ -404,7 +404,7 @@ def certified_fit(
     weights: Floats | None = None,
     reporter: Reporter | None = None,
 ) -> Fit:
-    """Wrap what a kernel found, unless its gap is above the tolerance."""
+    """Wrap a kernel's result, unless its gap is above the tolerance."""
     if not gap <= tol:
         raise ConvergenceError(
             f"{name}: reached a gap of {gap:.3g} in log-volume, expected {tol:g}; a thin body far from the origin "

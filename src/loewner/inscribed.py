@@ -18,18 +18,18 @@ FEWEST_TRIANGLES = 4
 
 @guarded
 def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tuple[Floats, Floats]:
-    """Find a few ellipsoids that lie inside a closed mesh and together hold much of its volume.
+    """Find a few ellipsoids that lie inside a closed mesh and together cover much of its volume.
 
     Parameters
     ----------
     vertices : array_like, shape (v, 3)
         In metres.
     triangles : array_like of int, shape (t, 3)
-        Vertices of each triangle, at least four triangles. The mesh is taken to be closed, with triangles that agree
-        about their common edges, which is not checked here. It may meet itself, have several parts, cavities and
-        triangles without area; its triangles may all be turned inside out.
+        Vertices of each triangle, at least four triangles. The mesh is assumed to be closed, with triangles that are
+        consistent at their common edges; this is not checked here. It may intersect itself, have several parts,
+        cavities and triangles without area, and be inside out as a whole.
     count : int
-        How many ellipsoids at most.
+        The largest number of ellipsoids.
 
     Returns
     -------
@@ -41,13 +41,13 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
     Raises
     ------
     InputError
-        On wrong shapes, entries that are not finite, indices of vertices that are not there, or a wrong count.
+        If shapes are wrong, entries are not finite, indices do not belong to a vertex, or the count is wrong.
 
     Notes
     -----
-    Inside are the points that the surface winds around, whatever the direction. No triangle meets an ellipsoid exactly
-    as it is stored, whatever the rounding, and a point of it is inside: so all of it is. How good the ellipsoids are is
-    not proven. The first is close to the largest one where the solid is convex.
+    Points are inside if the surface winds around them, in either direction. No triangle meets an ellipsoid exactly as
+    stored, whatever the rounding, and one of its points is inside, so all of it is. The size of the ellipsoids is not
+    proven to be optimal. The first is close to the largest one where the solid is convex.
 
     References
     ----------

@@ -54,7 +54,7 @@ class Surfaces(Protocol):
 
 
 class Loaded(Protocol):
-    """The declared result of `trimesh.load`; whether it is a surface shows when it is read."""
+    """The declared result of `trimesh.load`; only reading it shows whether it is a surface."""
 
     @property
     def bounds(self) -> ArrayLike | None:

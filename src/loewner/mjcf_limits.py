@@ -1,4 +1,4 @@
-"""What an MJCF file may ask of MuJoCo: looked at before MuJoCo compiles it, which no signal can interrupt."""
+"""Limits on an MJCF file, checked before MuJoCo compiles it, which no signal can interrupt."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class _Model:
 
 
 def check_limits(file: Path) -> None:
-    """Refuse a model that MuJoCo would compile for ever, or that would block it.
+    """Refuse a model that MuJoCo would compile forever, or that would block it.
 
     Raises
     ------
     FileError
-        If a file is missing or no regular one, or includes, replicas or height fields ask for too much.
+        If a file is missing or not a regular file, or includes, replicas or height fields are too large.
     """
     model = _Model(file.parent)
     _look(file, model, 1)

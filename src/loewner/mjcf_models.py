@@ -1,7 +1,7 @@
-"""What an MJCF file says of bodies, joints and contacts: compiled by MuJoCo, then read off its model.
+"""Bodies, joints and contacts of an MJCF file: compiled by MuJoCo, then read from its model.
 
-MuJoCo knows the format best (defaults, includes, frames, replicas, composites), so that it reads the file, and this
-module reads what MuJoCo has made of it. Robots and scenes are made of the result.
+MuJoCo handles the format best (defaults, includes, frames, replicas, composites), so it reads the file, and this module
+reads MuJoCo's model. Robots and scenes are made from the result.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class MjcfJoint:
     anchor, axis : ndarray, shape (3,)
         In the frame of its body; the axis of unit length.
     lower, upper : float
-        Limits of a hinge [rad] or slide [m]; infinite where there are none, and of the others.
+        Limits of a hinge [rad] or slide [m]; infinite where there are none, and for other joints.
     reference : float
-        The value at which the body is where its pose says: `ref` of the file.
+        The value at which the body is at its pose: `ref` in the file.
     """
 
     name: str
@@ -58,7 +58,7 @@ class MjcfJoint:
 
 @dataclass(frozen=True, eq=False)
 class MjcfPart:
-    """Geoms of one body that collide with the same others."""
+    """Geoms of one body that collide with the same other geoms."""
 
     name: str
     body: Body
@@ -73,12 +73,12 @@ class MjcfBody:
     name : str
     parent : int
     T_parent_body : ndarray, shape (4, 4)
-        Where its joints are at their references.
+        Pose with its joints at their references.
     joints : tuple of MjcfJoint
     parts : tuple of MjcfPart
-        In the frame of the body. The first has the name of the body; of the world, each has the name of its only geom.
+        In the frame of the body. The first has the name of the body; in the world, each has the name of its only geom.
     T_world_body : ndarray, shape (4, 4)
-        Where all joints are at their references.
+        Pose with all joints at their references.
     """
 
     name: str
@@ -100,9 +100,9 @@ class MjcfModel:
     bodies : tuple of MjcfBody
         In MuJoCo's order: parents before children.
     related_pairs : frozenset
-        Sorted pairs of names of parts that MuJoCo leaves out since they are rigidly joined, or of parent and child.
+        Sorted pairs of names of parts that MuJoCo skips because they are rigidly joined, or are parent and child.
     excluded_pairs : frozenset
-        Those that it leaves out for what the file says, by <exclude>, contype and conaffinity.
+        Pairs that it skips because of the file: <exclude>, contype and conaffinity.
     keyframes : dict
         Name to qpos.
     """
@@ -127,18 +127,18 @@ def read_mjcf(path: str | os.PathLike[str], tol: float) -> MjcfModel:
     Raises
     ------
     FileError
-        If there is no such file, or MuJoCo cannot compile it.
+        If the file does not exist, or MuJoCo cannot compile it.
     InputError
-        If a geom that collides is a signed distance field, which cannot be read.
+        If a colliding geom is a signed distance field, which cannot be read.
     GeometryError
-        If a mesh that collides is flat.
+        If a colliding mesh is flat.
     MissingExtraError
         If MuJoCo is not installed.
 
     Warns
     -----
     UserWarning
-        If the file has flexible bodies, which are left out.
+        If the file has flexible bodies, which are ignored.
     """
     file = _validate.path(path, "path", wanted="a path to an MJCF file")
     mujoco, model = _compiled(file)

@@ -1,7 +1,7 @@
 """Convex pieces that stick out of a mesh by no more than a tolerance, by cutting it with planes.
 
-The hull of the surface on one side of a plane holds the solid on that side, since the extreme points of a solid's
-section lie on its surface. So the pieces hold the mesh without being grown, and their triangles show it.
+The hull of the surface on one side of a plane contains the solid on that side, since the extreme points of a solid's
+section lie on its surface. So the pieces contain the mesh without being grown, as their triangles show.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ PASSES = 20
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The part of the surface in one convex cell, its hull, and a proven bound on how far that sticks out.
+    """The part of the surface in one convex cell, its hull, and a proven bound on the hull's protrusion.
 
     Attributes
     ----------
     triangles : ndarray, shape (t, 3, 3)
     hull : Polytope
     bound : float
-        Metres; infinite before it is measured.
+        In metres; infinite before it is measured.
     deepest : ndarray, shape (3,)
-        The point of the hull that was found to stick out most.
+        The point of the hull found to stick out most.
     whole : bool
         Whether nothing is found to stick out, or no plane makes progress.
     """
@@ -83,7 +83,7 @@ def pieces_within(
     parts: list[Floats], solid: Solid, tolerance: float, most: int | None, progress: Progress | None,
     work: float = np.inf,
 ) -> list[Cell]:  # fmt: skip
-    """Cut parts of a mesh until no hull sticks out of the mesh by more than a tolerance, as far as it can be done.
+    """Cut parts of a mesh until no hull sticks out of the mesh by more than a tolerance, as far as possible.
 
     Parameters
     ----------
@@ -94,11 +94,11 @@ def pieces_within(
     tolerance : float
         In metres.
     most : int, optional
-        Limit on the number of cells; those that stick out most are cut first.
+        Limit on the number of cells; the cells that stick out most are cut first.
     progress : callable, optional
-        Called as ``progress(done, total)``: how much of the surface is in pieces that need no more cuts.
+        Called as ``progress(done, total)``: the share of the surface in pieces that need no more cuts.
     work : float
-        Limit on what is spent on cuts; see `WORK`.
+        Limit on the work for cuts; see `WORK`.
     """
     limit = MOST if most is None else most
     if len(parts) > limit:

@@ -349,7 +349,7 @@ def accuracy(counts: Mapping[str, Mapping[str, tuple[int, int]]], *, ax: Any = N
     Raises
     ------
     InputError
-        If there is no rule or no family, or a pair of numbers is not 0 <= right <= asked.
+        If there is no rule or no family, or a pair of numbers does not satisfy 0 <= right <= asked.
     MissingExtraError
         If matplotlib is not installed.
 

@@ -233,7 +233,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
     """Point with A x < b for certain: the origin, or the point of largest least slack.
 
     That is a linear program. A solver's tolerance is absolute, about 1e-7 of the data, so it is solved again around its
-    own answer, magnified, until the slack stands clear of rounding (Gleixner, Steffy and Wolter 2016).
+    own answer, magnified, until the slack clearly exceeds rounding (Gleixner, Steffy and Wolter 2016).
 
     Raises
     ------
@@ -398,7 +398,7 @@ _HULL_FAULTS = {
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Many 3-D hulls, packed: hull i has the rows start[i]:start[i+1] of the arrays that start belongs to.
+    """Many 3-D hulls, packed: each `start` array gives the rows start[i]:start[i+1] of hull i in its arrays.
 
     Attributes
     ----------
@@ -460,7 +460,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     progress : callable, optional
         Called as ``progress(done, total)`` from time to time.
     names : sequence of str, optional
-        What the caller calls each set, for messages; otherwise ``point_sets[i]``.
+        The caller's name for each set, for messages; otherwise ``point_sets[i]``.
 
     Raises
     ------
@@ -498,7 +498,7 @@ def box_hull(half: Floats, name: str) -> Hulls:
     half : ndarray, shape (3,)
         Half the edge lengths, in metres.
     name : str
-        What the caller calls the edges, for messages.
+        The caller's name for the edges, for messages.
 
     Raises
     ------

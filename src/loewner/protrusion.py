@@ -47,21 +47,21 @@ CHUNK = 16_384
 
 
 class Solid:
-    """A triangle mesh that tells how far points are from it: from the solid if it is closed, else from the surface.
+    """A triangle mesh that measures distances of points: from the solid if it is closed, otherwise from the surface.
 
     Parameters
     ----------
     triangles : ndarray, shape (t, 3, 3)
-        Corners. Of a closed mesh, counter-clockwise seen from outside.
+        Corners. For a closed mesh, counter-clockwise seen from outside.
     closed : bool
         Whether the mesh has an inside: all points with a winding number other than 0.
     size : float, optional
-        What lengths are compared with, in metres; otherwise the diagonal of the mesh's box.
+        Reference length in metres; by default the diagonal of the mesh's box.
 
     Notes
     -----
-    `rounding` bounds what distances are off by. Kernels see the mesh about its middle and scaled by a power of two to
-    a size near 1, so that they round relative to its size, and single precision does for its boxes.
+    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its middle and scaled by a power of
+    two to a size near 1, so that they round relative to its size and single precision suffices for its boxes.
     """
 
     def __init__(self, triangles: Floats, closed: bool, size: float | None = None) -> None:
@@ -91,7 +91,7 @@ class Solid:
         return self._tree.ctypes.data, 3.0 * (1.0 + float(np.abs(framed).max(initial=0.0)))
 
     def signed_distances(self, points: Floats) -> tuple[Floats, Ints]:
-        """Distance of points to the surface, negative inside, and the triangle that each is nearest to."""
+        """Distance of points to the surface, negative inside, and the triangle nearest to each."""
         distances, places = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -105,10 +105,10 @@ class Solid:
         return distances, self._numbers[places]
 
     def face_one_way(self, points: Floats, reach: Floats, outside: Bools) -> Bools:
-        """Whether all triangles in reach of a point turn their outer sides into one half-space.
+        """Whether all triangles within reach of a point face one half-space.
 
-        A surface that is not closed has two outer sides, unless the point and what is about it is known to be
-        `outside` of it: then the one that the point is on.
+        A surface that is not closed has two outer sides, unless the point and its surroundings are known to be
+        `outside` of it: then the point's own side counts.
         """
         answers = np.zeros(len(points), dtype=bool)
         if self.closed and not self._turned_alike:
@@ -139,7 +139,7 @@ class Solid:
         return bool(((outer >= 0) & (inner >= 1)).all())
 
     def winding_numbers(self, points: Floats) -> Ints:
-        """How often the surface goes around each point; a closed mesh only."""
+        """The winding number around each point; for a closed mesh only."""
         numbers = np.empty(len(points), dtype=np.int64)
         memory = workspace(entries.points_memory())
         for k in range(0, len(points), CHUNK):
@@ -172,7 +172,7 @@ class Protrusions:
     found : ndarray, shape (k,)
         The distance of the farthest point that was found, a lower bound.
     points : ndarray, shape (k, 3)
-        That point; NaN if nothing sticks out.
+        This point; NaN if nothing sticks out.
     """
 
     bounds: Floats
@@ -190,25 +190,25 @@ def protrusions(
     hulls : list of Polytope
     solid : Solid
     floor : float
-        No piece is looked at more closely once its bound is below this length.
+        A piece is not examined further once its bound is below this length.
     relative : float
-        How near the bound is to be to the distance found.
+        How near the bound has to be to the distance found.
     together : bool
         Whether only the piece that sticks out most matters.
 
     Notes
     -----
-    No two points differ in distance to the solid by more than they are apart. So a triangle of a piece's boundary has
-    a bound: the distance of its centre, negative inside, and the radius about it. Distance to a single triangle of the
-    mesh is convex, so greatest at a corner: another bound, and the lesser one counts. A triangle whose bound is more
-    than what is asked for is halved; or cut along the edges of the mesh's triangle that it all but lies in, which
-    settles that part.
+    The distances of two points to the solid differ by at most the distance between the points. So a triangle of a
+    piece's boundary has a bound: the distance of its center, negative inside, plus the radius about it. The distance to
+    a single triangle of the mesh is convex, so it is greatest at a corner: this gives another bound, and the smaller
+    one counts. A triangle whose bound is above the required one is halved, or cut along the edges of the mesh's
+    triangle in which it nearly lies, which settles that part.
 
-    Inside of a piece, in a cavity or a groove that it fills, distance may be greater still, at a local maximum. There
-    the directions from the nearest points of the surface surround the point; and each is a combination of outward
-    normals of triangles that the nearest point belongs to. So a cube has no local maximum if all triangles in reach
-    face into one half-space. Other cubes have the bound above, or are divided. So have all cubes of a mesh with
-    triangles that have the solid on their outer side, as where a cavity reaches out of the part that it belongs to.
+    Inside a piece, in a cavity or a groove that it fills, the distance may be greater still, at a local maximum. There
+    the directions from the nearest points of the surface surround the point, and each is a combination of outward
+    normals of triangles at its nearest point. So a cube has no local maximum if all triangles within reach face one
+    half-space. Other cubes have the bound above, or are divided. The same holds for all cubes of a mesh in which
+    triangles have the solid on their outer side, for instance where a cavity reaches out of its part.
     """
     cells = np.concatenate([hull.vertices[hull.simplices] for hull in hulls])
     owner = np.repeat(np.arange(len(hulls)), [len(hull.simplices) for hull in hulls])
@@ -235,9 +235,9 @@ def protrusions(
 
 
 def protrusion_of_hulls(parts: list[Floats], hulls: list[Polytope]) -> float:
-    """Bound how far the hulls of closed parts stick out, each of its own part.
+    """Bound how far the hulls of closed parts stick out, each measured against its own part.
 
-    Other parts, which may touch this one or lie in it, would only be in the way: so each is put far from the others.
+    Other parts, which may touch this one or lie in it, would interfere, so each is placed far from the others.
     """
     size = max(float(np.linalg.norm(np.ptp(hull.vertices, axis=0))) for hull in hulls)
     edge = round(np.ceil(len(parts) ** (1 / 3)))

@@ -116,7 +116,7 @@ class Distance(Generic[Number, Exact, Vector]):
 
     @property
     def wrench(self) -> Vector:
-        """Derivative of the distance by the motion of b, shape (..., 6), or None without ``exact=True``.
+        """Derivative of the distance with respect to b's motion, shape (..., 6), or None without ``exact=True``.
 
         A unit force along the normal at the witness and its moment about the world's origin [m]. If b moves by a twist,
         which is the velocity of its point at the world's origin and an angular velocity, the distance changes by the
@@ -194,7 +194,7 @@ def _prepare(
 
 
 def expect_bodies(a: Any, b: Any) -> None:
-    """Refuse operands that are no bodies."""
+    """Refuse operands that are not bodies."""
     if not isinstance(a, (Body, Bodies)):
         raise InputError(f"a: expected loewner.Body or loewner.Bodies, found {type(a).__name__}{_of_mesh(a)}")
     if not isinstance(b, (Body, Bodies)):

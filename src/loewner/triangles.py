@@ -1,4 +1,4 @@
-"""Many triangles in space at a time: halved, cut by planes, and how far points are from them."""
+"""Many triangles in space at a time: halved, cut by planes, and their distances from points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def halved(triangles: Floats, edge: Ints) -> Floats:
 
 
 def longest_edges(triangles: Floats) -> tuple[Floats, Ints]:
-    """Length of each triangle's longest edge, and the corner that it starts at."""
+    """Length of each triangle's longest edge, and the corner where it starts."""
     edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
     return edges.max(axis=1), edges.argmax(axis=1)
 
@@ -45,13 +45,13 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
         One plane {x : normal x = offset} for each triangle.
     offsets : ndarray, shape (t,)
     rounding : float
-        Corners this near to the plane count as in it. A triangle that lies in it belongs to the side that is behind
-        it: where the solid is that it bounds.
+        Corners this near to the plane count as lying in it. A triangle that lies in the plane belongs to the side
+        behind it, where the solid is that it bounds.
 
     Returns
     -------
     below, above : ndarray, shapes (k, 3, 3)
-        Each followed by the numbers of the triangles that its parts come from.
+        Each followed by the indices of the triangles from which its parts come.
     """
     height = np.einsum("tij,tj->ti", triangles, normals) - offsets[:, None]
     height[np.abs(height) <= rounding] = 0.0
@@ -86,7 +86,7 @@ def cut(triangles: Floats, normals: Floats, offsets: Floats, rounding: float) ->
 
 
 def squared_distances(points: Floats, triangles: Floats) -> Floats:
-    """Squared distance of each point to its triangle, shapes (n, 3) and (n, 3, 3), however thin that is."""
+    """Squared distance of each point to its triangle, shapes (n, 3) and (n, 3, 3), even for thin triangles."""
     squared = np.empty(len(points))
     entries.squared_distances_of(np.ascontiguousarray(points), np.ascontiguousarray(triangles), squared)
     return squared

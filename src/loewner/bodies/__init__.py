@@ -1,9 +1,9 @@
 """Bodies: unions of convex pieces, each with its inner and outer ellipsoid.
 
-A `Body` is one; `Bodies` is a packed sequence of them for batches. Both are read-only. A body is
-moved by handing a pose to a query; the fits are never computed again.
+A `Body` is one such union; `Bodies` is a packed sequence of them for batches. Both are read-only. To move a body, pass
+a pose to a query; the fits are never computed again.
 
-`body` holds these two, `pack` and `layout` the arrays behind them, `files` the ``.npz``.
+`body` defines these two, `pack` and `layout` the arrays behind them, and `files` the ``.npz``.
 """
 
 from loewner.bodies.body import Bodies, Body, Piece

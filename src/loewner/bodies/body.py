@@ -1,4 +1,4 @@
-"""`Body` and `Bodies`: what users hold."""
+"""The public classes `Body` and `Bodies`."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ class Body(_Bodies):
         Raises
         ------
         GeometryError
-            If there is no set, or one is flat; the message gives its number.
+            If there is no point set, or one is flat; the message gives its number.
 
         Examples
         --------
@@ -469,7 +469,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            On wrong shapes, entries that are not finite or radii that are not positive.
+            If shapes are wrong, entries are not finite, or radii are not positive.
         GeometryError
             If there are no balls.
 
@@ -497,9 +497,9 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            On wrong shapes, entries that are not finite or lengths that are not positive.
+            If shapes are wrong, entries are not finite, or lengths are not positive.
         GeometryError
-            If there are no boxes, or an edge is too small beside the distance from the origin.
+            If there are no boxes, or an edge is too short to be resolved at its distance from the origin.
 
         Examples
         --------
@@ -637,7 +637,7 @@ class Body(_Bodies):
         Raises
         ------
         InputError
-            On a wrong shape, entries that are not finite, or a base that is not below.
+            If the shape is wrong, entries are not finite, or the base is not below all heights.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Boxes with little surface: which way to turn one around points, or around triangles."""
+"""Boxes with little surface: how to orient a box around points or triangles."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ THICKNESS = 0.01
 
 
 def least_box_axes(triangles: Floats) -> Floats:
-    """Axes of a box around triangles with little surface, as columns: along none of those that are tried has one less.
+    """Axes of a box around triangles with little surface, as columns: no other orientation tried has less.
 
     Parameters
     ----------
     triangles : ndarray, shape (3, corners, n)
-        Coordinates come first. Each with one corner, if they are points.
+        Coordinates come first. Each has one corner if they are points.
 
     Returns
     -------
     ndarray, shape (3, 3)
-        Orthonormal but for rounding.
+        Orthonormal up to rounding.
     """
     asked = triangles[:, :, :: -(-triangles.shape[2] // MOST_ASKED)]
     tried = _turns(asked)

@@ -1,11 +1,11 @@
-"""Are arrays from a file bodies? Everything that a verdict rests on is looked at before a kernel sees it.
+"""Are arrays from a file bodies? Everything on which a verdict depends is checked before a kernel reads it.
 
-A file is data: whoever writes one can give it a checksum too. So nothing is taken on trust that would let a kernel read
-past an array, loop for ever, or call FREE what is not. Every law that `save` keeps is tested, with tolerances for the
-rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file that a version of loewner wrote passes.
+A file is untrusted data: an attacker can compute its checksum too. So every property is checked whose violation could
+let a kernel read past an array, loop forever, or return a wrong FREE. Every law that `save` keeps is tested, with
+tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file written by any version of loewner passes.
 
-What cannot be tested without fitting again: that an ellipsoid is the largest or the smallest, and so the last digits
-of `gaps`. These say how sharp the bounds are; no verdict rests on them.
+Optimality cannot be tested without fitting again: that an ellipsoid is the largest or the smallest, and so the last
+digits of `gaps`. These describe how tight the bounds are; no verdict depends on them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ assert tuple(EXPECTED) == ARRAYS
 
 
 def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not belong together; shapes are known before any number is."""
+    """Refuse arrays whose shapes do not match; the shapes are read before any number is."""
     P = found["layout"][0] if found["layout"] else -1
     counts = {"P": P, "P + 1": P + 1}
     for name, shape in EXPECTED.items():
@@ -79,17 +79,17 @@ def check_shapes(found: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def checked(arrays: dict[str, Any]) -> Packed:
-    """Make a pack of arrays that come from outside.
+    """Make a pack from untrusted arrays.
 
     Parameters
     ----------
     arrays : dict
-        Those of `ARRAYS`: int64 or float64, of shapes that `check_shapes` accepts.
+        The arrays named in `ARRAYS`: int64 or float64, of shapes that `check_shapes` accepts.
 
     Raises
     ------
     InputError
-        If they break a law; the message names array and piece.
+        If they violate a law; the message names array and piece.
     """
     with np.errstate(all="ignore"):  # what overflows is found and refused
         _check_numbers(arrays)

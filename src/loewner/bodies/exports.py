@@ -1,8 +1,8 @@
 """Bodies for other programs: MJCF and URDF.
 
-What the format has a shape for becomes that shape: spheres, cylinders, capsules, ellipsoids and boxes. Other convex
-pieces become meshes, whose convex hulls they are. What is curved and has no shape in a format becomes a polytope around
-it; an inner ellipsoid, one inside.
+Pieces with a matching shape in the format become that shape: spheres, cylinders, capsules, ellipsoids and boxes. Other
+convex pieces become meshes, whose convex hulls they are. Curved pieces without a matching shape become polytopes around
+them; inner ellipsoids become polytopes inside.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Shape:
     kind : str
         "sphere", "cylinder", "capsule", "ellipsoid", "box" or "mesh".
     sizes : tuple of float
-        Radius; radius and length (of the straight part); semi-axes; edge lengths. Metres.
+        Radius; radius and length (of the straight part); semi-axes; edge lengths. In metres.
     rotation, center : ndarray, shapes (3, 3) and (3,)
-        Of a mesh the identity and 0.
+        Pose; for a mesh the identity and 0.
     mesh : tuple of ndarray, or None
         Vertices and triangles of a convex mesh.
     """
@@ -113,14 +113,14 @@ def save_urdf(packed: Packed, path: Path, which: str | None, mesh_prefix: str) -
 
 
 def plain_name(name: Any, what: str = "name") -> str:
-    """A name that all that read these formats take."""
+    """A name that all readers of these formats accept."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise InputError(f"{what}: expected letters, digits, '_', '.' and '-', found {_validate.short(name)}")
     return name
 
 
 def prefix(text: Any) -> str:
-    """What stands before the name of a file: anything that can be printed."""
+    """The prefix of a file name: any printable text."""
     if not isinstance(text, str) or not text.isprintable():
         raise InputError(f"mesh_prefix: expected text that can be printed, found {_validate.short(text)}")
     return text

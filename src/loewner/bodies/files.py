@@ -1,4 +1,4 @@
-"""Bodies in ``.npz`` files: see `loewner._archives` for how they are written and read."""
+"""Bodies in ``.npz`` files; `loewner._archives` writes and reads them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COVERINGS = ("convex", "hull", "decomposition")
 
 
 def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None) -> None:
-    """Write a pack, and what the pieces of a mesh leave uncovered."""
+    """Write a pack, and the covering of its mesh."""
     arrays = arrays_of(packed)
     if covering is not None:
         arrays["covering"] = np.array([str(value) for value in astuple(covering)])
@@ -45,7 +45,7 @@ def save(packed: Packed, path: str | os.PathLike[str], covering: Covering | None
 
 
 def load(path: str | os.PathLike[str]) -> tuple[Packed, Covering | None]:
-    """Read what `save` wrote."""
+    """Read a file written by `save`."""
     return _archives.read(path, BODIES, _bodies)
 
 

@@ -1,4 +1,4 @@
-"""Kinds of pieces, with a row for each curved kind, in which all its properties are written."""
+"""Kinds of pieces, with one row for each curved kind that contains all its properties."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from loewner._kernels import columns
 class Kind(NamedTuple):
     """A kind of curved piece: the image of a unit shape, and a ball added to it (see `_kernels.pieces.shapes`).
 
-    The constructor of `Body` that has its `name` takes `sizes` of the ball's radius and the image's semi-axes, which
-    scene files call `size_names`, or give as one vector. A unit shape that is a cylinder or a cone has the radius `top`
-    at its upper end, and one that a ball is added to the half length `core`. `fitted` are the semi-axes of the inner
-    and the outer ellipsoid in the coordinates of the unit shape, and the height of their center; None for kinds with a
-    ball added. The semi-axes are still to be divided by `divisors`.
+    The constructor of `Body` with the same `name` takes `sizes`: the ball's radius and the image's semi-axes, which
+    scene files call `size_names` or give as one vector. A unit cylinder or cone has the radius `top` at its upper end,
+    and a unit shape with an added ball has the half length `core`. `fitted` are the semi-axes of the inner and the
+    outer ellipsoid in the coordinates of the unit shape, and the height of their center; None for kinds with a ball
+    added. The semi-axes have yet to be divided by `divisors`.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Pieces in flat arrays, and what kernels see of them: tables, vertices in blocks, trees, and the address of it all."""
+"""Pieces in flat arrays, and the arrays for kernels: tables, vertices in blocks, trees, and the address of it all."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SINGLE_SIZES = 1e-3, 1e3
 
 @dataclass(frozen=True, eq=False)
 class PieceArrays:
-    """Pieces of n bodies as arrays, which are read-only from here on.
+    """Pieces of n bodies as arrays, which are read-only from now on.
 
     Attributes
     ----------
@@ -93,15 +93,15 @@ def arrays_of(pieces: PieceArrays) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class KernelArrays:
-    """The arrays that kernels get of a pack, and their handle.
+    """The arrays that kernels receive for a pack, and their handle.
 
     Attributes
     ----------
     arrays : Pieces
         Described in `loewner._kernels.pieces.shapes`. They are not read-only: to Numba that would be another type, and
-        everything compiled twice.
+        everything would be compiled twice.
     table : ndarray of int64
-        Where the arrays are and how long; the handle is its address, so it must live as long.
+        Addresses and lengths of the arrays; the handle is the address of this table, so it must live as long.
     handle : int
         See `loewner._kernels.pieces.pack`.
     """
@@ -112,7 +112,7 @@ class KernelArrays:
 
     @classmethod
     def of(cls, p: PieceArrays, maps: Maps, trees: Trees) -> KernelArrays:
-        """Make the arrays of pieces, with the direction maps of those that are large and the trees of surfaces.
+        """Make the arrays of pieces, with the direction maps of large pieces and the trees of surfaces.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class KernelArrays:
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:
-    """Direction maps of the large polytopes, by number of the piece."""
+    """Direction maps of the large polytopes, by index of the piece."""
     first, last = layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO]
     return {
         int(i): entries.direction_map(points[first[i] : last[i]].copy())
@@ -145,7 +145,7 @@ def direction_maps(layout: Ints, points: Floats) -> Maps:
 def heights_of(
     points: Floats, normals: Floats, center: Floats, factor: Floats, most: float = np.inf
 ) -> tuple[Floats, int]:
-    """Largest normal·vertex of a large polytope for each normal, and how many products it took.
+    """Largest normal·vertex of a large polytope for each normal, and the number of products that were needed.
 
     A direction map leaves few candidates for any piece in coordinates where the inner ellipsoid is a ball.
 
@@ -156,7 +156,7 @@ def heights_of(
     center, factor : ndarray, shape (3,) and (3, 3)
         The inner ellipsoid.
     most : float
-        Limit on the products.
+        Limit on the number of products.
 
     Raises
     ------
@@ -200,7 +200,7 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 def starts(lengths: Ints) -> Ints:
-    """Where ranges of these lengths begin, end to end, and where the last one ends."""
+    """The start of each range if ranges of these lengths are laid end to end, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 

@@ -1,7 +1,7 @@
 """Octrees of OctoMap: the boxes of the occupied leaves of a binary file.
 
-OctoMap's own reader recurses as deep as a file says, so that a damaged one can end the process. The format is short: a
-header in text, then two bytes for each inner node in depth-first order, two bits for each of its children.
+OctoMap's own reader recurses as deep as a file requires, so a damaged file can end the process. The format is short: a
+text header, then two bytes for each inner node in depth-first order, with two bits per child.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def occupied_leaves(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
     Raises
     ------
     FileError
-        If the file is missing, or no whole octree of at most 16 levels.
+        If the file is missing, or not a complete octree of at most 16 levels.
     GeometryError
-        If nothing in it is occupied.
+        If no cell in it is occupied.
     """
     file = _validate.path(path, "path")
     data = read_regular(file, "an octree in .bt", MOST_BYTES)

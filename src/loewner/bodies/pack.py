@@ -1,4 +1,4 @@
-"""Pieces of many bodies in flat arrays: taken, joined and moved."""
+"""Pieces of many bodies in flat arrays: selected, joined and moved."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from loewner.errors import GeometryError
 
 @dataclass(frozen=True, eq=False)
 class Prepared(PieceArrays):
-    """Pieces of n bodies, and what takes long to make of them.
+    """Pieces of n bodies, with the derived data that is slow to compute.
 
     Attributes
     ----------
     maps : dict
-        What `loewner._kernels.pieces.directions.direction_map` makes of the large polytopes, by number of the piece.
+        Direction maps of the large polytopes, by index of the piece, from
+        `loewner._kernels.pieces.directions.direction_map`.
     trees : dict
-        The trees of the surfaces, likewise.
+        The trees of the surfaces, by index of the piece.
     """
 
     maps: Maps
@@ -38,22 +39,22 @@ class Prepared(PieceArrays):
         return sum(int(array.nbytes) for array in arrays) + sum(tree.nbytes for tree in self.trees.values())
 
     def packed(self) -> Packed:
-        """The same with what kernels see of it."""
+        """The pieces with the arrays for kernels."""
         return Packed.of(PieceArrays(**arrays_of(self)), self.maps, self.trees)
 
 
 @dataclass(frozen=True, eq=False)
 class Packed(Prepared):
-    """Pieces of n bodies, and what kernels see of them; made by `of`.
+    """Pieces of n bodies with the arrays for kernels; made by `of`.
 
     Attributes
     ----------
     kernel_arrays : KernelArrays
-        It lives as long as `handle` is used.
+        The object must live as long as `handle` is used.
     kernel : Pieces
-        Its arrays, at hand for single calls.
+        A reference to its arrays, for single calls.
     handle : int
-        Its handle, likewise.
+        A copy of its handle, for single calls.
     """
 
     kernel_arrays: KernelArrays
@@ -62,7 +63,7 @@ class Packed(Prepared):
 
     @classmethod
     def of(cls, pieces: PieceArrays, maps: Maps | None = None, trees: Trees | None = None) -> Packed:
-        """Make what kernels need; direction maps and the trees of surfaces, too, unless they are given.
+        """Make the arrays for kernels, including direction maps and the trees of surfaces unless they are given.
 
         Raises
         ------
@@ -86,7 +87,7 @@ class Packed(Prepared):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, with those that are made for the kernels."""
+        """Bytes of all arrays, including the arrays for kernels."""
         return super().nbytes + sum(int(array.nbytes) for array in self.kernel)
 
 
@@ -138,7 +139,7 @@ def join(parts: list[Packed]) -> Packed:
 
 
 def joined(parts: Sequence[Prepared]) -> Prepared:
-    """`join`, without what kernels see."""
+    """Join packs without making the arrays for kernels."""
     _validate.fits_memory(sum(part.nbytes for part in parts), f"{len(parts)} bodies")
     arrays = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ARRAYS}
     sizes = np.array([[len(p.points), len(p.planes), len(p.layout), len(p.triangles)] for p in parts])
@@ -172,7 +173,7 @@ def take(p: Packed, bodies: Ints) -> Packed:
 
 
 def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
-    """Some of the pieces, repeats allowed, as bodies that begin where `piece_start` says."""
+    """Some of the pieces, repeats allowed, as bodies that begin at the indices `piece_start`."""
     layout = p.layout[pieces]
     points = ranges(layout[:, columns.POINTS_FROM], layout[:, columns.POINTS_TO])
     planes = ranges(layout[:, columns.PLANES_FROM], layout[:, columns.PLANES_TO])
@@ -203,7 +204,7 @@ def some(p: Prepared, pieces: Ints, piece_start: Ints) -> Prepared:
 
 
 def moved(p: Packed, T: Floats) -> Packed:
-    """Move all pieces by one rigid motion, keeping containment through the rounding."""
+    """Move all pieces by one rigid motion, preserving containment in spite of rounding."""
     R, t = T[:3, :3], T[:3, 3]
     points = p.points @ R.T + t + 0.0  # without negative zeros
     normals = p.planes[:, :3] @ R.T

@@ -1,4 +1,4 @@
-"""Surfaces in parts, for proofs of motions: these see a piece as a box around it, and small boxes leave more free."""
+"""Surfaces in parts, for proofs of motions, which replace each piece by a box: small boxes leave more space free."""
 
 from __future__ import annotations
 
@@ -37,15 +37,16 @@ _known: WeakKeyDictionary[SurfaceTree, tuple[int, Prepared | None]] = WeakKeyDic
 
 
 def in_parts(packed: Packed, bodies: Bools) -> Packed:
-    """The same bodies, with surfaces cut into parts, each a piece of its own; the same pack if there are none.
+    """The same bodies, with surfaces cut into parts, each a piece of its own; the same pack if there are no surfaces.
 
-    Parts of a solid are of its surface alone: what stays clear of all of them stays outside if it was outside once.
+    Parts of a solid cover only its surface: a body that stays clear of all of them stays outside if it was outside
+    once.
 
     Parameters
     ----------
     packed : Packed
     bodies : ndarray of bool
-        Whose surfaces are cut.
+        The pack whose surfaces are cut.
     """
     of_piece = np.repeat(bodies, np.diff(packed.piece_start))
     standing = [i for i in packed.trees if of_piece[i]]

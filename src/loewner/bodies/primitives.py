@@ -55,7 +55,7 @@ def around_capsules(radius: Floats, half: Floats) -> tuple[Floats, Floats]:
 
 
 def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
-    """Semi-axes of the inner and the outer ellipsoids of curved pieces along the axes of their frames, and where.
+    """Semi-axes of the inner and the outer ellipsoids of curved pieces along the axes of their frames, and centers.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def ellipsoids_in_frame(kinds: Ints, rounding: Floats, lengths: Floats) -> tuple
     -------
     inner, outer : ndarray, shape (k, 3)
     lift : ndarray, shape (k,)
-        Of both centers along the third axis.
+        Position of both centers along the third axis.
     """
     inner, outer, lift = np.empty((len(kinds), 3)), np.empty((len(kinds), 3)), np.zeros(len(kinds))
     for kind, known in CURVED.items():

@@ -1,4 +1,4 @@
-"""What sensors see, as pieces: balls, boxes, points with a radius, occupied voxels, terrain. All in arrays."""
+"""Sensor data as pieces: balls, boxes, points with a radius, occupied voxels, terrain, all in arrays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_CELLS = 2**20
 
 
 def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
-    """One body of balls, each a piece that is its own ellipsoids.
+    """One body of balls, each a piece that is its own inner and outer ellipsoid.
 
     Parameters
     ----------
@@ -50,9 +50,10 @@ def ball_pieces(centers: Floats, radii: Floats) -> PieceArrays:
 
 
 def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
-    """One body of boxes along the axes, each a polytope between two corners as they are.
+    """One body of axis-aligned boxes, each a polytope between two corners as they are.
 
-    Centers and half edges are rounded. The ellipsoids are grown and shrunk by what that is of the shortest edge.
+    Centers and half edges are rounded. The outer ellipsoids grow and the inner ones shrink by this rounding relative to
+    the shortest edge.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def point_pieces(points: Floats, radius: float, tol: float) -> PieceArrays:
 
 
 def cells_of(points: Floats, edge: float) -> Ints:
-    """The cells, of a grid through the origin, that points are in; each once, shape (k, 3)."""
+    """The cells of a grid through the origin that contain points; each once, shape (k, 3)."""
     cells = np.floor(points / edge)
     farthest = float(np.abs(cells).max())
     if not farthest < MOST_CELLS:
@@ -122,14 +123,14 @@ def cells_of(points: Floats, edge: float) -> Ints:
 
 
 def voxel_pieces(cells: Ints, edge: float) -> PieceArrays:
-    """One body of boxes: the union of cells of a grid through the origin, those in a row as one.
+    """One body of boxes: the union of cells of a grid through the origin, with each row of cells as one box.
 
     Parameters
     ----------
     cells : ndarray of int, shape (k, 3)
         Each once.
     edge : float
-        Metres.
+        In metres.
     """
     first, last = min((_rows_along(cells, axis) for axis in range(3)), key=lambda rows: len(rows[0]))
     lower, upper = (np.multiply(edge, ends, dtype=np.float64) for ends in (first, last + 1))
@@ -146,13 +147,13 @@ def _rows_along(cells: Ints, axis: int) -> tuple[Ints, Ints]:
 
 
 def grid_pieces(occupied: Bools, edge: float, origin: Floats) -> PieceArrays:
-    """One body of boxes: the union of occupied cells, those in a row as one.
+    """One body of boxes: the union of occupied cells, with each row of cells as one box.
 
     Parameters
     ----------
     occupied : ndarray of bool, shape (p, q, r)
     edge : float
-        Metres.
+        In metres.
     origin : ndarray, shape (3,)
         The lowest corner of cell (0, 0, 0).
 
@@ -182,12 +183,12 @@ def _begins(occupied: Bools) -> Bools:
 
 
 def terrain_pieces(heights: Floats, spacing: Floats, base: float, tol: float) -> PieceArrays:
-    """One body of one piece, a solid: what is between heights over a grid, joined by triangles, and a flat base.
+    """One body of one piece, a solid: the space between heights over a grid, joined by triangles, and a flat base.
 
     Parameters
     ----------
     heights : ndarray, shape (p, q)
-        At (i, j) that of the point x = i spacing[0], y = j spacing[1].
+        The height at (i, j) belongs to the point x = i spacing[0], y = j spacing[1].
     spacing : ndarray, shape (2,)
     base : float
         Below all heights.

@@ -25,7 +25,7 @@ SUM_ROUNDING = 2.0**-44
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTree:
-    """A tree, and where its arrays are; made by `of`.
+    """A tree, and the addresses of its arrays; made by `of`.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class SurfaceTree:
     diagonals, ellipsoids : ndarray of float32
         Described there, too.
     inner_center, inner_factor : ndarray, shapes (k, 3) and (k, 3, 3)
-        Ellipsoids inside a solid, largest first; none of a surface that is not one.
+        Ellipsoids inside a solid, largest first; none for other surfaces.
     table : ndarray of int64
-        Where the first five are; kernels get its address.
+        Addresses of the first five; kernels receive the address of this array.
     """
 
     boxes: NDArray[np.float32]
@@ -55,7 +55,7 @@ class SurfaceTree:
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints, solid: bool) -> SurfaceTree:
-        """Build the tree over some triangles, at least one, that share vertices where they hang together."""
+        """Build the tree over at least one triangle; connected triangles share vertices."""
         boxes, children, blocks, diagonals, ellipsoids, _ = entries.triangle_tree(vertices, triangles)
         parts = vertices[entries.part_vertices(len(vertices), triangles)].ravel()
         inside = np.zeros((0, 3)), np.zeros((0, 3, 3))
@@ -88,7 +88,7 @@ class SurfaceTree:
     def outer_ellipsoids(self, radius: float) -> tuple[Floats, Floats]:
         """Ellipsoids around the parts below the root, with a radius: centers and factors.
 
-        They are kept in single precision; what that hides is added to the radius.
+        They are kept in single precision, whose rounding is added to the radius.
         """
         top = max(int(self.children[0]), 0)
         wide = self.ellipsoids.size // 9
@@ -102,15 +102,15 @@ class SurfaceTree:
 
 
 def around_point(radius: float) -> Floats:
-    """Factor of the inner ellipsoid of a surface without inside: a ball about a point of it, or the point."""
+    """Factor of the inner ellipsoid of a surface without an inside: a ball about one of its points, or the point."""
     return np.eye(3) * radius * (1 - SUM_ROUNDING)
 
 
 def around_sums(shape: Floats, radius: Floats) -> Floats:
-    """Factors of ellipsoids around the sums of ellipsoids, given by shape matrices, and balls.
+    """Factors of ellipsoids around the sums of balls and ellipsoids, which are given by shape matrices.
 
-    Shape (1 + 1/p) Q + (1 + p) r² 1 holds the sum for all p > 0; with this one its trace is least. Kurzhanski and Valyi
-    (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
+    Shape (1 + 1/p) Q + (1 + p) r² 1 contains the sum for all p > 0; with this p its trace is least. Kurzhanski and
+    Valyi (1997), Ellipsoidal Calculus for Estimation and Control, section 2.2.
     """
     # p times the radius, which may be much smaller or larger; any will do, and that of a point is 0.
     size = np.maximum(np.sqrt(np.trace(shape, axis1=1, axis2=2) / 3), 1e-9 * radius)
@@ -129,7 +129,7 @@ Trees = dict[int, SurfaceTree]
 
 
 def surface_trees(layout: Ints, points: Floats, triangles: Ints, triangle_start: Ints) -> Trees:
-    """Trees of the surfaces among pieces, by number of the piece."""
+    """Trees of the surfaces among pieces, by index of the piece."""
     made = {}
     for i in np.flatnonzero(layout[:, columns.KIND] <= columns.SURFACE):
         vertices = points[layout[i, columns.POINTS_FROM] : layout[i, columns.POINTS_TO]]

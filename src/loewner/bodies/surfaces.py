@@ -35,13 +35,13 @@ def surface_pieces(
     Parameters
     ----------
     name : str
-        What to call the mesh in a message.
+        Name of the mesh in messages.
     vertices, triangles : ndarray
         A mesh as `meshes.load` reads it.
     radius : float
-        Metres, >= 0.
+        In metres, >= 0.
     solid : bool or None
-        Whether what the mesh winds around belongs to it; None: if the mesh is closed.
+        Whether the space around which the mesh winds belongs to it; None: if the mesh is closed.
     tol : float
         Certified log-volume gap of the outer ellipsoid.
 
@@ -97,7 +97,7 @@ def _merged(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def expect_sizes(vertices: Floats) -> None:
-    """Refuse what is too small or too large for kernels."""
+    """Refuse sizes that are too small or too large for kernels."""
     size = float(np.abs(vertices).max())
     across = float(np.ptp(vertices, axis=0).max())
     if not size <= LARGEST or 0 < across < SMALLEST:
@@ -108,13 +108,13 @@ def expect_sizes(vertices: Floats) -> None:
 
 
 def expect_radius(radius: float) -> None:
-    """Refuse what is too large for kernels."""
+    """Refuse a radius that is too large for kernels."""
     if radius > LARGEST:
         raise GeometryError(f"radius: expected at most {LARGEST:g} m, found {radius:g}")
 
 
 def expect_closed(name: str, vertices: Floats, triangles: Ints) -> None:
-    """Refuse a mesh that is open, or whose triangles are not turned alike: it winds around nothing."""
+    """Refuse a mesh that is open or inconsistently oriented: it winds around nothing."""
     edges = _open_edges(len(vertices), triangles)
     if len(edges) == 0:
         return

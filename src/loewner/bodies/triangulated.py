@@ -1,4 +1,4 @@
-"""Pieces and ellipsoids as triangles, for pictures and for formats that know nothing else."""
+"""Pieces and ellipsoids as triangles, for pictures and for formats with triangles only."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def ellipsoids_of(packed: Packed, which: str) -> tuple[Floats, Floats]:
 
 
 def of_ellipsoids(packed: Packed, which: str) -> dict[int, Mesh]:
-    """Triangles of each inner, or each outer, ellipsoid, by the number of the piece; an inner one may be a point."""
+    """Triangles of each inner, or each outer, ellipsoid, by index of the piece; an inner one may be a point."""
     centers, factors = ellipsoids_of(packed, which)
     unit, triangles = ball(3 if len(centers) <= MANY_PIECES else 2)
     return {k: (unit @ F.T + c, triangles) for k, (c, F) in enumerate(zip(centers, factors, strict=True)) if F.any()}
@@ -62,7 +62,7 @@ def joined(meshes: Iterable[Mesh]) -> Mesh:
 
 @lru_cache(maxsize=4)
 def ball(subdivisions: int) -> Mesh:
-    """Unit ball as an icosahedron with its triangles divided into four, so many times."""
+    """Unit ball as an icosahedron whose triangles are divided into four repeatedly."""
     vertices, triangles = _ICOSAHEDRON, _faces(_ICOSAHEDRON)
     for _ in range(subdivisions):
         edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)

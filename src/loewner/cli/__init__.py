@@ -1,4 +1,4 @@
-"""The command line: a file for each command, put together by `main`."""
+"""The command line: one file per command, combined by `main`."""
 
 from loewner.cli.main import main
 

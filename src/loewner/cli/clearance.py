@@ -1,4 +1,4 @@
-"""``loewner clearance``: all pairs of many bodies, how far apart they are."""
+"""``loewner clearance``: the distances of all pairs of many bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``loewner compile``: all kernels now, instead of at first use."""
+"""``loewner compile``: compile all kernels now, instead of at first use."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ MOST_BYTES = 2**33
 
 
 def read(path: Path, robot: loewner.Robot) -> Floats:
-    """Numbers of a file, in the order of the robot's columns; their shape is not checked where a file may have any."""
+    """Numbers of a file, in the order of the robot's columns; the caller checks their shape."""
     suffix = path.suffix.lower()
     if suffix not in READ:
         raise FileError(f"{path}: expected a .npy, .csv or .json file, found {path.suffix or 'no suffix'}")

@@ -124,7 +124,7 @@ def _on_this_machine(options: argparse.Namespace, targets: list[Path]) -> int:
 
 
 def serve_task(task: dict[str, Any], progress: Progress) -> list[Any]:
-    """Make the body of a mesh and save it, in a process of its own; what became of it, and its row of the table."""
+    """Make the body of a mesh and save it, in a separate process; returns the outcome, and its row of the table."""
     row: list[str] = []
 
     def fit() -> Outcome:

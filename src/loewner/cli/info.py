@@ -1,4 +1,4 @@
-"""``loewner info``: which version this is, how its kernels run, and which optional packages are there."""
+"""``loewner info``: the version, how its kernels run, and the optional packages that are installed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands take: bodies, meshes, poses and robots, and the options that say how these are read."""
+"""Inputs of commands: bodies, meshes, poses and robots, and the options for reading them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OF_SURFACES = ("radius", "solid")
 
 
 def add_mesh_options(command: argparse.ArgumentParser, default: str) -> None:
-    """Options of commands that take meshes; `default` is the model that they become."""
+    """Options of commands that take meshes; `default` is the default model."""
     command.add_argument(
         "--model",
         choices=MODELS,
@@ -76,7 +76,7 @@ def add_robot_options(command: argparse.ArgumentParser) -> None:
 
 
 def body(path: Path, options: argparse.Namespace) -> loewner.Body:
-    """A saved body, or one of a mesh."""
+    """A saved body, or the body of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
     model(options)  # which refuses options that do not go together
@@ -89,7 +89,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
 def from_mesh(
     path: Path, options: argparse.Namespace, *, tol: float = DEFAULT_TOLERANCE, progress: Progress | None = None
 ) -> loewner.Body:
-    """Body of a mesh, with a bar of its own unless the caller shows progress."""
+    """Body of a mesh, with its own progress bar unless the caller shows progress."""
     chosen = model(options)
     if chosen == "surface":
         return loewner.Body.from_surface(path, scale=options.scale, **given(options, OF_SURFACES))
@@ -110,7 +110,7 @@ def from_mesh(
 
 
 def model(options: argparse.Namespace) -> str:
-    """What a mesh becomes, by all options that say so."""
+    """The model of a mesh that the options select."""
     if options.hull and options.model not in (None, "hull"):
         raise InputError(f"--hull: expected no other model with it, found --model {options.model}")
     of_pieces, of_surfaces = given(options, OF_PIECES), given(options, OF_SURFACES)
@@ -125,7 +125,7 @@ def model(options: argparse.Namespace) -> str:
 
 
 def given(options: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """Those of some options that were given, by their names."""
+    """The options that were given, by name."""
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
@@ -181,7 +181,7 @@ def robot(options: argparse.Namespace) -> loewner.Robot:
 
 
 def refuse_no_pairs(checker: loewner.CollisionChecker, urdf: Path) -> None:
-    """Refuse a robot that nothing can happen to: all would count as free."""
+    """Refuse a robot without pairs to check: every configuration would count as free."""
     if not checker.checked_pairs:
         raise InputError(
             f"{urdf}: expected pairs to check, found none: links are rigidly joined, adjacent or disabled, and "

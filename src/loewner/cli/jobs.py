@@ -1,7 +1,7 @@
-"""Files, one at a time to each of several processes: one that dies costs its file, not the others.
+"""Files, one at a time for each of several processes: if one dies, only its file is lost.
 
-A process is a new interpreter that reads tasks from its input and answers on its output, a line of JSON each. It ends
-as soon as its input does: when there is no more work, and when the program that started it is gone, however that ended.
+A process is a new interpreter that reads tasks from its input and answers on its output, one line of JSON each. It ends
+when its input does: when there is no more work, or when the parent process has ended for any reason.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import loewner
 
 
 class Event(NamedTuple):
-    """What a process says of a task: that it begins, how far it is, its answer, or None as the answer if it died."""
+    """A process's report on a task: its start, its progress, its answer, or None as the answer if the process died."""
 
     kind: str
     place: int
@@ -29,16 +29,16 @@ class Event(NamedTuple):
 
 
 def answers(entry: str, tasks: Sequence[dict[str, Any]], jobs: int) -> Iterator[Event]:
-    """Have processes do tasks, and tell what they say: ``begun``, ``progress`` (done, total) and ``answer`` of each.
+    """Distribute tasks to processes and yield their reports: ``begun``, ``progress`` (done, total), ``answer``.
 
     Parameters
     ----------
     entry : str
         Module that has a function ``serve_task``, which takes a task and a progress callback and returns the answer.
     tasks : sequence of dict
-        Of what JSON can hold.
+        Any values that JSON can represent.
     jobs : int
-        How many processes there are at a time, at most; they share the threads that this one may use.
+        Largest number of processes at a time; they share the threads that this one may use.
     """
     jobs = min(jobs, len(tasks))
     waiting, said = SimpleQueue[int](), SimpleQueue[Event | None]()

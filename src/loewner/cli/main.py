@@ -1,6 +1,6 @@
 """The command line: parse, call the public API, print.
 
-Exit status: 0 done, or free; 1 colliding (of many pairs or configurations, one or more), or no path; 2 error, or one
+Exit status: 0 done, or free; 1 colliding (for many pairs or configurations, one or more), or no path; 2 error, or one
 or more of many meshes failed; 3 ambiguous (only for ``loewner check --method certified`` and ``loewner plan``).
 """
 
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        What follows ``loewner``; default: those of the process.
+        The arguments after ``loewner``; default: those of the process.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What commands give back: an exit status, tables on standard output, progress on standard error."""
+"""Outputs of commands: an exit status, tables on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ class PlainTable:
 
 
 class NoProgress(nullcontext["NoProgress"]):
-    """What stands for a bar where Rich is not installed: nothing is shown."""
+    """Replacement for a progress bar where Rich is not installed; it shows nothing."""
 
     def __init__(self) -> None:
         super().__init__(self)
 
     def add_task(self, *_: Any, **__: Any) -> Any:
-        """Begin something."""
+        """Begin a task."""
 
     def update(self, *_: Any, **__: Any) -> None:
-        """Tell how far it is."""
+        """Update its progress."""
 
     advance = update
 
 
 def progress_bar() -> Progress | NoProgress:
-    """Progress on standard error, so that standard output stays the answer."""
+    """Progress on standard error, so that standard output contains only the answer."""
     try:
         from rich.console import Console
         from rich.progress import Progress
@@ -86,12 +86,12 @@ def print_table(table: Table | PlainTable) -> None:
 
 
 def is_surface(body: loewner.Body) -> bool:
-    """Whether it is the triangles of a mesh as they are."""
+    """Whether a body consists of the triangles of a mesh as they are."""
     return all(piece.kind in ("surface", "solid") for piece in body.pieces)
 
 
 def model_text(body: loewner.Body) -> str:
-    """Which model of a mesh a body is, in a few words."""
+    """The model of a mesh that a body is, in a few words."""
     if not is_surface(body):
         return covering_text(body.covering)
     count = sum(len(piece.triangles) for piece in body.pieces if piece.triangles is not None)
@@ -101,7 +101,7 @@ def model_text(body: loewner.Body) -> str:
 
 
 def covering_text(covering: loewner.Covering | None) -> str:
-    """Which model of a mesh the pieces are, what they hold of it and how far they stick out, in a few words."""
+    """The model of a mesh, how much of it the pieces contain and how far they stick out, in a few words."""
     if covering is None:
         return "-"
     percent = round(100 * covering.excess_volume, 1) + 0.0  # no minus zero

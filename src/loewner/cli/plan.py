@@ -1,4 +1,4 @@
-"""``loewner plan``: a path of a robot from start to goal, and what is proven of each of its motions."""
+"""``loewner plan``: a path of a robot from start to goal, with the verdict of each of its motions."""
 
 from __future__ import annotations
 

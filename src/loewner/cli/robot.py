@@ -1,4 +1,4 @@
-"""``loewner robot``: what a robot is, and whether configurations of it are free."""
+"""``loewner robot``: a description of a robot, and whether configurations of it are free."""
 
 from __future__ import annotations
 

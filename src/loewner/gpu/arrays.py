@@ -1,7 +1,7 @@
-"""Arrays of other libraries that are on a GPU: taken by address, and given back in the same way.
+"""Arrays of other libraries on a GPU: read by address, and returned in the same way.
 
 CuPy, PyTorch, JAX and Numba share arrays by ``__cuda_array_interface__`` (version 2 and 3) and by DLPack. An array is
-anything with one of the two; nothing is imported and nothing is copied.
+any object that supports one of the two; nothing is imported and nothing is copied.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class View(NamedTuple):
     address : int
     shape : tuple of int
     owner : object
-        What keeps the memory alive.
+        The object that keeps the memory alive.
     """
 
     address: int
@@ -43,7 +43,7 @@ class View(NamedTuple):
 
 
 def is_on_gpu(x: Any) -> bool:
-    """Tell whether something is an array on a GPU."""
+    """Whether an object is an array on a GPU."""
     if isinstance(x, np.ndarray):
         return False
     if hasattr(x, "__cuda_array_interface__"):
@@ -55,7 +55,7 @@ def is_on_gpu(x: Any) -> bool:
 def taken(x: Any, name: str, device: Device) -> View:
     """Take an array of float32 on the GPU by its address.
 
-    Work on the device's stream waits from now on for what the array's own stream has to do.
+    From now on, work on the device's stream waits for the pending work of the array's own stream.
 
     Raises
     ------

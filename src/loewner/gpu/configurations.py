@@ -64,24 +64,25 @@ class _Tile(NamedTuple):
 class Checker:
     """A collision checker whose ellipsoids are on a GPU. Experimental: not yet run on hardware.
 
-    The GPU places the robot, compares bounds and ellipsoids, and says FREE or COLLIDING where that is proven. Whatever
-    is left goes to the checker itself, so that answers are its own. What the ellipsoids leave open is much near
-    obstacles: the exact searches do not run on the GPU.
+    The GPU places the robot, compares bounds and ellipsoids, and returns FREE or COLLIDING where that is proven. All
+    other configurations go to the checker itself, so the answers are its own. Near obstacles, the ellipsoids leave many
+    configurations open: the exact searches do not run on the GPU.
 
     Parameters
     ----------
     checker : CollisionChecker
         Its scene may change between calls.
     fallback : {"error", "cpu"}
-        What to do where there is no GPU, its driver is too old, its memory too small, or its work was lost: raise, or
-        warn once and ask the checker.
+        If there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an error, or
+        warn once and use the checker.
     device : int
-        Which of the GPUs that the driver sees.
+        Index of the GPU among those visible to the driver.
 
     Raises
     ------
     InputError
-        If `checker` is none, or its robot has joints that neither turn nor slide: planar, floating or ball joints.
+        If `checker` is not a checker, or its robot has joints that neither turn nor slide: planar, floating or ball
+        joints.
 
     Examples
     --------
@@ -108,12 +109,12 @@ class Checker:
 
     @guarded
     def collide(self, Q: Any) -> Any:
-        """Decide exactly which configurations are in collision: what `CollisionChecker.collide` says.
+        """Decide exactly which configurations are in collision, with the answers of `CollisionChecker.collide`.
 
         Parameters
         ----------
         Q : array_like or array on the GPU, shape (..., dof)
-            On the GPU: float32 in C order; the question is then about exactly these float32 numbers.
+            On the GPU: float32 in C order; the answers then refer to exactly these float32 numbers.
 
         Returns
         -------

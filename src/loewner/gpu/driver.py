@@ -1,10 +1,10 @@
-"""NVIDIA's driver by ctypes: one GPU, its memory, the kernels on it, and errors that say what is wrong.
+"""NVIDIA's driver by ctypes: one GPU, its memory, the kernels on it, and errors that name the cause.
 
 The driver is the library that comes with the GPU's own software, ``libcuda.so.1`` or ``nvcuda.dll``; no toolkit is
 needed. It compiles the PTX of `loewner._ptx` for its GPU when a `Device` is opened, and keeps the result on disk.
 
-All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well:
-what they allocated can be read here.
+All work goes to one stream, in order. The context is the GPU's primary one, which PyTorch, JAX and CuPy use as well, so
+their memory can be read here.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ WITHOUT_TIMES = 2
 
 
 class Memory:
-    """Memory of a GPU; given back when nobody refers to it any more.
+    """Memory of a GPU; freed with the last reference to it.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Device:
     Parameters
     ----------
     number : int
-        Which of the GPUs that the driver sees.
+        Index of the GPU among those visible to the driver.
     cuda : object
         The driver's functions.
 
@@ -76,7 +76,7 @@ class Device:
     name : str
     capability : tuple of int
     driver : int
-        Version of CUDA that the driver is for, 1000 times the major plus 10 times the minor.
+        Version of CUDA that the driver supports, 1000 times the major plus 10 times the minor.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Device:
 
     @property
     def stream(self) -> int:
-        """The stream that all work goes to, as a number."""
+        """The stream that receives all work, as a number."""
         return int(self._stream.value or 0)
 
     # -- memory -------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ class Device:
         return to
 
     def download(self, address: int, array: NDArray[Any]) -> None:
-        """Fill an array from the GPU's memory, when all work before is done."""
+        """Fill an array from the GPU's memory, after all earlier work is done."""
         with self._current():
             if array.nbytes:
                 self._ask(
@@ -170,7 +170,7 @@ class Device:
             self._ask("cuStreamSynchronize", self._stream)
 
     def after(self, stream: int) -> None:
-        """Let all further work wait for what another stream has to do now."""
+        """Let all further work wait for the current work of another stream."""
         if stream == self.stream:
             return
         event, other = ctypes.c_void_p(), ctypes.c_void_p(stream)
@@ -181,7 +181,7 @@ class Device:
             self._ask("cuEventDestroy_v2", event)  # which the driver does when it has been reached
 
     def time(self) -> Any:
-        """Record the moment on the stream; `seconds` takes two of these."""
+        """Record a moment on the stream; `seconds` takes two of them."""
         event = ctypes.c_void_p()
         with self._current():
             self._ask("cuEventCreate", ctypes.byref(event), 0)
@@ -199,7 +199,7 @@ class Device:
         return float(found.value) * 1e-3
 
     def holds(self, address: int) -> bool:
-        """Tell whether an address is of this GPU's memory."""
+        """Whether an address belongs to this GPU's memory."""
         found = ctypes.c_int(-1)
         with self._current():
             code = self._cuda.cuPointerGetAttribute(ctypes.byref(found), ORDINAL_OF_POINTER, ctypes.c_uint64(address))
@@ -285,7 +285,7 @@ _lock = threading.Lock()
 
 
 def opened(number: int) -> Device:
-    """Return a GPU, opened once for the process.
+    """Return a GPU, opened once per process.
 
     Raises
     ------

@@ -42,28 +42,28 @@ def classify(
     Parameters
     ----------
     a, b : Body or Bodies
-        A `Bodies` of n broadcasts with the last batch axis of the poses. Their ellipsoids stay on the GPU for as
-        long as the bodies live.
+        A `Bodies` of n broadcasts with the last batch axis of the poses. Their ellipsoids stay on the GPU as long as
+        the bodies live.
     T_world_a, T_world_b : array_like or array on the GPU, shape (..., 4, 4), or None
         Poses, broadcast together; translation in metres. None is the identity. On the GPU: an array of float32 in C
-        order, of CuPy, PyTorch, JAX or whatever else has ``__cuda_array_interface__`` or DLPack; the question is then
-        about exactly these float32 numbers. Anything else is copied there.
+        order, from CuPy, PyTorch, JAX or any library that supports ``__cuda_array_interface__`` or DLPack; the answers
+        then refer to exactly these float32 numbers. Any other array is copied there.
     pairs : array_like of int, shape (..., 2), optional
-        Which of a to ask about with which of b, instead of broadcasting; see `loewner.classify`. Not on the GPU.
+        Rows of a and of b to compare, instead of broadcasting; see `loewner.classify`. They must not be on the GPU.
     refine : bool
-        Let the CPU settle what single precision leaves open, half a percent of pairs of round pieces. False leaves
-        these AMBIGUOUS, which claims nothing, and poses that are no rigid motions, too; the call then does not wait for
-        the GPU if the poses are there.
+        Let the CPU settle the pairs that single precision leaves open, half a percent of pairs of round pieces. With
+        False such pairs stay AMBIGUOUS, which claims nothing, and so do poses that are not rigid motions; the call then
+        does not wait for the GPU if the poses are there.
     fallback : {"error", "cpu"}
-        What to do where there is no GPU, its driver is too old, its memory too small, or its work was lost: raise, or
-        warn once and ask the CPU. Of poses on a GPU there is nothing to ask the CPU, and it is always an error.
+        If there is no GPU, its driver is too old, its memory is too small, or its work was lost: raise an error, or
+        warn once and use the CPU. For poses on a GPU the CPU cannot take over, and this is always an error.
     device : int
-        Which of the GPUs that the driver sees.
+        Index of the GPU among those visible to the driver.
 
     Returns
     -------
     Verdict, or ndarray of int8, shape (...), or DeviceArray of int8
-        What `loewner.classify` says. A `DeviceArray` if any of the poses are on the GPU; other libraries take it
+        The verdicts of `loewner.classify`. A `DeviceArray` if any of the poses are on the GPU; other libraries take it
         without a copy.
 
     Raises
@@ -73,13 +73,13 @@ def classify(
     PoseError
         If a pose does not end in (4, 4), is not a rigid motion, or batches do not broadcast.
     InputError
-        If an operand is no body, an array on the GPU is of another type, layout or GPU, pieces are smaller than 1e-3 or
-        larger than 1e3 m, or there are more than 2^31 - 1 pairs.
+        If an operand is not a body, an array on the GPU is of another type, layout or GPU, pieces are smaller than 1e-3
+        or larger than 1e3 m, or there are more than 2^31 - 1 pairs.
 
     Notes
     -----
-    The formulas are those of the CPU, compiled once more, and only correctly rounded operations: FREE and COLLIDING are
-    proven as docs/certified.md says. Over the bus pairs are not worth it: poses take 128 bytes a pair.
+    The formulas are the CPU's, compiled for the GPU, with correctly rounded operations only: FREE and COLLIDING are
+    proven as in docs/certified.md. Transferring poses does not pay: they take 128 bytes per pair.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def single_rows(packed: Packed) -> NDArray[np.float32]:
     Raises
     ------
     InputError
-        If there are none since a piece is too small or too large for that.
+        If there are none because a piece is too small or too large.
     """
     rows: NDArray[np.float32] = packed.kernel.single
     if len(rows) == 0 and len(packed.layout) > 0:

@@ -1,4 +1,4 @@
-"""What queries of pairs and of configurations share: where there is no GPU, lists of what is left, rows of tables."""
+"""The parts that queries of pairs and of configurations share: missing GPUs, lists for the CPU, rows of tables."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _warned = False
 
 
 def why_not(device: int = 0) -> str:
-    """Say why a GPU cannot be used.
+    """Why a GPU cannot be used.
 
     Parameters
     ----------
     device : int
-        Which of the GPUs that the driver sees.
+        Index of the GPU among those visible to the driver.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def why_not(device: int = 0) -> str:
     Raises
     ------
     InputError
-        If `device` is no whole number.
+        If `device` is not a whole number.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def number_of(device: int) -> int:
 
 
 def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None) -> Answer:
-    """Return what the GPU says; where it cannot, what the CPU says, with one warning a process."""
+    """Return the GPU's answer, or the CPU's if the GPU fails, with one warning per process."""
     global _warned
     try:
         return on_gpu()
@@ -76,19 +76,19 @@ def attempted(on_gpu: Callable[[], Answer], on_cpu: Callable[[], Answer] | None)
 
 
 def expect_few(count: int, what: str) -> None:
-    """Refuse more than there are numbers for."""
+    """Refuse more entries than there are indices."""
     if count > MOST:
         raise InputError(f"expected at most {MOST} {what} a call, found {count}; ask for fewer at a time")
 
 
 class Left:
-    """What a kernel leaves to the CPU: a list on the GPU that its threads append to.
+    """The work that a kernel leaves to the CPU: a list on the GPU to which its threads append.
 
     Parameters
     ----------
     device : Device
     most : int
-        Entries that there may be.
+        Capacity of the list.
     """
 
     def __init__(self, device: Device, most: int) -> None:

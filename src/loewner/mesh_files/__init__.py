@@ -1,8 +1,8 @@
-"""Mesh files to triangles, read whole or refused: what a file says of itself is checked against what is in it.
+"""Mesh files to triangles, read whole or refused: the declarations of a file are checked against its content.
 
-The readers are loewner's own. General ones are made to show what they can of a file: they drop what they do not know,
-put zeros for what they cannot decode and let negative indices wrap around. Where half a mesh is free and the whole one
-collides, that is the wrong trade; and a check of their answer needs another reading of the file anyway.
+The readers are loewner's own. General readers are designed to show as much of a file as possible: they drop unknown
+elements, replace undecodable values by zeros and let negative indices wrap around. That is the wrong compromise if half
+a mesh is free where the whole one collides; and checking their result would require reading the file again anyway.
 """
 
 from collections.abc import Callable
@@ -25,14 +25,14 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".dae")
 def read(path: Path) -> tuple[Floats, Triangles]:
     """Vertices in metres, shape (v, 3), and triangles, shape (t, 3), of a file.
 
-    A file that states its unit of length is converted, all others are taken to be in metres. Vertices may be
-    infinite or NaN, if the file says so; triangles are of vertices that are there.
+    A file that states its unit of length is converted; all others are assumed to be in metres. Vertices may be infinite
+    or NaN if the file contains such values; all indices belong to existing vertices.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is larger than `LIMIT`, or is anything else than one whole mesh of the format that
-        its suffix names.
+        If the file cannot be read, is larger than `LIMIT`, or is not one whole mesh of the format that its suffix
+        names.
     """
     name, suffix = shown(path), path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: `v` and `f` lines; groups, materials, normals and texture coordinates are passed over."""
+"""Wavefront OBJ: `v` and `f` lines; groups, materials, normals and texture coordinates are ignored."""
 
 import re
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _WIDTHS = (3, 4, 6, 7)
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans."""
+    """Vertices as stored; polygons become fans of triangles."""
     points: list[Floats] = []
     corners: list[Ints] = []
     sizes: list[Ints] = []

@@ -24,7 +24,7 @@ _COLOURS = (0, 1, 3, 4)
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans."""
+    """Vertices as stored; polygons become fans of triangles."""
     lines, numbers = data_lines(data, b"#")
     word = lines[0][0] if lines else b""
     expect(word in _WIDTHS, f"expected an OFF file, found one that begins with {quoted(word)}")

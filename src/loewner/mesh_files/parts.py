@@ -1,4 +1,4 @@
-"""What the readers of all formats share: how they refuse, numbers from text, polygons to triangles."""
+"""Shared code of the readers of all formats: refusals, numbers from text, polygons to triangles."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
@@ -17,7 +17,7 @@ MOST = 50_000_000
 
 
 class Refusal(Exception):
-    """A file that is not read, and why; the line where that shows, if it is known."""
+    """A refused file and the reason, with the line if it is known."""
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)
@@ -31,13 +31,13 @@ def expect(holds: object, message: str, line: int | None = None) -> None:
 
 
 def quoted(token: bytes | str) -> str:
-    """A piece of a file for a message: printable and short."""
+    """A part of a file for a message: printable and short."""
     text = token.decode("latin-1") if isinstance(token, bytes) else token
     return ascii(text if len(text) <= 40 else text[:40] + "...")
 
 
 def is_float(token: bytes) -> bool:
-    """Whether `floats` takes it: Python's grammar without the underscores."""
+    """Whether `floats` accepts it: Python's grammar without the underscores."""
     try:
         float(token)
     except ValueError:
@@ -46,12 +46,12 @@ def is_float(token: bytes) -> bool:
 
 
 def is_integer(token: bytes) -> bool:
-    """Whether `integers` takes it."""
+    """Whether `integers` accepts it."""
     return token.lstrip(b"+-").isdigit() and len(token) <= 19 and token.lstrip(b"+-") in (token, token[1:])
 
 
 def floats(tokens: Sequence[bytes]) -> Floats:
-    """Numbers of tokens, 1e400 being infinite; the first token that is none is refused."""
+    """Numbers of tokens, with 1e400 as infinity; the first token that is not a number is refused."""
     try:
         numbers = np.fromiter(map(float, tokens), dtype=np.float64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -63,7 +63,7 @@ def floats(tokens: Sequence[bytes]) -> Floats:
 
 
 def integers(tokens: Sequence[bytes]) -> Ints:
-    """Whole numbers of tokens; the first token that is none, or is absurdly large, is refused."""
+    """Whole numbers of tokens; the first token that is not one, or is absurdly large, is refused."""
     try:
         numbers = np.fromiter(map(int, tokens), dtype=np.int64, count=len(tokens))
         if b"_" not in b"".join(tokens):
@@ -75,7 +75,7 @@ def integers(tokens: Sequence[bytes]) -> Ints:
 
 
 def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], tokens: Sequence[bytes]) -> NDArray[T]:
-    """Convert the words of a line; a refusal gets its number."""
+    """Convert the words of a line; a refusal is given its number."""
     try:
         return convert(tokens)
     except Refusal as refusal:
@@ -83,7 +83,7 @@ def in_line(number: int, convert: Callable[[Sequence[bytes]], NDArray[T]], token
 
 
 def fans(corners: Ints, sizes: Ints) -> Triangles:
-    """Triangles of polygons, each a fan about its first corner; `corners` holds those of all, one after the other."""
+    """Triangles of polygons, each a fan about its first corner; `corners` has the corners of all, one after another."""
     count = sizes - 2
     expect(count.sum() <= MOST, f"expected at most {MOST} triangles, found {count.sum()}")
     first = np.repeat(np.cumsum(sizes) - sizes, count)
@@ -92,14 +92,15 @@ def fans(corners: Ints, sizes: Ints) -> Triangles:
 
 
 def strip(corners: Ints) -> Triangles:
-    """Triangles of a strip, all turned the same way as its first."""
+    """Triangles of a strip, all oriented like its first."""
     triangles = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
 
 
 def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles]:
-    """One mesh of several, those of the same vertices (the same array) sharing them; refused before it is too large."""
+    """One mesh of several; meshes with the same array of vertices share it. A mesh that would be too large is
+    refused."""
     vertices: list[Floats] = []
     triangles: list[Triangles] = []
     starts: dict[int, int] = {}  # of the arrays in `vertices`
@@ -119,7 +120,7 @@ def joined(parts: Iterable[tuple[Floats, Triangles]]) -> tuple[Floats, Triangles
 
 
 def placed(T: Floats, vertices: Floats, triangles: Triangles) -> tuple[Floats, Triangles]:
-    """A mesh moved by an affine map; a mirror would turn its triangles inside out, and they are turned back."""
+    """A mesh moved by an affine map; a mirror would turn its triangles inside out, so they are reversed."""
     if np.linalg.det(T[:3, :3]) < 0:
         triangles = triangles[:, ::-1]
     return vertices @ T[:3, :3].T + T[:3, 3], triangles
@@ -140,7 +141,7 @@ def plain_lines(data: bytes) -> list[bytes]:
 
 
 def data_lines(data: bytes, comment: bytes | None = None) -> tuple[list[list[bytes]], list[int]]:
-    """Words of all lines that have any, and the lines' numbers."""
+    """Words of all lines that have any, and the line numbers."""
     lines = plain_lines(data)
     if comment is not None and comment in data:
         lines = [line.partition(comment)[0] for line in lines]

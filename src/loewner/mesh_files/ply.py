@@ -73,7 +73,7 @@ class _Content:
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Vertices as stored; polygons become fans."""
+    """Vertices as stored; polygons become fans of triangles."""
     order, elements, start = _header(data)
     vertex = [e for e in elements if e.name == "vertex"]
     face = [e for e in elements if e.name == "face"]

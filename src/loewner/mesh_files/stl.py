@@ -1,4 +1,4 @@
-"""STL, binary and text: triangles, each with corners of its own."""
+"""STL, binary and text: triangles, each with its own corners."""
 
 import struct
 
@@ -23,7 +23,7 @@ _LINES = (
 
 
 def read(data: bytes) -> tuple[Floats, Triangles]:
-    """Three vertices for each triangle, in its order; what the file says of normals is not looked at."""
+    """Three vertices for each triangle, in its order; normals in the file are ignored."""
     count = struct.unpack("<I", data[80:84])[0] if len(data) >= HEADER else 0
     if len(data) >= HEADER and len(data) == HEADER + FACET * count:
         corners = np.frombuffer(data, _FACET, offset=HEADER)["corners"].astype(np.float64)

@@ -90,7 +90,7 @@ def pairs(experiment: Experiment) -> Sheet:
 
 
 def counts(experiment: Experiment) -> tuple[Sheet, ...]:
-    """The confusion matrices (a) and (b) of each detector beside the paper's, then those of the estimate."""
+    """The confusion matrices (a) and (b) of each detector beside the paper's, then the estimate's."""
     found = tables(experiment)
     return tuple(_matrices(whole, part) for whole, part in zip(found[::2], found[1::2], strict=True))
 

@@ -50,7 +50,7 @@ class Cell:
     name : str
     count : int
     share, low, high : float
-        Of the table's total, and its 95 % Wilson interval.
+        Share of the table's total, and its 95 % Wilson interval.
     paper_count : int or None
     paper_share : float
     """
@@ -131,12 +131,12 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
-    """Count the four exact classes of the pairs, and the p-value against those Table 3 implies.
+    """Count the four exact classes of the pairs, and compute the p-value against the counts implied by Table 3.
 
     Returns
     -------
     counts : tuple of int
-        In the order of `CLASSES`; the checks are those of the library's estimate, which are exact.
+        In the order of `CLASSES`; the checks are the estimate's own, which are exact.
     p_value : float
     """
     _expect_experiment(experiment)

@@ -1,7 +1,7 @@
-"""Which pairs of a robot and a scene can meet at all, and the arrays about them that the kernel walks through.
+"""The pairs of a robot and a scene that can meet at all, and their arrays, through which the kernel walks.
 
-Work that is the same for every query is done here, once: names, pairs, margins, balls about moving bodies, bounds and
-ellipsoids of static bodies in world coordinates.
+Work that is the same for every query is done here, once: names, pairs, margins, balls about moving bodies, and bounds
+and ellipsoids of static bodies in world coordinates.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class PreparedMotions(NamedTuple):
-    """What the kernel takes besides to prove motions.
+    """The additional input of the kernel that proves motions.
 
     Attributes
     ----------
     tables : MotionTables
     handle : int
-        Their arrays, for the kernel; good for as long as this lives.
+        Addresses of the arrays, for the kernel; valid as long as this object lives.
     memory : int
-        Bytes that the kernel works in.
+        Scratch bytes for the kernel.
     table : ndarray
-        What the handle points to.
+        The arrays to which the handle points.
     """
 
     tables: MotionTables
@@ -69,7 +69,7 @@ class PreparedMotions(NamedTuple):
 
 
 class OfMargin(NamedTuple):
-    """Pairs of one margin, as `loewner._settle.settle` takes them."""
+    """Pairs with the same margin, as `loewner._settle.settle` takes them."""
 
     margin: float
     at: Ints  # their places among all
@@ -79,31 +79,32 @@ class OfMargin(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CheckedPairs:
-    """The pairs to check, at one state of the scene, and what the kernel takes; made by `prepared`.
+    """The pairs to check, at one state of the scene, with the arrays for the kernel; made by `prepared`.
 
     Attributes
     ----------
     robot : Robot
     version, structure_version : int
-        Of the scene that this belongs to.
+        Versions of the scene to which this belongs.
     names : tuple of str
-        Of all bodies: those that move with links first, then those that stand in the world.
+        Names of all bodies: first the bodies that move with links, then the static ones.
     bodies : Bodies
-        The same, packed; what moves in the frame of its link.
+        The bodies in the same order, packed; moving bodies in the frame of their link.
     link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
         See `pack.problem_of`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Pairs that may be in contact where a motion starts, or ends: see `Scene.leave` and `Scene.reach`.
     hits : ndarray of int64, shape (pairs,)
-        Collisions found, by pair. Threads may lose each other's counts: these only choose the order of pairs.
+        Number of collisions found, by pair. Threads may lose each other's counts, which only determine the order of
+        pairs.
     handle : int
-        The arrays, for the kernel; good for as long as this lives.
+        Addresses of the arrays, for the kernel; valid as long as this object lives.
     memory : int
-        Bytes that the kernel writes to.
+        Scratch bytes to which the kernel writes.
     single : object
         Queries of one configuration or motion, see `loewner._native.singles`.
     taken : dict of int to Body
-        Bodies that were asked for alone, by number; see `body`.
+        Bodies that were requested separately, by index; see `body`.
     """
 
     robot: Robot
@@ -147,13 +148,13 @@ class CheckedPairs:
         object.__setattr__(self, "single", single)
 
     def body(self, number: int) -> Body:
-        """One of the bodies, packed alone when it is first asked for: a cloud takes milliseconds."""
+        """One of the bodies, packed separately when it is first requested: a cloud takes milliseconds."""
         if number not in self.taken:
             self.taken[number] = self.bodies[number]
         return self.taken[number]
 
     def only(self, pairs: Ints) -> CheckedPairs:
-        """Some of the pairs, by their numbers, with the same bodies."""
+        """A subset of the pairs, by index, with the same bodies."""
         chosen = replace(
             self, pairs=self.pairs[pairs], margins=self.margins[pairs], leaving=self.leaving[pairs],
             reaching=self.reaching[pairs], order=np.arange(len(pairs)), hits=np.zeros(len(pairs), dtype=np.int64),
@@ -163,7 +164,7 @@ class CheckedPairs:
         return chosen
 
     def ordered(self) -> CheckedPairs:
-        """The same with the pairs that hit most often first."""
+        """A copy in which the pairs that hit most often come first."""
         ordered = replace(self, order=np.argsort(-self.hits, kind="stable"))
         for name in ("motions", "in_parts"):  # which have an order of their own
             if name in vars(self) and vars(self)[name] is not self:
@@ -171,14 +172,14 @@ class CheckedPairs:
         return ordered
 
     def placed(self, scene: Scene, version: int) -> CheckedPairs:
-        """The same with the bodies that stand still where the scene has them now.
+        """A copy with the static bodies at their current poses in the scene.
 
         Parameters
         ----------
         scene : Scene
-            With the bodies and rules that this was prepared from.
+            With the bodies and rules from which this was prepared.
         version : int
-            The scene's, read before anything else of it was.
+            The scene's version, read before anything else of it.
         """
         placed = self._placed(scene.static_poses, version)
         if "in_parts" in vars(self) and self.in_parts is not self:
@@ -199,22 +200,22 @@ class CheckedPairs:
 
     @kept
     def memory_of_nearest(self) -> int:
-        """Bytes that distances write to."""
+        """Scratch bytes for distances."""
         return int(entries.memory_of_nearest(self.bodies._packed.handle, self.handle, self.robot.dof))
 
     @kept
     def memory_of_clearances(self) -> int:
-        """Bytes that smooth clearances write to."""
+        """Scratch bytes for smooth clearances."""
         return int(entries.memory_of_clearances(self.bodies._packed.handle, self.handle, self.robot.dof))
 
     @kept
     def in_parts(self) -> CheckedPairs:
-        """The same for proofs of motions, with surfaces that stand in parts; made when it is first needed.
+        """A copy for proofs of motions, with static surfaces in parts; made when it is first needed.
 
-        What stands is in the world, or moves with a link that is fixed to the root.
+        Static bodies are in the world or attached to links that are fixed to the root.
 
-        Parts of a solid are of its surface: a motion that is free of them is free if it is free at its start, for what
-        begins outside gets inside only through the surface. `starts_matter` says whether there is any.
+        Parts of a solid cover only its surface: a motion that is free of them is free if it is free at its start, since
+        a body outside can only enter through the surface. `starts_matter` is true if there are such parts.
         """
         packed = in_parts(self.bodies._packed, self._stand)
         if packed is self.bodies._packed:
@@ -239,7 +240,7 @@ class CheckedPairs:
 
     @kept
     def by_margin(self) -> list[OfMargin]:
-        """All pairs, by their margins."""
+        """All pairs, grouped by margin."""
         found = []
         for margin in np.unique(self.margins).tolist():
             at = np.flatnonzero(self.margins == margin)
@@ -249,12 +250,12 @@ class CheckedPairs:
 
     @kept
     def ruled(self) -> Ints:
-        """Numbers of the pairs that may be in contact where a motion starts or ends."""
+        """Indices of the pairs that may be in contact where a motion starts or ends."""
         return np.flatnonzero(self.leaving | self.reaching)
 
     @kept
     def unruled(self) -> CheckedPairs:
-        """The same without these."""
+        """A copy without these pairs."""
         return self.only(np.flatnonzero(~(self.leaving | self.reaching)))
 
     @property
@@ -266,7 +267,7 @@ class CheckedPairs:
 
     @kept
     def motions(self) -> PreparedMotions:
-        """What certifying motions takes besides; made when it is first needed."""
+        """The additional data for certifying motions; made when it is first needed."""
         packed = self.bodies._packed
         start = packed.piece_start[len(self.link) :]
         rows = [
@@ -282,7 +283,7 @@ class CheckedPairs:
         return PreparedMotions(tables, table.ctypes.data, memory, table)
 
     def fingerprint(self) -> str:
-        """A checksum of all that a verdict depends on: the tree of joints, the bodies, which pairs, margins, poses."""
+        """A checksum of everything on which a verdict depends: joint tree, bodies, pairs, margins, poses."""
         arrays = {
             **self.robot.tree._asdict(), **arrays_of(self.bodies._packed), "link": self.link, "pairs": self.pairs,
             "margins": self.margins, "standing_poses": self.standing_poses,
@@ -299,7 +300,7 @@ class CheckedPairs:
         )
 
     def poses_in_turn(self, Q: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield the poses of all bodies for some configurations at a time, with the number of the first of these."""
+        """Yield the poses of all bodies for blocks of configurations, with the index of the first configuration."""
         each = max(1, min(IN_TURN, POSES_AT_ONCE // max(1, len(self.names))))
         for first in range(0, len(Q), each):
             yield first, self.poses(Q[first : first + each])
@@ -313,9 +314,9 @@ def prepared(robot: Robot, scene: Scene, skipped: Iterable[Pair], version: int) 
     robot : Robot
     scene : Scene
     skipped : iterable of pairs of str
-        Links that may touch, in addition to what the scene allows.
+        Links that may touch, in addition to the pairs that the scene allows.
     version : int
-        The scene's, read before anything else of it was.
+        The scene's version, read before anything else of it.
 
     Raises
     ------
@@ -346,15 +347,15 @@ def arranged(
     leaving: Bools,
     reaching: Bools,
 ) -> CheckedPairs:
-    """Pairs of bodies, those that move first; those that stand are not placed yet.
+    """Pairs of bodies, the moving ones first; static ones are not placed yet.
 
     Parameters
     ----------
     robot : Robot
     versions : tuple of 2 int
-        The scene's version and its structure's.
+        The scene's version and structure version.
     names, bodies, link, pairs, margins, leaving, reaching
-        As of `CheckedPairs`.
+        As in `CheckedPairs`.
     """
     start = bodies._packed.piece_start[len(link) :]
     count = len(start) - 1

@@ -403,7 +403,7 @@ class CollisionChecker:
         >>> scene = Scene()
         >>> scene.add("post", Body.box([0.2, 0.2, 0.2]), [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
         >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"), scene)
-        >>> path = [[0.0, 1.57], [0.4, 1.57], [0.5, 0.5]]
+        >>> path = [[0.0, 1.57], [1.0, 1.57], [2.0, 1.57]]
         >>> found = checker.certify_trajectory(CubicSpline([0.0, 1.0, 2.0], path))
         >>> print(found.verdict, found.names)
         COLLIDING ('cart', 'post')

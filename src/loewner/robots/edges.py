@@ -1,6 +1,6 @@
 """Motions as rows of their ends; and the samples of a motion in order: its ends, its middle, then ever finer.
 
-In that order collisions tend to be found early.
+Collisions tend to be found early in this order.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ def steps(lengths: float, step: float) -> int: ...
 @overload
 def steps(lengths: Floats, step: float) -> Ints: ...
 def steps(lengths: float | Floats, step: float) -> int | Ints:
-    """How many steps no longer than `step` edges of these lengths are divided into.
+    """Number of steps no longer than `step` into which edges of these lengths are divided.
 
     Raises
     ------
     InputError
-        If they are more than `MOST_STEPS`.
+        If there are more than `MOST_STEPS`.
     """
     longest = float(np.max(lengths, initial=0.0)) if isinstance(lengths, np.ndarray) else lengths
     if not longest / step <= MOST_STEPS:
@@ -53,21 +53,21 @@ def steps(lengths: float | Floats, step: float) -> int | Ints:
 
 
 def nearly_whole(quotients: Floats) -> Ints:
-    """Places of quotients that rounding may put on either side of a whole number, or that overflowed."""
+    """Indices of quotients that rounding may put on either side of a whole number, or that overflowed."""
     with np.errstate(invalid="ignore"):
         far = np.abs(quotients - np.rint(quotients)) > NEARLY_WHOLE * (1.0 + quotients)
     return np.flatnonzero(~far)
 
 
 def rounds(parts: Ints, valid: NDArray[np.bool_]) -> Iterator[tuple[Ints, Floats]]:
-    """Yield which edges to check where, as fractions of their way, coarsely first; an edge not `valid` is left out.
+    """Yield which edges to check at which fractions, coarsely first; an edge that is not `valid` is skipped.
 
     Parameters
     ----------
     parts : ndarray of int64
-        How many steps each edge is divided into.
+        Number of steps into which each edge is divided.
     valid : ndarray of bool
-        May change between two rounds.
+        It may change between two rounds.
     """
     done, more = 0, max(2, AT_LEAST // max(1, len(parts)))
     while True:
@@ -108,5 +108,5 @@ def ends(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ..
 
 
 def flat(Q: Floats) -> Floats:
-    """All configurations in one column; also of a robot without joints, for which NumPy cannot infer a length of -1."""
+    """All configurations in one column; this also works for a robot without joints, where NumPy cannot infer -1."""
     return Q.reshape(math.prod(Q.shape[:-1]), Q.shape[-1])

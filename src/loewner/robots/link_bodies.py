@@ -1,4 +1,4 @@
-"""From the collision shapes of a URDF to bodies in the frames of their links; fits of meshes are kept on disk."""
+"""Bodies in the frames of their links, from the collision shapes of a URDF; fits of meshes are kept on disk."""
 
 from __future__ import annotations
 
@@ -77,26 +77,26 @@ def link_bodies(
     package_dirs : iterable of path
         Folders of packages, or packages themselves.
     model : str
-        What a mesh becomes, one of `MODELS`.
+        Representation of a mesh, one of `MODELS`.
     tol : float
-        As of `Body.from_mesh`.
+        As for `Body.from_mesh`.
     cache : bool
-        Whether to keep the fits of meshes on disk, and to use those kept there.
+        Whether to keep the fits of meshes on disk and reuse them.
     progress : callable, optional
         Called as ``progress(done, total)`` after each shape.
 
     Raises
     ------
     FileError
-        If a mesh cannot be found or read, and the message names the link and where it was looked for; or if one of
-        `package_dirs` is no folder.
+        If a mesh cannot be found or read (the message names the link and the places that were searched), or if one of
+        `package_dirs` is not a folder.
     GeometryError
         If a mesh is flat or empty.
 
     Warns
     -----
     UserWarning
-        If a body seems not to be in metres; once.
+        If a body is probably not in metres; given once.
     """
     folders = list(package_dirs)
     for folder in folders:
@@ -160,13 +160,13 @@ def _body(
 
 
 def primitive(shape: Shape) -> Body:
-    """Body of a shape that is no mesh, where it stands in its link."""
+    """Body of a shape that is not a mesh, at its pose in the link."""
     body = _PRIMITIVES[shape.kind](*shape.sizes)
     return body if np.array_equal(shape.origin, np.eye(4)) else body.transformed(shape.origin)
 
 
 def placed_mesh(file: Path, shape: Shape) -> tuple[Floats, meshes.Triangles]:
-    """Vertices and triangles of a mesh, where it stands in its link."""
+    """Vertices and triangles of a mesh, at its pose in the link."""
     vertices, triangles = meshes.load(file)
     if shape.scale.prod() < 0:  # mirrored: inside out without this
         triangles = triangles[:, ::-1]
@@ -225,7 +225,7 @@ def _union(parts: list[Body]) -> Body:
 
 
 def mesh_file(shape: Shape, link: str, urdf: Path, folders: Sequence[str | os.PathLike[str]]) -> Path:
-    """Find the file that a URDF means."""
+    """Find a file that a URDF names."""
     looked = list(dict.fromkeys(_candidates(shape.file_name, urdf, folders)))
     for path in looked:
         if os.path.isfile(path):  # Path.is_file raises where a name is too long, or no name at all

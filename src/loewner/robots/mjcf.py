@@ -1,4 +1,4 @@
-"""Models of MuJoCo as trees of links and joints."""
+"""MuJoCo models as trees of links and joints."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ KINDS = {"slide": "prismatic", "ball": "ball", "free": "floating"}
 def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
     """Links and joints of a model, and the bodies of the links.
 
-    Each body is a link, in its own frame. A body has a chain of links without bodies above it if several joints move
-    it, or one whose anchor is not its origin. Each further part of it is a link that is fixed to it.
+    Each body is a link, in its own frame. If several joints move a body, or its anchor is not its origin, a chain of
+    links without bodies is above it. Each further part of a body is a link that is fixed to it.
     """
     above: dict[str, Joint] = {}
     joints: dict[str, Joint] = {}
@@ -50,7 +50,7 @@ def description_of(model: MjcfModel) -> tuple[Description, dict[str, Body]]:
 
 
 def semantics_of(model: MjcfModel, robot: Description) -> Semantics:
-    """Keyframes as states, and all pairs of links that MuJoCo leaves out as disabled."""
+    """Keyframes as states, and all pairs of links that MuJoCo skips as disabled."""
     states = {}
     for name, qpos in model.keyframes.items():
         state: State = ("", {})

@@ -1,8 +1,9 @@
-"""How far bodies get from the joints that turn them: what the proof of a motion takes from a robot and a scene.
+"""Distances of bodies from the joints that turn them: the input of the proof of a motion from robot and scene.
 
-A ball about a body is followed along the tree of joints, from the joint next to the body on: a joint that turns sweeps
-it around its axis, and the ball about all that is swept goes on to the next one. Sliding joints stand at 0 here; what
-they travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md, "Motions".
+A ball about a body is carried along the tree of joints, starting with the joint next to the body: a joint that turns
+sweeps it around its axis, and the ball about the swept region continues to the next joint. Sliding joints are at 0
+here; their travel is added for each motion (`loewner._kernels.robots.motion_bounds`). Derived in docs/certified.md,
+"Motions".
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ ANGLES = np.arange(8) * (np.pi / 4)
 def motion_tables(
     tree: Tree, packed: Packed, link: Ints, balls: Floats, pairs: Ints, standing: Floats, poses: Floats, rows: Floats
 ) -> MotionTables:
-    """Prepare what `entries.certify_motions` takes besides the checked pairs.
+    """Prepare the additional input of `entries.certify_motions` beside the checked pairs.
 
     Parameters
     ----------
     tree : Tree
     packed : Packed
-        Pieces of all bodies, those that move first.
+        Pieces of all bodies, the moving ones first.
     link, balls, pairs
-        As of `CheckedPairs`.
+        As in `CheckedPairs`.
     standing : ndarray, shape (bodies, BOUNDS)
-        Bounds of what stands.
+        Bounds of the static bodies.
     poses : ndarray, shape (bodies, 16)
-        Where it stands.
+        Poses of the static bodies.
     rows : ndarray, shape (pieces, HOT)
-        Its ellipsoids in world coordinates.
+        Their ellipsoids in world coordinates.
     """
     start, links = _paths(tree)
     moving = _reaches(tree, link, balls[:, :3], balls[:, 3])

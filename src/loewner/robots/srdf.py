@@ -35,7 +35,7 @@ State = tuple[str, dict[str, float | tuple[float, ...]]]
 
 @dataclass(frozen=True, eq=False)
 class Semantics:
-    """What an SRDF adds.
+    """The contents of an SRDF.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Semantics:
     states : dict
         State name to (group, {driven joint: value or tuple of values}).
     disabled_pairs : frozenset
-        Sorted pairs of links that are not to be checked.
+        Sorted pairs of links that need no check.
     """
 
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -105,23 +105,23 @@ class _Names:
 def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     """Read an SRDF file for a robot.
 
-    Read are groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
-    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` puts the base somewhere), and
-    what programs add of their own (grippers, rotors, ...) is left alone.
+    It reads groups, group states and the rules on pairs: ``disable_collisions``, ``enable_collisions`` and
+    ``disable_default_collisions``. Virtual joints have no values here (`Robot.placed` places the base), and elements
+    that other programs add (grippers, rotors, ...) are ignored.
 
     Raises
     ------
     FileError, InputError
         As `read_urdf`.
     UnknownNameError
-        If next to none of the links and joints that it names are this robot's.
+        If hardly any of the links and joints that it names belong to this robot.
 
     Warns
     -----
     UserWarning
-        If some are not (an SRDF is often shared with a bigger variant of the robot), or a group is named that is
-        nowhere in the file; if it names nothing of this robot at all, if it is said to be for a robot of another name,
-        or if it has elements that no SRDF has.
+        If some do not (an SRDF is often shared with a larger variant of the robot), or a group is named that is not in
+        the file; if it names nothing of this robot, if it is for a robot of another name, or if it has elements that
+        are not defined in SRDF.
     """
     root = read_xml(path, "an SRDF")
     urdf = next((c for c in root.children if c.tag in ("link", "joint")), None)

@@ -1,4 +1,4 @@
-"""What the joint tree of a robot is to kernels, and which of its links are neighbours."""
+"""The joint tree of a robot in the form that kernels take, and which of its links are neighbours."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def columns_of(robot: Description) -> tuple[dict[str, slice], int]:
 def adjacent_pairs(robot: Description) -> frozenset[Pair]:
     """Pairs of links with shapes that a joint joins, or a path over links without shapes with at most one moving joint.
 
-    MoveIt's setup assistant lets such a path have any number of moving joints. But what two joints move against each
-    other may well collide, and a pair that nobody checks is never found.
+    MoveIt's setup assistant allows any number of moving joints on such a path. But links separated by two moving joints
+    may well collide, and a pair that is not checked is never found.
     """
     # Links without shapes that are rigidly joined are one place, named by its topmost link. Around each place are the
     # links with shapes that fixed joints, and those that moving joints lead to.

@@ -54,17 +54,17 @@ class Shape:
     Attributes
     ----------
     kind : str
-        "mesh", "box", "sphere", "cylinder" or "capsule" (along z; its length is that of the straight part).
+        "mesh", "box", "sphere", "cylinder" or "capsule" (along z; its length is the length of the straight part).
     sizes : tuple of float
         Edge lengths of a box; radius; radius and length. In metres; empty for meshes.
     file_name : str
-        As the URDF gives it; empty for the others.
+        As given in the URDF; empty for the others.
     scale : ndarray, shape (3,)
-        Of a mesh, along its own axes; negative entries mirror.
+        For a mesh, along its own axes; negative entries mirror.
     origin : ndarray, shape (4, 4)
         Pose in the link.
     line : int
-        Of the URDF.
+        Line in the URDF.
     """
 
     kind: str
@@ -88,8 +88,8 @@ class Mimic:
 class Joint:
     """A joint; `kind` is URDF's type, `axis` (unit vector) and `origin` (4, 4) are in the frames of URDF.
 
-    `velocity` is the fastest that its value changes [rad/s or m/s]; NaN where the URDF gives nothing above 0. The child
-    is at `origin` where the value is `reference`.
+    `velocity` is the largest rate of its value [rad/s or m/s]; NaN where the URDF gives nothing above 0. The child is
+    at `origin` where the value is `reference`.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What a URDF says, checked to be a tree.
+    """The contents of a URDF, checked to be a tree.
 
     Attributes
     ----------
@@ -117,9 +117,9 @@ class Description:
     shapes : dict
         Link name to its collision shapes, for all links; parents before children, siblings as in the file.
     joints : dict
-        Joint name to joint, as in the file. No joint mimics one that mimics another: such chains are resolved.
+        Joint name to joint, as in the file. No joint mimics another mimic joint: such chains are resolved.
     joint_above : dict
-        Link name to the joint it hangs on, for all links but the root.
+        Link name to the joint above it, for all links except the root.
     only_visual : tuple of str
         Links with visual geometry and no collision shapes.
     """
@@ -138,14 +138,14 @@ class Description:
 
 
 def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Description:
-    """Read a URDF file, or a text as if it were that file's.
+    """Read a URDF file, or a text as if it were the contents of that file.
 
     Raises
     ------
     FileError
-        If there is no such file, or it is no XML or no URDF.
+        If the file does not exist, or is not XML or not a URDF.
     InputError
-        If `path` is no path, if the links and joints are no tree, or a joint is not well defined.
+        If `path` is not a path, if the links and joints do not form a tree, or a joint is not well defined.
     GeometryError
         If a shape has no size, or a negative one.
     UnknownNameError
@@ -154,7 +154,7 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
     Warns
     -----
     UserWarning
-        If a joint mimics one that does not exist, or the angles of an origin seem to be in degrees.
+        If a joint mimics one that does not exist, or the angles of an origin are probably in degrees.
     """
     root = read_xml(path, "a URDF", text)
     links = by_name(root.all("link"))
@@ -183,19 +183,19 @@ def read_urdf(path: str | os.PathLike[str], text: str | None = None) -> Descript
 
 
 def read_visuals(path: Path, text: str | None) -> tuple[dict[str, list[Shape]], list[str]]:
-    """Read what the links of a URDF look like, from a file or from the text that was one.
+    """Read the visual geometry of a URDF's links, from a file or from its text.
 
     Returns
     -------
     shapes : dict
         Link name to its visual shapes, for links that have any.
     faults : list of str
-        What is wrong with those that are left out: a look decides nothing, so that a broken one is no error.
+        The faults of omitted shapes: visual geometry affects no query, so a broken shape is not an error.
 
     Raises
     ------
     FileError, InputError
-        If there is no such file, or it is no URDF.
+        If the file does not exist, or is not a URDF.
     """
     shapes: dict[str, list[Shape]] = {}
     faults = []

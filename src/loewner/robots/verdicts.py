@@ -210,7 +210,7 @@ def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
 
 
 def lengths(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Floats:
-    """Lengths of motions, each as if it were alone where the last bit decides the number of its steps."""
+    """Lengths of motions; where the last bit decides the number of steps, computed as if each motion were alone."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):

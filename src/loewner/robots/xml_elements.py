@@ -1,7 +1,7 @@
 """Elements of robot descriptions in XML, with their lines, which the errors name.
 
-The reader is the standard library's: it knows the line of every element, and reads nothing that is not asked for
-(materials, sensors and transmissions are left alone, broken or not).
+The standard library's reader is used: it records the line of every element, and elements that are not needed
+(materials, sensors and transmissions) are ignored, even if broken.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LISTED = 30
 
 @dataclass(eq=False)
 class Element:
-    """An element, what is in it, and where it is."""
+    """An element, its contents, and its position."""
 
     tag: str
     attributes: dict[str, str]
@@ -46,7 +46,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Children of that tag."""
+        """Children with this tag."""
         return (c for c in self.children if c.tag == tag)
 
     def first(self, tag: str) -> Element | None:
@@ -54,21 +54,21 @@ class Element:
         return next(self.all(tag), None)
 
     def the(self, tag: str) -> Element:
-        """The first of them, which there has to be."""
+        """The first of them, which must exist."""
         found = self.first(tag)
         if found is None:
             self.fault(f"a <{tag}> in <{self.tag}>", "none")
         return found
 
     def text(self, attribute: str) -> str:
-        """An attribute that has to be there, and not empty."""
+        """An attribute that must exist and not be empty."""
         found = self.attributes.get(attribute, "").strip()
         if not found:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
         return found
 
     def numbers(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """As many numbers as there have to be in an attribute; infinite ones are numbers, NaN is none."""
+        """The required number of numbers in an attribute; infinity is a number, NaN is not."""
         text = self.attributes.get(attribute, default)
         if text is None:
             self.fault(f"an attribute {attribute!r} of <{self.tag}>", "none")
@@ -81,7 +81,7 @@ class Element:
         return values
 
     def finite(self, attribute: str, count: int, default: str | None = None) -> list[float]:
-        """The same, none of them beyond `LARGEST`."""
+        """The same numbers, none of them beyond `LARGEST`."""
         values = self.numbers(attribute, count, default)
         if not all(abs(v) <= LARGEST for v in values):
             found = cut(self.attributes[attribute])
@@ -89,12 +89,12 @@ class Element:
         return values
 
     def fault(self, expected: str, found: str, kind: type[Exception] = InputError) -> NoReturn:
-        """Refuse the file, and say where."""
+        """Refuse the file, with the position."""
         raise kind(f"{self.path}, line {self.line}: expected {expected}, found {found}")
 
 
 def read_xml(path: str | os.PathLike[str], what: str, text: str | None = None) -> Element:
-    """Root element of a robot description: of a file, or of a text, which messages then call by the path."""
+    """Root element of a robot description: of a file, or of a text, to which messages refer by the path."""
     if isinstance(path, str) and path.lstrip().startswith("<"):
         raise InputError(f"expected a path to {what}, found XML text{ITS_TEXT.get(what, '; write it to a file first')}")
     path = _validate.path(path, "path", wanted=f"a path to {what}")
@@ -150,7 +150,7 @@ def _bytes_of(text: str, what: str) -> bytes:
 
 
 def by_name(elements: Iterable[Element]) -> dict[str, Element]:
-    """Elements by their names, each of which may come once."""
+    """Elements by name, each of which may occur once."""
     named: dict[str, Element] = {}
     for element in elements:
         name = element.text("name")
@@ -161,13 +161,13 @@ def by_name(elements: Iterable[Element]) -> dict[str, Element]:
 
 
 def known(names: Iterable[str]) -> str:
-    """Names for people."""
+    """Names for messages."""
     listed = some(sorted(names))
     return f"known are {listed}" if listed else "there are none"
 
 
 def some(names: Iterable[str]) -> str:
-    """Names for people, each once, as many as one would read."""
+    """Names for messages, each once, shortened to a readable number."""
     once = list(dict.fromkeys(names))
     more = f", and {len(once) - LISTED} more" if len(once) > LISTED else ""
     return ", ".join(once[:LISTED]) + more

@@ -1,4 +1,4 @@
-"""Models of MuJoCo as scenes: bodies that stand where the model says."""
+"""MuJoCo models as scenes: static bodies at their poses in the model."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ MJCF_SUFFIXES = (".xml", ".mjcf")
 
 
 def mjcf_scene(file: Path) -> Scene:
-    """All that collides in a model, joints at their references; what MuJoCo does not collide may touch."""
+    """All colliding geoms of a model, joints at their references; pairs that MuJoCo does not collide may touch."""
     model, scene = read_mjcf(file, DEFAULT_TOLERANCE), Scene()
     for body in model.bodies:
         for part in body.parts:

@@ -1,7 +1,7 @@
-"""Places in a file of nested mappings and sequences: what they have to hold, and how to speak of them.
+"""Places in a file of nested mappings and sequences: their expected contents, and their names in messages.
 
-A file is read whole or refused: an obstacle that is skipped is one that a robot drives into. So every key must be
-known, and every fault is named with its place.
+A file is read whole or refused: a robot would drive into an obstacle that was skipped. So every key must be known, and
+every fault is reported with its place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DEEPEST = 50
 
 @dataclass(frozen=True)
 class Node(ABC):
-    """A place in a file; each format says how its plain values are read.
+    """A place in a file; each format defines how its plain values are read.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Node(ABC):
     key : str
         The keys that lead here, joined by "/"; empty at the top.
     raw : object
-        What the format's reader made of the place.
+        The value of the place as the format's reader returned it.
     """
 
     file: Path
@@ -43,15 +43,15 @@ class Node(ABC):
     @property
     @abstractmethod
     def line(self) -> int | None:
-        """Where it begins, if the reader knows."""
+        """Line where it begins, if the reader records it."""
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
-        """What the place holds if it is of that kind: pairs of a mapping, entries of a sequence, value of a scalar."""
+        """Content of the place if of the expected kind: mapping pairs, sequence entries, or a scalar's value."""
 
     @abstractmethod
     def described(self) -> str:
-        """What the place holds, for messages."""
+        """Description of the content, for messages."""
 
     @abstractmethod
     def text(self) -> str:
@@ -72,14 +72,14 @@ class Node(ABC):
 
     @contextmanager
     def blamed(self) -> Iterator[None]:
-        """Say where in the file it is that something is wrong with what it says."""
+        """Add the place in the file to errors about its contents."""
         try:
             yield
         except (InputError, FileError) as error:
             raise self.error(str(error)) from None
 
     def mapping(self, known: tuple[str, ...] | None, required: tuple[str, ...] = ()) -> dict[str, Self]:
-        """Places by key; keys that are not known (None: all are), missing or there twice are errors."""
+        """Places by key; unknown keys (None: all are known), missing keys and duplicate keys are errors."""
         found: dict[str, Self] = {}
         for raw_key, raw in self.expect("mapping", "a mapping"):
             at_key = type(self)(self.file, self.key, raw_key)
@@ -103,29 +103,29 @@ class Node(ABC):
         return [type(self)(self.file, f"{self.key}[{i}]", raw) for i, raw in enumerate(entries)]
 
     def finite(self, number: float) -> float:
-        """A number read here, which has to be finite; NaN if none could be read."""
+        """A number read here, which must be finite; NaN if none could be read."""
         if not math.isfinite(number):
             raise self.error(f"expected a finite number, found {self.described()}")
         return number
 
     def length(self) -> float:
-        """A number of metres, not negative."""
+        """A length in metres, not negative."""
         number = self.number()
         if number < 0:
             raise self.error(f"expected a number of metres >= 0, found {number:g}")
         return number
 
     def numbers(self, length: int) -> list[float]:
-        """So many finite numbers."""
+        """A given number of finite numbers."""
         return [item.number() for item in self.items(length)]
 
     def rows(self, length: int) -> list[list[float]]:
-        """Any number of rows of so many finite numbers."""
+        """Any number of rows with a given number of finite numbers."""
         return [row.numbers(length) for row in self.items()]
 
 
 def some(names: Iterable[str]) -> str:
-    """Names for people, as many as one would read."""
+    """Names for messages, shortened to a readable number."""
     listed = list(names)
     more = f", and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
     return ", ".join(map(cut, listed[:LISTED])) + more

@@ -1,4 +1,4 @@
-"""Shapes of scene files that sensors see: point clouds, voxels, terrain, and unions of balls and boxes."""
+"""Shapes of scene files for sensor data: point clouds, voxels, terrain, and unions of balls and boxes."""
 
 from __future__ import annotations
 
@@ -88,12 +88,12 @@ def read_array(path: Path) -> Any:
     Parameters
     ----------
     path : Path
-        In `.csv` files commas divide the numbers; in the others spaces may instead.
+        In `.csv` files commas separate the numbers; in the others spaces may instead.
 
     Raises
     ------
     FileError
-        If the file is missing, too large or something else, or a number is missing in it.
+        If the file is missing, too large or of another kind, or a number is missing in it.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npy", ".xyz", ".txt", ".csv"):

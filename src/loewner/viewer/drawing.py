@@ -1,7 +1,7 @@
 """Bodies as the page draws them: original mesh, pieces and ellipsoids, each sent once, when it is first shown.
 
-Most pieces are triangles, all of a body in one node. Those of point clouds are points, and many balls or ellipsoids
-are copies of one ball: as triangles, ten thousand of them would be millions.
+Most pieces are triangles, all of a body in one node. Point clouds are points, and many balls or ellipsoids are copies
+of one ball: as triangles, ten thousand of them would be millions.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ AMBIENT = 1.2
 
 
 def add_mesh(scene: Any, name: str, mesh: Mesh, **look: Any) -> Any:
-    """Add triangles to the page's scene, with no shadows: they would cost a second drawing of everything."""
+    """Add triangles to the page's scene, without shadows, which would require a second drawing of everything."""
     vertices, triangles = mesh
     return scene.add_mesh_simple(
         name, vertices.astype(np.float32), triangles.astype(np.uint32), cast_shadow=False, receive_shadow=False, **look
@@ -99,7 +99,7 @@ class Points:
     radius: float
 
     def add(self, scene: Any, name: str, look: dict[str, Any]) -> Any:
-        """Add them to the page's scene; a point of a given size has it as its radius there."""
+        """Add them to the page's scene, where the size of a point is its radius."""
         return scene.add_point_cloud(
             name, self.points.astype(np.float32), look["color"], point_size=self.radius, point_shape="circle",
             precision="float32",
@@ -144,15 +144,15 @@ class Drawing:
     scene
         The scene of viser's server.
     parent : str
-        Name of the node that carries the body's pose.
+        Name of the node that has the body's pose.
     body : Body
     colour : tuple of int
-        Of pieces and mesh.
+        Colour of pieces and mesh.
     shown : dict
-        Which layers show, by their names.
+        Which layers are visible, by name.
     mesh : callable, optional
-        Gives the triangles that the body was made from, in its frame, or None where there are none; asked when they
-        are first to be shown. A body without a mesh shows its pieces instead: it must not vanish from the page.
+        Returns the triangles from which the body was made, in its frame, or None if there are none; called when they
+        are first shown. A body without a mesh shows its pieces instead, so it does not vanish from the page.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class Drawing:
         return spanned(part.box(T) for part in self._pieces)
 
     def show(self, shown: dict[str, bool]) -> None:
-        """Switch layers on and off; pieces let what is inside them shine through."""
+        """Switch layers on and off; pieces become transparent for the layers inside them."""
         wanted = {layer for layer in LABELS if shown.get(layer, False)}
         if "meshes" in wanted and not self._made("meshes"):
             wanted = wanted - {"meshes"} | {"pieces"}
@@ -202,7 +202,7 @@ class Drawing:
                 self._nodes[name].opacity = PIECE_OPACITY if wanted & {"meshes", "inner"} else None
 
     def on_click(self, callback: Any) -> None:
-        """Call back when the body is clicked."""
+        """Register a callback for clicks on the body."""
         self._callback = callback
         for node in self._nodes.values():
             self._listen(node)
@@ -240,7 +240,7 @@ class Drawing:
 
 
 class NearPoints:
-    """Two points, and the line between them: where two bodies are nearest, or deepest in each other."""
+    """Two points, and the line between them: the points where two bodies are nearest, or deepest in each other."""
 
     def __init__(self, scene: Any, size: float) -> None:
         dot = size / 120
@@ -255,7 +255,7 @@ class NearPoints:
         self._line.points, self._line.visible = np.array([[a, b]], dtype=np.float32), True
 
     def hide(self) -> None:
-        """Show none."""
+        """Hide them."""
         for node in (*self._dots, self._line):
             node.visible = False
 
@@ -279,7 +279,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 
 def parts(body: Body) -> list[Part]:
-    """What draws the pieces of a body: triangles in one, the points of each cloud, and balls that are many."""
+    """Shapes that draw a body's pieces: all triangles as one, the points of each cloud, and large sets of balls."""
     packed = body._packed
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
@@ -308,7 +308,7 @@ def _is_cloud(packed: Packed, number: int) -> bool:
 
 
 def outlines(body: Body, which: str) -> list[Part]:
-    """What draws all inner, or all outer, ellipsoids of a body; none of inner ones that are points."""
+    """Shapes that draw all inner, or all outer, ellipsoids of a body; inner ones that are points are omitted."""
     centers, factors = ellipsoids_of(body._packed, which)
     if len(centers) > MANY_PIECES:
         drawn = factors.any(axis=(1, 2))
@@ -323,7 +323,7 @@ def pieces(body: Body) -> Mesh:
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
-    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; none of inner ones that are points."""
+    """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; points are omitted."""
     return joined(of_ellipsoids(body._packed, which).values())
 
 
@@ -339,7 +339,7 @@ def place(node: Any, T: Floats) -> None:
 
 
 def light(scene: Any) -> None:
-    """Light the scene by lamps alone: surroundings mirrored in all surfaces would double the cost of drawing."""
+    """Light the scene with lamps only: reflections of the surroundings would double the cost of drawing."""
     scene.configure_environment_map(None)
     scene.configure_default_lights(cast_shadow=False)
     scene.add_light_ambient("/light", intensity=AMBIENT)

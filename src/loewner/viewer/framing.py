@@ -1,4 +1,4 @@
-"""Where the camera starts, and the grid on the ground: both follow the size of what is shown."""
+"""The camera's first view, and the grid on the ground: both follow the size of the scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ON_GROUND = 0.1
 
 
 def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
-    """Box of what the camera has to see: the main thing, and what is near it and not much larger.
+    """Box of the camera's view: the main object, and the objects near it that are not much larger.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def framed(main: Floats, others: Iterable[Floats], most: float) -> Floats:
         Lowest and highest corner.
     others : iterable of ndarray, shape (2, 3)
     most : float
-        A box is left out, such as that of a floor, if it makes the diagonal more than so many times as long.
+        A box is omitted, such as a floor's, if it makes the diagonal more than this many times as long.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def diagonal(box: Floats) -> float:
 
 
 def aim(server: Any, box: Floats) -> None:
-    """Let the camera start where it sees a box, from the front, the right and above, left of the panel."""
+    """Let the camera start with a view of a box, from the front, the right and above, left of the panel."""
     size = diagonal(box)
     middle = box.mean(axis=0) + 0.12 * size * np.array([0.84, 0.54, 0.0])
     server.initial_camera.look_at = middle
@@ -52,9 +52,9 @@ def aim(server: Any, box: Floats) -> None:
 
 
 def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
-    """Add a grid below what is shown, and give the edge of its cells [m].
+    """Add a grid below the scene, and return the edge length of its cells [m].
 
-    It is at z = 0 if what is shown stands there, and else at its lowest point.
+    It is at z = 0 if the scene rests there, and otherwise at its lowest point.
     """
     size = diagonal(box)
     cell = round_length(GRID_SIDE * size / LEAST_CELLS)
@@ -71,6 +71,6 @@ def add_ground(scene: Any, box: Floats) -> tuple[Any, float]:
 
 
 def round_length(most: float) -> float:
-    """Longest length of 1, 2 or 5 times a power of ten that is not above this one."""
+    """Largest length of 1, 2 or 5 times a power of ten that is at most this one."""
     power = 10.0 ** math.floor(math.log10(most))
     return max((step * power for step in (1, 2, 5) if step * power <= most), default=power)

@@ -1,8 +1,8 @@
-"""Who may open the page: looks at each request, for the page or its websocket, before viser sees it.
+"""Access control of the page: checks each request, for the page or its websocket, before viser receives it.
 
-viser serves whoever can reach its port. That is more than the people at this machine: a page of any site, open in a
-browser here, can reach 127.0.0.1 as well (a websocket to it, or a name that is made to point to it). Such requests
-name that site as their Origin or their Host, which no script in a browser can change, and are refused by that.
+viser serves any client that can reach its port. That includes more than the people at this machine: a page of any site,
+open in a browser here, can reach 127.0.0.1 as well (by a websocket to it, or a name that resolves to it). Such requests
+name that site as their Origin or their Host, which no script in a browser can change, so they can be refused.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ FOREIGN = "loewner.invalid"
 
 @dataclasses.dataclass(frozen=True)
 class Listening:
-    """Where the page is served.
+    """Address at which the page is served.
 
     Attributes
     ----------
     host : str
-        As the caller wrote it.
+        As given by the caller.
     address : str
-        The numeric address it stands for, at which the server listens.
+        Its numeric address, on which the server listens.
     family : socket.AddressFamily
     """
 
@@ -64,7 +64,7 @@ class Listening:
 
     @property
     def everywhere(self) -> bool:
-        """Whether it is not one address, but all of this machine's."""
+        """Whether it means all addresses of this machine instead of one."""
         return ipaddress.ip_address(self.address).is_unspecified
 
     @property
@@ -75,7 +75,7 @@ class Listening:
         return "::1" if self.family == socket.AF_INET6 else "127.0.0.1"
 
     def url(self, port: int, token: str | None, name: str | None = None) -> str:
-        """Address to type into a browser on this machine, or on another that knows it by `name`."""
+        """Address to type into a browser on this machine, or on another that reaches it by `name`."""
         if name is None:
             name = "localhost" if self.own_address == "127.0.0.1" else self.host if not self.everywhere else "::1"
         host = f"[{name}]" if ":" in name else name
@@ -83,7 +83,7 @@ class Listening:
 
 
 def listening(host: Any) -> Listening:
-    """Find the one address that a host stands for; InputError if there is none."""
+    """Find the one address of a host; InputError if there is none."""
     if not isinstance(host, str):
         raise InputError(f"host: expected an address or the name of a host as a str, found {type(host).__name__}")
     if not host:
@@ -109,9 +109,9 @@ class Guard:
     where : Listening
     port : int
     token : str or None
-        What whoever opens the page must know; None asks for none.
+        The secret that a client must send; None requires none.
     title : str
-        What the browser's tab says.
+        Title of the browser's tab.
     """
 
     def __init__(self, where: Listening, port: int, token: str | None, title: str) -> None:
@@ -123,12 +123,12 @@ class Guard:
             self._names |= {socket.gethostname().lower(), socket.gethostname().lower().partition(".")[0]}
 
     def refusal(self, path: str, headers: Any) -> str | None:
-        """Why a request is refused; None if it is not.
+        """Why a request is refused; None if it is accepted.
 
         Parameters
         ----------
         path : str
-            With what follows the question mark.
+            Including the part after the question mark.
         headers : websockets.Headers
         """
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
@@ -143,11 +143,11 @@ class Guard:
         return None
 
     def admit(self, path: str, response: Any, host: str) -> None:
-        """Add to a page that is sent: its title, the token for its websocket, and what it may connect to.
+        """Add the title, the token for the websocket and the allowed connections to a page that is sent.
 
-        viser's page follows `?websocket=ws://...` and `?playbackPath=...` wherever they lead, and shows what comes from
-        there as its own: a link to us with such an end would be a way in. The policy lets it reach this server alone.
-        A page of another machine may not frame it either, to have it clicked unseen.
+        viser's page follows `?websocket=ws://...` and `?playbackPath=...` to any address, and shows the content as its
+        own: a link to this server with such parameters would be an attack. The policy allows connections to this server
+        only. Nor may a page of another machine frame it, to collect clicks unnoticed.
         """
         self._entitle(response)
         response.headers["Content-Security-Policy"] = (
@@ -200,17 +200,17 @@ def _queried(path: str) -> list[str]:
 
 
 def new_token() -> str:
-    """Make a token that nobody can guess."""
+    """Make a token that cannot be guessed."""
     return secrets.token_urlsafe(24)
 
 
 def install(server: Any, guard: Guard) -> None:
-    """Put the guard before a viser server that has just been started, and try that it is there.
+    """Put the guard before a viser server that has just been started, and check that it works.
 
-    viser has no place for it, so it goes into the websockets server that viser is built on, which is reached through
-    one of its connections: our own. Everybody who came in before is thrown out in the same turn of the server's loop,
-    in which nobody can come in; there was nothing on the page yet. If viser or websockets were built in another way
-    this would fail, or the trial would: no page is left open.
+    viser has no hook for it, so it is installed in the websockets server on which viser is built, which is reached
+    through one of its connections, opened for this purpose. Earlier clients are disconnected in the same turn of the
+    server's loop, during which no client can connect; the page was still empty. If the internals of viser or websockets
+    were different, this step or the check would fail: no page is left open.
 
     Raises
     ------

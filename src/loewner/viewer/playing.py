@@ -1,4 +1,4 @@
-"""Paths that a page plays: where the robot is at each time, and where along the way it collides."""
+"""Paths that a page plays: the robot's position at each time, and where along the way it collides."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MOST_STRETCHES = 4
 
 
 class Path:
-    """A path of configurations, with times: the same pace from one to the next.
+    """A path of configurations, with times: the pace is constant from one to the next.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Path:
     Attributes
     ----------
     duration : float
-        Seconds from the first to the last; 0 if they are all the same.
+        Seconds from the first to the last; 0 if they are all equal.
     """
 
     def __init__(self, robot: Robot, rows: Floats) -> None:
@@ -73,7 +73,7 @@ class Path:
 
 
 def checked_way(robot: Robot, path: Any, trajectory: Any) -> Trajectory | Path | None:
-    """What is to be played, of the two parameters; InputError if both are given, or it is not of this robot."""
+    """The path to play, from the two parameters; InputError if both are given, or it belongs to another robot."""
     if path is not None and trajectory is not None:
         raise InputError("path, trajectory: expected one of the two, found both")
     if isinstance(path, Trajectory):
@@ -105,7 +105,7 @@ def found_along(checker: CollisionChecker, way: Trajectory | Path) -> Ints:
 
 
 def strip(found: Ints, duration: float) -> str:
-    """A bar in the colours of what was found along the way, as HTML, and the stretches that are not free in words."""
+    """A bar in the colours of the answers along the way, as HTML, and a text about the stretches that are not free."""
     bars = "".join(
         f'<div data-loewner="along {NAMES[kind]}" style="flex:{end - start};background:rgb{COLOURS[kind]}"></div>'
         for kind, start, end in _stretches(found)

@@ -27,16 +27,16 @@ def save_screenshot(page: Viewer, path: str | os.PathLike[str], *, width: int = 
     Parameters
     ----------
     page : PairViewer or RobotViewer
-        Open.
+        An open page.
     path : path
         Ends in ``.png``; a file of that name is replaced.
     width, height : int
-        Of the browser's window, in pixels.
+        Size of the browser's window, in pixels.
 
     Raises
     ------
     InputError
-        If the name ends otherwise, or a size is out of 200 to 4,000.
+        If the name has another suffix, or a size is outside 200 to 4,000.
     MissingExtraError
         If Playwright or a browser for it is not installed.
     FileError

@@ -1,4 +1,4 @@
-"""What the links of a robot look like: the visual geometry of its URDF, which decides nothing."""
+"""The appearance of a robot's links: the visual geometry of its URDF, which no query uses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes : dict
         Link name to vertices (v, 3) [m] and triangles (t, 3) in the frame of the link.
     faults : list of str
-        Why some are missing: a picture is worth showing without them.
+        Why some are missing: a picture without them is still worth showing.
     """
     if robot._format != "URDF":
         return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
