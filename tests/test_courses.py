@@ -10,7 +10,6 @@ from families import translation
 from gantry import RADIUS, gantry
 from loewner import Body, CollisionChecker, Robot, Scene, Verdict
 from loewner._kernels import codes
-from loewner._kernels.robots.motion_path import MOST_POINTS
 from loewner.robots import courses
 from loewner.robots.proofs import prove
 from motion_oracle import AFLOAT, example, free_configurations, ring, written
@@ -46,7 +45,7 @@ def assert_true(checker, made):
     return found.verdicts
 
 
-@pytest.mark.parametrize("degree", [2, 3, 5, MOST_POINTS - 1])
+@pytest.mark.parametrize("degree", [2, 3, 5, codes.MOST_POINTS - 1])
 @pytest.mark.parametrize("length", [0.1, 0.6])
 def test_polynomials_of_an_arm(rng, degree, length):
     """No course of a Panda that is proven is refuted by samples, every hit is one, and all are decided."""

@@ -118,7 +118,7 @@ def test_planners_inside_a_closed_surface(machine, rng, solid):
                 call()
         else:
             call()
-    free = Judge.of(checker, 0.0).proven(np.array(path[:-1]), np.array(path[1:]), np.full((2, 3), 1e-3))
+    free = Judge.of(checker, 0.0).proven(np.stack([path[:-1], path[1:]], axis=1), np.full((2, 3), 1e-3))
     assert free.tolist() == [not solid] * 2
 
 

@@ -944,6 +944,14 @@ CALLS: dict[str, Call] = {
         on(checker, "certify_edges"),
         {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "tolerance": positive()},
     ),
+    "CollisionChecker.certify_trajectory": Call(
+        on(checker, "certify_trajectory"),
+        {
+            "curve": arg(moved),
+            "tolerance": positive(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, "a number alone"),
+        },
+    ),
     "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
     "CollisionChecker.collide_by_pair": Call(on(checker, "collide_by_pair"), {"Q": CONFIGURATIONS}),
     "CollisionChecker.distance": Call(
@@ -1011,6 +1019,20 @@ CALLS: dict[str, Call] = {
     "planners.Trajectory.accelerations": Call(on(moved, "accelerations"), {"t": TIMES}),
     "planners.Trajectory.sample": Call(on(moved, "sample"), {"rate": positive()}),
     "planners.Trajectory.save": Call(on(moved, "save"), {"path": arg("out.csv"), "rate": positive(0.5, NONE)}),
+    "planners.Trajectory.certify": Call(
+        on(moved, "certify"),
+        {"checker": arg(checker), "joint_error": array([1e-3, 0.0, 1e-3], FINITE, "a number alone")},
+    ),
+    "planners.ControllerPoints": Call(
+        planners.ControllerPoints,
+        {
+            "times": array([0.0, 1.0, 2.0], FINITE, "turned over"),
+            "positions": array(PATH, FINITE),
+            "velocities": array(PATH, FINITE, NONE),
+            "accelerations": array(PATH, FINITE, NONE),
+            "names": arg(NONE),
+        },
+    ),
     "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,

@@ -9,6 +9,9 @@ INEXACT, LEFT, TOO_LONG, BY_CARE = 3, 4, 5, 6
 # Intervals that a motion is cut into at most before any is halved.
 MOST_INTERVALS = 7 * 2**16
 
+# Rows of the longest course: polynomials of degree 7, which is more than controllers and planners use.
+MOST_POINTS = 8
+
 # How a search on two pieces ended: without a result; they are proven apart or touching; the distance is final; their
 # cores overlap; the depth is final.
 UNSETTLED, APART, TOUCHING, NEAREST, OVERLAPPING, DEPTH_FOUND = 0, 1, 2, 3, 4, 5

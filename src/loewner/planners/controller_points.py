@@ -71,7 +71,7 @@ class ControllerPoints:
                 found = _validate.shape_text(array.shape)
                 raise InputError(f"{name}: expected shape ({len(self.times)}, {dof}), found {found}")
 
-    def courses(self) -> Curve:
+    def _courses(self) -> Curve:
         """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
         T = np.diff(self.times)[:, None]
         q0, q1 = self.positions[:-1], self.positions[1:]

@@ -334,7 +334,7 @@ class Trajectory:
         """
         return checked_checker(checker).certify_trajectory(self, joint_error=joint_error)
 
-    def courses(self) -> Curve:
+    def _courses(self) -> Curve:
         """The curve for `CollisionChecker.certify_trajectory`: parabolas between knots."""
         T = np.diff(self.times)[:, None]
         courses = np.stack([self.knots[:-1], self.knots[:-1] + self.rates[:-1] * (T / 2), self.knots[1:]], axis=1)
@@ -807,5 +807,5 @@ def _read_json(text: str) -> Trajectory:
 
 
 def _why(error: Exception) -> str:
-    """What a decoder says."""
+    """The decoder's message."""
     return f"no {error}" if isinstance(error, KeyError) else _validate.short(str(error))

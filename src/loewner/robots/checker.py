@@ -370,14 +370,14 @@ class CollisionChecker:
 
         Parameters
         ----------
-        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of these
-            A continuous function of time with values of shape (dof,), in pieces of degree 7 at most: of SciPy with its
-            children, such as ``CubicSpline(times, path)``. Columns are those of `Robot.configuration_names`; where the
-            curve names them, names decide. Quaternions are scaled to norm 1.
+        curve : PPoly, BPoly, BSpline, planners.Trajectory, planners.ControllerPoints, or a list of curves
+            A continuous function of time with values of shape (dof,), in pieces of degree 7 at most. Subclasses of
+            SciPy's types are accepted, such as ``CubicSpline(times, path)``. Columns are in the order of
+            `Robot.configuration_names`, unless the curve names them. Quaternions are scaled to norm 1.
         tolerance : float
             Metres, as for `certify_edges`.
         joint_error : float or array_like, shape (dof,)
-            Radians or metres by which each value may be off the curve at any time: FREE holds for all of that.
+            Radians or metres by which each value may be off the curve at any time: FREE holds for all these values.
 
         Returns
         -------

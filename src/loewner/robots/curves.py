@@ -1,4 +1,4 @@
-"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and objects that have `courses`."""
+"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and objects with `_courses`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._kernels import tolerances
-from loewner._kernels.robots.motion_path import MOST_POINTS
+from loewner._kernels.codes import MOST_POINTS
 from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.queries import Verdict
@@ -68,6 +68,15 @@ class CertifiedTrajectory:
         Where the segments begin and end.
     segments : CertifiedMotions
         The same for each of the n segments, with fractions of a segment instead of times.
+
+    Examples
+    --------
+    >>> from loewner import CollisionChecker
+    >>> from scipy.interpolate import CubicSpline
+    >>> checker = CollisionChecker(Robot.from_urdf("arm.urdf"))
+    >>> found = checker.certify_trajectory(CubicSpline([0.0, 1.0, 2.0], [[0.0, 0.0], [1.0, 0.5], [1.0, 1.0]]))
+    >>> found.verdict, found.segments.verdict
+    (<Verdict.FREE: 0>, array([0, 0], dtype=int8))
     """
 
     verdict: Verdict
@@ -102,7 +111,7 @@ def certified(
 
 
 def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajectory:
-    """The worst of all segments; the earliest of these."""
+    """The earliest of the worst segments."""
     for verdict in (Verdict.COLLIDING, Verdict.AMBIGUOUS):
         for k in np.flatnonzero(segments.verdict == verdict)[:1]:
             time = times[k] + segments.fraction[k] * (times[k + 1] - times[k])
@@ -123,7 +132,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         If it is no curve of this robot: of another type, with other columns, numbers that are not finite, times that do
         not increase, a degree above 7, or a jump.
     """
-    curve = _from_scipy(given, name) or (given.courses() if hasattr(given, "courses") else None)
+    curve = _from_scipy(given, name) or (given._courses() if hasattr(given, "_courses") else None)
     if not isinstance(curve, Curve):
         raise InputError(f"{name}: {EXPECTED}, found {type(given).__name__}")
     curve = _in_order(robot, curve, name)

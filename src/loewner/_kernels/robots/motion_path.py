@@ -17,9 +17,6 @@ from loewner._kernels.simd.vectors import rounded_product
 SMALL_ANGLE = 1e-6  # rad; below it the chord is the arc
 SMALLEST_SINE = 1e-12
 
-# Rows of the longest course: polynomials of degree 7, which is more than controllers and planners use.
-MOST_POINTS = 8
-
 
 @inline
 def _slerp(course, at, t, Q, row):

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loewner._kernels._jit import apart, inline, njit
-from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, TOO_LONG, TOUCHING
+from loewner._kernels.codes import AMBIGUOUS, BY_CARE, COLLIDING, FREE, MOST_INTERVALS, MOST_POINTS, TOO_LONG, TOUCHING
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import negated
@@ -32,7 +32,7 @@ from loewner._kernels.narrow.gjk_swept import separated
 from loewner._kernels.pieces.pack import motion_tables_of, pieces_of, placed, problem_of, shift_between
 from loewner._kernels.robots.kinematics import link_entries, place_links
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
-from loewner._kernels.robots.motion_path import MOST_POINTS, configuration_at, write_part
+from loewner._kernels.robots.motion_path import configuration_at, write_part
 from loewner._kernels.robots.placement import DOF, LINKS, MOVING, MOVING_PIECES, PAIRS, counts_of
 from loewner._kernels.robots.sweeps import (
     BODY,
