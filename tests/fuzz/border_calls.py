@@ -947,9 +947,9 @@ CALLS: dict[str, Call] = {
     "CollisionChecker.certify_trajectory": Call(
         on(checker, "certify_trajectory"),
         {
-            "curve": arg(moved),
+            "curve": arg(moved, "empty list", "empty tuple"),
             "tolerance": positive(),
-            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, "a number alone"),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
         },
     ),
     "CollisionChecker.pairs": Call(on(checker, "pairs"), {"q": ONE}),
@@ -1021,16 +1021,16 @@ CALLS: dict[str, Call] = {
     "planners.Trajectory.save": Call(on(moved, "save"), {"path": arg("out.csv"), "rate": positive(0.5, NONE)}),
     "planners.Trajectory.certify": Call(
         on(moved, "certify"),
-        {"checker": arg(checker), "joint_error": array([1e-3, 0.0, 1e-3], FINITE, "a number alone")},
+        {"checker": arg(checker), "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone")},
     ),
     "planners.ControllerPoints": Call(
         planners.ControllerPoints,
         {
             "times": array([0.0, 1.0, 2.0], FINITE, "turned over"),
-            "positions": array(PATH, FINITE),
-            "velocities": array(PATH, FINITE, NONE),
-            "accelerations": array(PATH, FINITE, NONE),
-            "names": arg(NONE),
+            "positions": array(PATH, FINITE, "turned over"),
+            "velocities": array(PATH, FINITE, NONE, "turned over"),
+            "accelerations": array(PATH, FINITE, NONE, "turned over"),
+            "names": arg(lambda: ["y", "turn", "x"], NONE),
         },
     ),
     "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),

@@ -58,6 +58,9 @@ class ControllerPoints:
             )
         if accelerations is not None and velocities is None:
             raise InputError("accelerations: expected velocities with them, found none")
+        texts = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
+        if names is not None and not texts:
+            raise InputError(f"names: expected a list of texts, found {type(names).__name__}")
         self.names = None if names is None else tuple(names)
         self.positions = _validate.finite_array(positions, "positions", ("n", "dof"))
         dof = self.positions.shape[1] if self.names is None else len(self.names)
