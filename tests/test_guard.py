@@ -237,3 +237,10 @@ def test_results_are_written_on_a_few_lines():
     assert "None" not in repr(loewner.distance(ball, None, ball, T))
     fit = loewner.mvce(np.random.default_rng(0).normal(size=(500, 40)))
     assert max(len(repr(x)) for x in (one, many, fit, fit.ellipsoid)) < 400
+
+
+def test_an_interrupt_that_numba_loses():
+    """NumPy's complaint about the type of an array that Numba could not fetch stands for the interrupt behind it."""
+    assert type(_guard.meant(chained(ValueError(_guard.LOST_INTERRUPT), 2))) is KeyboardInterrupt
+    other = ValueError("another")
+    assert _guard.meant(chained(other, 2)) is other

@@ -17,6 +17,9 @@ from loewner.errors import LoewnerError, MemoryLimitError
 
 T = TypeVar("T")
 
+# NumPy's complaint if an interrupt comes while Numba fetches the type of arrays: the interrupt itself is lost then.
+LOST_INTERRUPT = "subtype is NULL in PyArray_NewFromDescr"
+
 # What `meant` looks into; a clause "except GUARDED" costs nothing unless one of them is raised.
 GUARDED = (SystemError, MemoryError)
 
@@ -28,6 +31,8 @@ def meant(error: BaseException) -> BaseException:
         cause = cause.__cause__
     if cause is None:
         return error
+    if isinstance(cause, ValueError) and str(cause) == LOST_INTERRUPT:
+        return KeyboardInterrupt()
     if isinstance(cause, MemoryError) and not isinstance(cause, LoewnerError):
         there, which = _memory.left()
         return MemoryLimitError(
