@@ -1,6 +1,7 @@
 """Curves in time are proven as SciPy, controllers and trajectories define them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from loewner import Body, CollisionChecker, InputError, Scene, Verdict
 from loewner.planners import ControllerPoints, trajectory
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
-from motion_oracle import example, free_configurations, ring, steps
+from motion_oracle import AFLOAT, example, free_configurations, ring, steps, written
 
 FREE, COLLIDING, AMBIGUOUS = Verdict.FREE, Verdict.COLLIDING, Verdict.AMBIGUOUS
 
@@ -160,6 +161,7 @@ def test_one_curve_and_its_segments(tmp_path, arm):
     ("given", "text"),
     [
         (3.0, "expected a PPoly"),
+        (ControllerPoints, "expected a PPoly"),
         (CubicSpline([0, 1, 2], np.zeros((3, 9))), "expected 8 values"),
         (CubicSpline([0, 1, 2], np.zeros((3, 2, 8))), "values of shape"),
         (PPoly(np.full((2, 1, 8), np.nan), [0, 1]), "finite"),
@@ -198,3 +200,45 @@ def test_bad_joint_errors(checker):
     for bad in (-1.0, [1.0, 2.0], math.nan):
         with pytest.raises(InputError, match="joint_error"):
             checker.certify_trajectory(curve, joint_error=bad)
+
+
+@pytest.fixture
+def floating(tmp_path):
+    """A bar on a floating base, with a ball near its end."""
+    scene = Scene()
+    scene.add("ball", Body.sphere(0.1), translation(1.0, 0.205))
+    robot = replace(written(tmp_path, AFLOAT), bodies={"base": Body.box([2.0, 0.2, 0.2])})
+    return CollisionChecker(robot, scene)
+
+
+def resting(checker, norm, count=3):
+    """A curve along which nothing moves, with quaternions of some norm."""
+    q = np.zeros(checker.robot.dof)
+    q[checker.robot._quaternions["base"].start] = norm
+    return CubicSpline(np.arange(count), np.tile(q, (count, 1)))
+
+
+def test_the_norm_of_quaternions_does_not_matter(floating):
+    """The joint error of a quaternion is that of the unit quaternion, whatever the norm on the curve is."""
+    at = floating.robot._quaternions["base"]
+    error = np.zeros(floating.robot.dof)
+    for size, expected in ((1e-4, FREE), (4e-3, AMBIGUOUS)):
+        error[at] = size
+        for norm in (0.5, 1.0, 2.0):
+            assert floating.certify_trajectory(resting(floating, norm), joint_error=error).verdict == expected
+
+
+def test_quaternions_far_from_norm_one_are_refused(floating):
+    """They are no orientations as `collide` takes them, and a curve through zero has none at all."""
+    for norm in (0.0, 1e-9, 0.4, 3.0):
+        with pytest.raises(InputError, match="norm 1"):
+            floating.certify_trajectory(resting(floating, norm))
+
+
+def test_a_piece_that_turns_too_far(floating):
+    """A piece on which the orientation turns by half a turn is refused by its times, not called free."""
+    rows = np.zeros((2, floating.robot.dof))
+    at = floating.robot._quaternions["base"]
+    rows[0, at], rows[1, at] = [1, 0, 0, 0], [0, 0, 0, 1]
+    with pytest.raises(InputError, match="80 degrees.*from 1 s to 4 s of curve 0"):
+        floating.certify_trajectory(ControllerPoints([1.0, 4.0], rows))

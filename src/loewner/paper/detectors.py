@@ -264,7 +264,7 @@ def detect(detector: int, pairs: Pairs, *, angle: float = PAPER_ANGLE) -> Answer
     Raises
     ------
     InputError
-        If `pairs` is not a `Pairs`, or the angle is not a number above zero; UnknownNameError if there is no such
+        If `pairs` is not a `paper.Pairs`, or the angle is not a number above zero; UnknownNameError if there is no such
         detector.
 
     Examples

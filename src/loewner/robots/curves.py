@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner._kernels import tolerances
-from loewner._kernels.codes import MOST_POINTS
+from loewner._kernels import codes, tolerances
 from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.queries import Verdict
@@ -27,7 +26,8 @@ CURVE_ROUNDINGS = 128.0 * tolerances.UNIT_ROUNDOFF  # derived 84, certified.md B
 # Two segments of a curve meet if they are no farther apart than this share of the curve's values.
 JUMP = 1e-9
 
-EXPECTED = "expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or planners.ControllerPoints"
+# Norms of quaternions where a segment starts.
+NORMS = (0.5, 2.0)
 
 
 class Curve(NamedTuple):
@@ -57,9 +57,9 @@ class CertifiedTrajectory:
     Attributes
     ----------
     verdict : Verdict
-        FREE: every pair is farther apart than its margin at every time, proven. COLLIDING: at `time` the robot
-        collides. AMBIGUOUS: at `time` a pair comes within its margin and the tolerance, or arithmetic could not settle
-        it; treat it as not free.
+        FREE: every pair is farther apart than its margin at every time, proven. COLLIDING: at ``time``, which may be
+        rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
+        arithmetic could not settle it; treat it as not free.
     time : float
         Seconds; NaN where FREE. The robot may collide earlier as well.
     names : tuple of str
@@ -100,10 +100,15 @@ def certified(
         courses = np.concatenate([curves[k].courses for k in at])
         off = np.ascontiguousarray(np.concatenate([curves[k].off for k in at]) + joint_error)
         proven = prove(ready, courses, tolerance, off)
-        proven.expect_short(courses[:, 0], courses[:, -1])
         first = 0
         for k in at:
             last = first + len(curves[k].courses)
+            for n in np.flatnonzero(proven.verdicts[first:last] == codes.TOO_LONG)[:1]:
+                raise InputError(
+                    f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
+                    f"orientation turns by more than about 80 degrees, found the piece from {curves[k].times[n]:g} s "
+                    f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it"
+                )
             part: Any = (array[first:last] for array in proven)
             found[k] = _of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
             first = last
@@ -132,16 +137,30 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         If it is no curve of this robot: of another type, with other columns, numbers that are not finite, times that do
         not increase, a degree above 7, or a jump.
     """
-    curve = _from_scipy(given, name) or (given._courses() if hasattr(given, "_courses") else None)
-    if not isinstance(curve, Curve):
-        raise InputError(f"{name}: {EXPECTED}, found {type(given).__name__}")
+    curve = _from_scipy(given, name) or (given._courses() if hasattr(type(given), "_courses") else None)
+    if curve is None:
+        raise InputError(
+            f"{name}: expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or "
+            f"planners.ControllerPoints, found {type(given).__name__}"
+        )
     curve = _in_order(robot, curve, name)
     _refuse_faults(robot, curve, name)
     points = curve.courses
     if points.shape[1] == 1 or (points.shape[1] == 2 and not robot.runs_straight):
         # A course of degree 1 turns orientations at a constant rate, which a polynomial does not.
-        points = elevated(points, 3 - points.shape[1])
-    return curve._replace(courses=np.ascontiguousarray(points))
+        points = _elevated(points, 3 - points.shape[1])
+    points, off = points.copy(), curve.off.copy()
+    for columns in robot._quaternions.values():
+        # Deviations are bounded by the angle that they turn a quaternion of norm 1.
+        norms = np.linalg.norm(points[:, 0, columns], axis=1)
+        for k in np.flatnonzero(~((norms >= NORMS[0]) & (norms <= NORMS[1])))[:1]:
+            raise InputError(
+                f"{name}: expected quaternions of norm 1 or near it, found the norm {norms[k]:g} at the time "
+                f"{curve.times[k]:g}"
+            )
+        points[..., columns] /= norms[:, None, None]
+        off[..., columns] /= norms[:, None]
+    return curve._replace(courses=points, off=off)
 
 
 def _from_scipy(given: Any, name: str) -> Curve | None:
@@ -162,10 +181,10 @@ def _from_scipy(given: Any, name: str) -> Curve | None:
     if isinstance(given, interpolate.BPoly):
         points = np.moveaxis(c, 0, 1)
         return Curve(None, times, points, CURVE_ROUNDINGS * np.abs(points).max(axis=1))
-    return from_powers(times, c[::-1])
+    return _of_powers(times, c[::-1])
 
 
-def from_powers(times: Floats, powers: Floats) -> Curve:
+def _of_powers(times: Floats, powers: Floats) -> Curve:
     """The curve whose segments are sums of `powers`, shape (degree + 1, n, ...), times powers of the time passed."""
     degree = len(powers) - 1
     terms = powers * np.diff(times).reshape(-1, *[1] * (powers.ndim - 2)) ** np.arange(degree + 1).reshape(
@@ -195,7 +214,7 @@ def _of_b_spline(knots: Floats, c: Floats, degree: int, name: str) -> Curve:
     return Curve(None, np.append(low, high[-1:]), np.stack(points, axis=1), CURVE_ROUNDINGS * around)
 
 
-def elevated(points: Floats, by: int) -> Floats:
+def _elevated(points: Floats, by: int) -> Floats:
     """The same courses, as polynomials of a degree that is higher by some."""
     for _ in range(by):
         degree = points.shape[1] - 1
@@ -229,9 +248,10 @@ def _refuse_faults(robot: Robot, curve: Curve, name: str) -> None:
     if not (np.diff(times) > 0).all():
         k = int(np.argmin(np.diff(times) > 0))
         raise InputError(f"{name}: expected times that increase, found {times[k]:g} and then {times[k + 1]:g}")
-    if courses.shape[1] > MOST_POINTS:
+    if courses.shape[1] > codes.MOST_POINTS:
         raise InputError(
-            f"{name}: expected polynomials of degree {MOST_POINTS - 1} at most, found degree {courses.shape[1] - 1}"
+            f"{name}: expected polynomials of degree {codes.MOST_POINTS - 1} at most, found degree "
+            f"{courses.shape[1] - 1}"
         )
     jumps = np.abs(courses[1:, 0] - courses[:-1, -1])
     bad = jumps > JUMP * np.maximum(np.abs(courses).max(axis=(0, 1)), 1e-3)

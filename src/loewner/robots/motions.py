@@ -21,6 +21,8 @@ from loewner.robots.checked_pairs import CheckedPairs
 # Motions a thread takes at a time, at least: some 0.3 ms of work.
 LEAST_SHARE = 16
 
+NO_STRAYS = np.empty((0, 0))
+
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotions:
@@ -88,7 +90,7 @@ class Found(NamedTuple):
         InputError
             With the number of the first one.
         """
-        for k in np.flatnonzero(self.verdicts == codes.TOO_LONG)[:1]:
+        for k in (self.verdicts == codes.TOO_LONG).nonzero()[0][:1]:
             raise InputError(
                 f"expected motions short enough to be proven in {codes.MOST_INTERVALS} intervals, found number {k}, "
                 f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
@@ -127,13 +129,13 @@ def settle(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats |
     Where `ready.starts_matter`, FREE supposes that the motion is free at its start.
     """
     ready = ready.in_parts
-    total, _, dof = courses.shape
+    total = len(courses)
     found = Found(
         np.empty(total, dtype=np.int8), np.empty(total), np.empty(total, dtype=np.int64),
         np.empty((total, 2), dtype=np.int64),
     )  # fmt: skip
     prepared = ready.motions
-    strays = np.empty((0, dof)) if off is None else off
+    strays = NO_STRAYS if off is None else off
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(

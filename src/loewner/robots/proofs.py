@@ -70,7 +70,7 @@ def _confirm(ready: CheckedPairs, courses: Floats, found: Found) -> None:
     doubtful = found.verdicts == codes.BY_CARE
     if not (ready.robot.runs_straight and courses.shape[1] == 2):
         doubtful |= found.verdicts == Verdict.COLLIDING
-    at = np.flatnonzero(doubtful)
+    at = doubtful.nonzero()[0]
     if len(at):
         Q = configurations(ready.robot, courses[at], found.fractions[at])
         hit = verdicts.classified(ready, codes.EXACT, Q).verdicts == Verdict.COLLIDING

@@ -205,8 +205,9 @@ def stand(problem, counts, to):
     """Write what stands still, for blocks of any number of configurations."""
     behind = counts.moving * MOST
     for k in range(counts.standing):
-        for entry in range(16):
-            to.poses[behind + k, entry // 4, entry % 4] = problem.standing_poses[k, entry]
+        for row in range(4):
+            for column in range(4):
+                to.poses[behind + k, row, column] = problem.standing_poses[k, 4 * row + column]
     behind = counts.moving_pieces * MOST
     for k in range(counts.standing_pieces):
         for entry in range(HOT):
