@@ -107,7 +107,7 @@ def certified(
                 raise InputError(
                     f"expected pieces short enough to be proven in {codes.MOST_INTERVALS} intervals, and on which no "
                     f"orientation turns by more than about 80 degrees, found the piece from {curves[k].times[n]:g} s "
-                    f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it"
+                    f"to {curves[k].times[n + 1]:g} s of curve {k}; divide it, or lower joint_error"
                 )
             part: Any = (array[first:last] for array in proven)
             found[k] = _of_segments(curves[k].times, Found(*part).of_shape((last - first,), ready))
@@ -137,7 +137,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         If it is no curve of this robot: of another type, with other columns, numbers that are not finite, times that do
         not increase, a degree above 7, or a jump.
     """
-    curve = _from_scipy(given, name) or (given._courses() if hasattr(type(given), "_courses") else None)
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
+        curve = _from_scipy(given, name) or (given._courses() if hasattr(type(given), "_courses") else None)
     if curve is None:
         raise InputError(
             f"{name}: expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or "
@@ -152,7 +153,8 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     points, off = points.copy(), curve.off.copy()
     for columns in robot._quaternions.values():
         # Deviations are bounded by the angle that they turn a quaternion of norm 1.
-        norms = np.linalg.norm(points[:, 0, columns], axis=1)
+        with np.errstate(over="ignore"):
+            norms = np.linalg.norm(points[:, 0, columns], axis=1)
         for k in np.flatnonzero(~((norms >= NORMS[0]) & (norms <= NORMS[1])))[:1]:
             raise InputError(
                 f"{name}: expected quaternions of norm 1 or near it, found the norm {norms[k]:g} at the time "
