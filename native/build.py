@@ -22,6 +22,7 @@ import time
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
@@ -41,13 +42,15 @@ LEVELS = {
 }
 CPU_OF = {"arm64": "generic"}
 
-# Entries that one process compiles; another has the rest, which takes it as long. Those of a file stay together, since
-# what they call is compiled once.
+# Entries that one process compiles while another compiles the rest, which takes as long. It begins with those that
+# share little: by the time that it reaches the robots, the other has compiled the searches for them.
 FIRST = (
-    "certify_motions", "motion_memory", "connect_trees", "shorten_path", "check_configurations", "check_motion",
-    "memory_size", "link_poses",
     "fit_range", "center_in", "fit_halfspaces", "to_unit_size", "finish_hull", "fit_outer", "enclose", "outer_gap",
-    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond",
+    "solve_primal_dual", "inscribed_ellipsoids", "direction_map", "mark_beyond", "piece_trees", "triangle_tree",
+    "equal_vertices", "part_vertices", "body_boxes", "curve_order", "box_tree", "meeting_boxes",
+    "first_fault", "contact_of_pairs", "near_points_of_pairs", "link_poses", "link_jacobians", "check_configurations",
+    "check_motion", "memory_size", "certify_motions", "motion_memory", "connect_trees", "shorten_path",
+    "memory_of_clearances", "clearances", "pair_gradients",
 )  # fmt: skip
 
 
@@ -58,6 +61,14 @@ EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
 
 # Names of `codes` that the extension knows.
 CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
+
+
+class Command(NamedTuple):
+    """Arguments of Python, variables of its environment, and the file that it makes."""
+
+    arguments: list[str]
+    environment: dict[str, str]
+    to: Path
 
 
 class BuildError(Exception):
@@ -130,13 +141,15 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         work = Path(folder)
         compile_extension(work / f"_call{EXTENSION_SUFFIXES[0]}")  # first: it fails at once where there is no compiler
         run([str(HERE / "emit.py")], os.environ | {"LOEWNER_QUIET": "1"}, "Numba cannot be built with")
-        # Of one level two processes compile half each, and both what the halves share; several levels keep processes
-        # busy enough, and each file is a ninth smaller.
+        # For one level two processes compile half each, and hand each other what the halves share; several levels
+        # keep processes busy enough, and each file is a ninth smaller.
         halves = {"first": list(FIRST), "rest": [name for name in ENTRIES if name not in FIRST]}
         groups = halves if len(levels) == 1 else {"all": list(ENTRIES)}
         jobs = [(level, group) for level in levels for group in groups]
-        emit_all([(level, groups[group], work / f"{level}-{group}.o") for level, group in jobs])
-        emit_ptx(work / _ptx.NAME)
+        run_all(
+            [emission(n, level, groups[group], work / f"{level}-{group}.o") for n, (level, group) in enumerate(jobs)]
+            + [ptx(work / _ptx.NAME)]
+        )
         for level in levels:
             link([work / f"{level}-{group}.o" for group in groups], level, work / f"kernels-{level}.so")
         made = [*sorted(work.glob("*.so")), work / _ptx.NAME]
@@ -156,24 +169,31 @@ def build(levels: list[str], home: Path = HOME) -> list[Path]:
         return [home / path.name for path in [*made, work / LIST]]
 
 
-def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
-    """Emit object files, each in a process of its own, as many at a time as there are processors."""
-    waiting, running = list(jobs), list[tuple[subprocess.Popen[bytes], Path]]()
+def emission(number: int, level: str, names: list[str], to: Path) -> Command:
+    """Emit an object file for a level; jobs of one build share a cache, and nobody else does.
+
+    Object code is only made of functions that these processes numbered.
+    """
+    environment = told(level) | {"LOEWNER_CACHE_DIR": str(to.parent / "cache")}
+    return Command([str(HERE / "emit.py"), str(to), str(number), *names], environment, to)
+
+
+def ptx(to: Path) -> Command:
+    """Write the threads' functions as PTX, which are the same for all processors."""
+    paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return Command(["-m", "loewner._ptx", str(to)], {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache"}, to)
+
+
+def run_all(commands: list[Command]) -> None:
+    """Run commands, each in a process of its own, as many at a time as there are processors."""
+    waiting, running = list(commands), list[tuple[subprocess.Popen[bytes], Path]]()
     try:
         while waiting or running:
             while waiting and len(running) < (os.cpu_count() or 1):
-                level, names, to = waiting.pop(0)
-                # A folder of their own: object code is only made of what one process numbered.
-                environment = (
-                    os.environ
-                    | told(level)
-                    | {
-                        "LOEWNER_CACHE_DIR": f"{to}.cache",
-                        "LOEWNER_QUIET": "1",
-                    }
-                )
+                arguments, variables, to = waiting.pop(0)
+                environment = os.environ | variables | {"LOEWNER_QUIET": "1"}
                 with to.with_suffix(".log").open("wb") as log:
-                    command = [sys.executable, str(HERE / "emit.py"), str(to), *names]
+                    command = [sys.executable, *arguments]
                     running.append((subprocess.Popen(command, env=environment, stdout=log, stderr=log), to))
             time.sleep(0.05)
             for process, to in [one for one in running if one[0].poll() is not None]:
@@ -185,13 +205,6 @@ def emit_all(jobs: list[tuple[str, list[str], Path]]) -> None:
         for process, _ in running:
             process.kill()
             process.wait()
-
-
-def emit_ptx(to: Path) -> None:
-    """Write the threads' functions as PTX, which are the same for all processors."""
-    paths = os.pathsep.join([str(SOURCES), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = os.environ | {"PYTHONPATH": paths, "LOEWNER_CACHE_DIR": f"{to}.cache", "LOEWNER_QUIET": "1"}
-    run(["-m", "loewner._ptx", str(to)], environment, "the kernels of GPUs could not be compiled")
 
 
 def run(arguments: list[str], environment: dict[str, str], failed: str) -> None:

@@ -2,13 +2,18 @@
 
 Run by `build.py`, in a process of its own, for one level of processors: Numba reads the level from the environment when
 it is imported. What is compiled does not run there, since this machine's processor may be of a lower level; without
-arguments this file checks Numba itself, for this machine. All kernels of a file come from one process, since Numba
-numbers functions, and two processes give the same name to different ones.
+arguments this file checks Numba itself, for this machine.
+
+Processes that run at the same time share the intermediate code of the functions that several entries call: each writes
+what it compiles to a folder, the cache of the kernels, and looks there first. Numba gives functions numbers, and their
+names contain them; so each process numbers from a start of its own, and no two functions have the same name.
 """
 
 import ctypes
 import gc
 import importlib
+import itertools
+import pickle
 import sys
 from pathlib import Path
 
@@ -18,9 +23,12 @@ import numpy as np
 from llvmlite import ir
 from numba import njit
 from numba.core import config, types
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.bytecode import FunctionIdentity
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
+from numba.core.compiler import compile_result
 from numba.core.datamodel import default_manager
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime import rtsys
 from numba.extending import intrinsic
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
@@ -33,15 +41,67 @@ PREFIX = "loewner_"
 
 
 class _OwnLibrary(_parts._PartLibrary):
-    """Intermediate code of one function alone: what it calls is linked once, with all others.
+    """Intermediate code of one function alone: what it calls is linked once, and optimised with all others.
 
     Numba links copies of all that a function calls into it, and of what these call.
     """
 
     def finalize(self):
         self._raise_if_finalized()
-        self._optimize_final_module()
         self._finalize_final_module()
+
+    def serialize_using_object_code(self):
+        return self.name, Exchange.of_process.write(self)
+
+
+class Exchange:
+    """Intermediate code that processes hand to each other: a file for each library, with the names of what it calls.
+
+    The libraries of a function's callees are stored once, however many functions call them.
+    """
+
+    of_process: "Exchange"
+
+    def __init__(self, folder: Path, number: int) -> None:
+        self._folder, self._number = folder, number
+        rtsys.initialize(cpu_target.target_context)  # its functions have the same names in all processes
+        self._names: dict[JITCodeLibrary, str] = {rtsys.library: "runtime"}
+        self._libraries: dict[str, JITCodeLibrary] = {"runtime": rtsys.library}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, library: JITCodeLibrary) -> str:
+        """Store a library and what it calls, unless they are stored; return its name."""
+        if library not in self._names:
+            called = [self.write(one) for one in library._linking_libraries]
+            name = f"{self._number}-{len(self._names)}"
+            content = library.name, library._final_module.as_bitcode(), called
+            (self._folder / name).write_bytes(pickle.dumps(content))
+            self._names[library], self._libraries[name] = name, library
+        return self._names[library]
+
+    def read(self, name: str) -> JITCodeLibrary:
+        """Return a stored library, always the same object: its functions may be linked only once."""
+        if name not in self._libraries:
+            title, bitcode, called = pickle.loads((self._folder / name).read_bytes())
+            library = _OwnLibrary(cpu_target.target_context.codegen(), title)
+            library.load(bitcode)
+            for one in called:
+                library.add_linking_library(self.read(one))
+            self._names[library], self._libraries[name] = name, library
+        return self._libraries[name]
+
+    def restored(self, target_context, kept, fndesc, environment, signature, *_):
+        """Do the work of `_parts.restored` for a function whose library is stored here."""
+        return compile_result(
+            target_context=target_context,
+            typing_context=target_context.typing_context,
+            library=self.read(kept[1]),
+            fndesc=fndesc,
+            environment=environment,
+            entry_point=object(),
+            signature=signature,
+            objectmode=False,
+        )
 
 
 KINDS = {"F": types.float64, "I": types.int64, "B": types.int8, "U": types.uint8, "T": types.boolean}
@@ -230,13 +290,15 @@ def parts_of(libraries: list) -> list:
     return list(found)
 
 
-def main(to: str, names: list[str]) -> None:
-    """Write the object code of entries to a file."""
+def main(to: str, number: int, names: list[str]) -> None:
+    """Write the object code of entries to a file; `number` differs between processes that share a cache."""
+    FunctionIdentity._unique_ids = itertools.count(1 + number * 1_000_000)
+    Exchange.of_process = Exchange(_jit.CACHE_FOLDER / "libraries", number)
     _parts.PartCompiler.library_class = _OwnLibrary
-    _jit._KernelCache.save_overload = lambda *_: None  # nothing is asked for twice
+    _parts.restored = Exchange.of_process.restored
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
     Path(to).write_bytes(emit([ENTRIES[name] for name in names]))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:]) if sys.argv[1:] else check_numba()
+    main(sys.argv[1], int(sys.argv[2]), sys.argv[3:]) if sys.argv[1:] else check_numba()

@@ -70,6 +70,38 @@ def test_another_layout_fails_at_build_time(emit, monkeypatch, name, value):
         emit.check_numba()
 
 
+def test_processes_of_a_build_hand_over_each_library_once_with_all_that_it_calls(emit, tmp_path):
+    """Two copies of a function would be defined twice, and one that is missing could not be linked."""
+    from llvmlite import ir
+    from numba.core.registry import cpu_target
+
+    def library_of(name, *called):
+        module = ir.Module(name)
+        function = ir.Function(module, ir.FunctionType(ir.VoidType(), []), name)
+        builder = ir.IRBuilder(function.append_basic_block())
+        for other in called:
+            builder.call(ir.Function(module, function.function_type, other.name), [])
+        builder.ret_void()
+        made = emit._OwnLibrary(cpu_target.target_context.codegen(), name)
+        made.add_ir_module(module)
+        for other in called:
+            made.add_linking_library(other)
+        made.finalize()
+        return made
+
+    one, other = emit.Exchange(tmp_path, 0), emit.Exchange(tmp_path, 1)
+    least = library_of("least")
+    names = [one.write(library_of(name, least)) for name in ("left", "right")]
+    left, right = (other.read(name) for name in names)
+    assert left._linking_libraries == right._linking_libraries == [other.read(one.write(least))]
+    assert [part.name for part in emit.parts_of([left, right])].count("least") == 1
+    assert left is other.read(names[0])
+    assert len(list(tmp_path.iterdir())) == 3
+    text = str(left._final_module)
+    assert "define void @left" in text
+    assert "declare void @least" in text
+
+
 def test_every_entry_has_the_signature_that_the_table_says(emit):
     """Names are kernels of the modules named, with as many arguments as the table lists."""
     from importlib import import_module
