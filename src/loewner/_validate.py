@@ -287,15 +287,6 @@ def positive_vector(x: ArrayLike, name: str, length: int | None) -> Floats:
     return positive_array(x, name, (length,))
 
 
-def one_pose(T: Any) -> Floats | None:
-    """Return a single pose if no more than a look tells that it can go to a kernel; its entries are not checked."""
-    if T is None:
-        return IDENTITY
-    if type(T) is np.ndarray and T.shape == (4, 4) and T.dtype == np.float64 and T.flags.carray:
-        return T
-    return None
-
-
 def poses(T: ArrayLike | None, name: str, *, check: bool = True) -> Floats:
     """Check rigid motions.
 

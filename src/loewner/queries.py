@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
-from loewner._guard import GUARDED, guarded, meant
+from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._measure import BOUND_BYTES, CHUNK, EXACT_BYTES, measure
 from loewner._native import entries, singles
@@ -308,22 +308,6 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
     return np.ascontiguousarray(np.array(axes, dtype=np.int64).T)
 
 
-def _settle_one(mode: int, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any) -> int:
-    """Verdict of two single bodies by the shortest way; -1 if they have to go the long one."""
-    if type(a) is Body and type(b) is Body:
-        Ta, Tb = _validate.one_pose(T_world_a), _validate.one_pose(T_world_b)
-        if Ta is not None and Tb is not None:
-            out = np.empty(1, dtype=np.int8)
-            packs = a._packed, b._packed  # held meanwhile
-            operands = ONE_PAIR, NO_ROWS, packs[0].handle, Ta[None], packs[1].handle, Tb[None]
-            try:  # a guard of its own: one around the whole query takes a tenth as long as this
-                if settle(mode, margin, 0, 1, operands, out) is not None:
-                    return int(out[0])
-            except GUARDED as error:
-                raise meant(error) from None
-    return -1
-
-
 def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], Ints]:
     """Verdict of every pair, and how many piece pairs each tier settled."""
     out = np.empty(pairs.total, dtype=np.int8)
@@ -414,10 +398,6 @@ def classify(
     if found is not None:
         return VERDICTS[found]
     keep = _validate.positive_scalar(margin, "margin", zero=True)
-    if pairs is None:
-        one = _settle_one(codes.CERTIFY, keep, a, T_world_a, b, T_world_b)
-        if one >= 0:
-            return VERDICTS[one]
     return _classified(keep, a, T_world_a, b, T_world_b, pairs)
 
 
@@ -512,10 +492,6 @@ def collide(
         return found
     exact = _validate.choice(method, "method", METHODS) == "exact"
     keep = _validate.positive_scalar(margin, "margin", zero=True)
-    if exact and pairs is None:
-        one = _settle_one(codes.EXACT, keep, a, T_world_a, b, T_world_b)
-        if one >= 0:
-            return one == codes.COLLIDING or (one == codes.AMBIGUOUS and _refused(np.array([True]), "collide", True))
     return _collided(exact, keep, a, T_world_a, b, T_world_b, pairs)
 
 

@@ -233,18 +233,8 @@ class CollisionChecker:
             As for `collide`.
         """
         checked = self.robot.checked(Q)
-        out, tiers = self._exact(checked)
-        free = np.bincount(tiers[out == codes.FREE], minlength=codes.TIERS).tolist()
-        hit = np.bincount(tiers[out == codes.COLLIDING], minlength=codes.TIERS).tolist()
-        settled = Settled(
-            free_by_bounds=free[codes.BY_SPHERE],
-            free_by_ellipsoids=free[codes.BY_OUTER],
-            free_by_planes=free[codes.BY_PLANE],
-            free_by_search=free[codes.BY_SEARCH],
-            colliding_by_ellipsoids=hit[codes.BY_INNER],
-            colliding_by_search=hit[codes.BY_SEARCH],
-        )
-        return _collisions(out, checked), settled
+        found = self._exact(checked)
+        return _collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
         """Decide which straight motions are free of collisions, at steps no longer than `resolution`.
@@ -345,11 +335,7 @@ class CollisionChecker:
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        shape: tuple[int, ...] = ()
-        if a.ndim == 1 and b.ndim == 1:
-            a, b = a[None], b[None]
-        else:
-            a, b, shape = edges.ends(a, b, 40)
+        a, b, shape = edges.ends(a, b, 40)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance)
         found.expect_short(a, b)
@@ -410,11 +396,8 @@ class CollisionChecker:
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
         errors = curves.joint_errors(self.robot, joint_error)
-        many = isinstance(curve, (list, tuple))
-        each = [(f"curve {k}", one) for k, one in enumerate(curve)] if many else [("curve", curve)]
-        given = [curves.curve_of(self.robot, one, name) for name, one in each]
-        found = curves.certified(self._ready(), given, tolerance, errors)
-        return tuple(found) if many else found[0]
+        found = curves.certified(self._ready(), curves.curves_of(self.robot, curve), tolerance, errors)
+        return tuple(found) if isinstance(curve, (list, tuple)) else found[0]
 
     def pairs(self, q: ArrayLike) -> tuple[Contact, ...]:
         """Name the pairs that touch, overlap or come within their margin at one configuration.
@@ -451,19 +434,8 @@ class CollisionChecker:
         InputError, UnknownNameError, ConvergenceError
             As for `collide`.
         """
-        checked = self.robot.checked(Q)
-        ready = self._ready()
-        flat = edges.flat(checked)
-        _validate.fits_memory(
-            len(flat) * len(ready.pairs), f"{len(flat)} configurations of {len(ready.pairs)} pairs of bodies"
-        )
-        out = np.empty((len(flat), len(ready.pairs)), dtype=bool)
-        for first, poses in ready.poses_in_turn(flat):
-            for at, T in enumerate(poses, first):
-                found = verdicts.pair_verdicts(ready, T)
-                verdicts.expect_pairs_settled(ready, flat[at], found)
-                out[at] = found == Verdict.COLLIDING
-        return out.reshape(*checked.shape[:-1], len(ready.pairs))
+        checked, ready = self.robot.checked(Q), self._ready()
+        return verdicts.collisions_by_pair(ready, edges.flat(checked)).reshape(*checked.shape[:-1], len(ready.pairs))
 
     @overload
     def distance(
@@ -515,28 +487,11 @@ class CollisionChecker:
         >>> checker.distance([2.0, 3.0], exact=True, gradient=True).gradient.round(9) + 0.0
         array([-1.,  0.])
         """
-        checked = self.robot.checked(Q)
-        ready = self._ready()
-        if len(ready.pairs) == 0:
-            raise InputError("distance: expected a robot and a scene with pairs to check, found none")
-        flat = edges.flat(checked)
-        longest = max(map(len, ready.names))
+        checked, ready = self.robot.checked(Q), self._ready()
         exact, gradient = _validate.flag(exact, "exact"), _validate.flag(gradient, "gradient")
         if gradient and not exact:
             raise InputError("gradient: expected exact=True with it, found exact=False: bounds have no gradient")
-        row = 16 + exact * (8 + 3 * 24 + 2 * 4 * longest) + gradient * 8 * self.robot.dof
-        _validate.fits_memory(2 * len(flat) * row, f"distances of {len(flat)} configurations")
-        columns = distances.nearest(ready, flat, exact)
-        if gradient:
-            columns.append(distances.gradients(ready, flat, *(columns[k] for k in (3, 4, 6))))
-        if exact:
-            columns[3] = np.array(ready.names)[columns[3]]
-        batch = checked.shape[:-1]
-        if batch:
-            return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
-        return StateDistance(
-            *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
-        )
+        return distances.nearest(ready, checked, exact, gradient)
 
     @overload
     def clearance(self, Q: ArrayLike, *, softness: float = ..., gradient: Literal[False] = ...) -> OneOrMany: ...
@@ -598,17 +553,10 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         softness, gradient = _validate.positive_scalar(softness, "softness"), _validate.flag(gradient, "gradient")
-        ready, flat = self._ready(), edges.flat(checked)
-        if not ready.starts_matter:  # of a solid all is wanted, not its surface
-            ready = ready.in_parts
-        if len(ready.pairs) == 0:
-            raise InputError("clearance: expected a robot and a scene with pairs to check, found none")
-        n, dof = flat.shape
-        _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
-        lower, slopes = distances.clearances(ready, flat, softness, gradient)
+        lower, slopes = distances.clearances(self._ready(), edges.flat(checked), softness, gradient)
         batch = checked.shape[:-1]
         values: OneOrMany = lower.reshape(batch) if batch else float(lower[0])
-        return (values, slopes.reshape(*batch, dof)) if gradient else values
+        return (values, slopes.reshape(checked.shape)) if gradient else values
 
     def distance_by_pair(self, Q: ArrayLike, *, within: float, gradient: bool = False) -> PairDistances:
         """Exact distances of all pairs that come within a distance of each other.

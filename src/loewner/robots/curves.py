@@ -128,6 +128,13 @@ def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajecto
 # -- forms of curves ----------------------------------------------------------------------------
 
 
+def curves_of(robot: Robot, given: Any) -> list[Curve]:
+    """The courses of a curve, or of those in a list; errors as for `curve_of`."""
+    if isinstance(given, (list, tuple)):
+        return [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
+    return [curve_of(robot, given, "curve")]
+
+
 def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     """The courses of a curve that a user gives.
 

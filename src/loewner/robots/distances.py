@@ -13,9 +13,10 @@ from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, OneOrMany
 from loewner._workspaces import workspace
-from loewner.errors import ConvergenceError
+from loewner.errors import ConvergenceError, InputError
 from loewner.queries import NOTHING, Exact, Vector
 from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
+from loewner.robots.edges import flat
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +102,31 @@ class PairDistances:
         return _validate.brief(self)
 
 
-def nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
-    """Columns of a `StateDistance` for some configurations, with indices of bodies instead of names."""
+def nearest(ready: CheckedPairs, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:
+    """Distances of the nearest pairs at configurations, shape (..., dof): see `CollisionChecker.distance`."""
+    batch, Q = configurations.shape[:-1], flat(configurations)
+    _expect_pairs(ready, "distance")
+    row = 16 + exact * (8 + 3 * 24 + 2 * 4 * max(map(len, ready.names))) + gradient * 8 * ready.robot.dof
+    _validate.fits_memory(2 * len(Q) * row, f"distances of {len(Q)} configurations")
+    columns = _nearest(ready, Q, exact)
+    if gradient:
+        columns.append(gradients(ready, Q, *(columns[k] for k in (3, 4, 6))))
+    if exact:
+        columns[3] = np.array(ready.names)[columns[3]]
+    if batch:
+        return StateDistance(*(c.reshape(batch + c.shape[1:]) for c in columns))
+    return StateDistance(
+        *(float(c[0]) if c.ndim == 1 else tuple(c[0].tolist()) if c.dtype.kind == "U" else c[0] for c in columns)
+    )
+
+
+def _expect_pairs(ready: CheckedPairs, query: str) -> None:
+    if len(ready.pairs) == 0:
+        raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
+
+
+def _nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
+    """Columns without the gradient, and with indices of bodies instead of names."""
     n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
     lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
     vectors = [np.empty((m, 3)) for _ in range(3)]
@@ -185,7 +209,11 @@ def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) 
     ConvergenceError
         If squares of positions overflow.
     """
+    if not ready.starts_matter:  # a solid counts as a whole, not by its surface
+        ready = ready.in_parts
+    _expect_pairs(ready, "clearance")
     n, dof = Q.shape
+    _validate.fits_memory(8 * n * (1 + gradient * dof), f"clearances of {n} configurations")
     lower, slopes = np.empty(n), np.empty((n * gradient, dof))
 
     def run(first: int, last: int) -> None:

@@ -97,6 +97,8 @@ def coarse_first(parts: int) -> Floats:
 
 def ends(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ...]]:
     """Ends of motions broadcast together, in one column each, and their shape; `each` bytes a motion go with them."""
+    if a.ndim == b.ndim == 1:
+        return a[None], b[None], ()
     try:
         a, b = np.broadcast_arrays(a, b)
     except ValueError:

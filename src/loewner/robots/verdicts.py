@@ -80,6 +80,19 @@ class Verdicts(NamedTuple):
     verdicts: NDArray[np.int8]
     tiers: NDArray[np.int8]
 
+    def counted(self) -> Settled:
+        """Count the settled configurations by tier."""
+        free = np.bincount(self.tiers[self.verdicts == codes.FREE], minlength=codes.TIERS).tolist()
+        hit = np.bincount(self.tiers[self.verdicts == codes.COLLIDING], minlength=codes.TIERS).tolist()
+        return Settled(
+            free_by_bounds=free[codes.BY_SPHERE],
+            free_by_ellipsoids=free[codes.BY_OUTER],
+            free_by_planes=free[codes.BY_PLANE],
+            free_by_search=free[codes.BY_SEARCH],
+            colliding_by_ellipsoids=hit[codes.BY_INNER],
+            colliding_by_search=hit[codes.BY_SEARCH],
+        )
+
 
 def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
     """Verdicts of configurations, shape (N, dof), in mode `codes.CERTIFY` or `codes.EXACT`."""
@@ -236,3 +249,15 @@ def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
 
 
 _NOWHERE = np.empty(0, dtype=np.int64)
+
+
+def collisions_by_pair(ready: CheckedPairs, Q: Floats) -> Bools:
+    """Whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if one is unsettled."""
+    _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
+    out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
+    for first, poses in ready.poses_in_turn(Q):
+        for at, T in enumerate(poses, first):
+            found = pair_verdicts(ready, T)
+            expect_pairs_settled(ready, Q[at], found)
+            out[at] = found == Verdict.COLLIDING
+    return out
