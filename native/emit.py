@@ -34,7 +34,7 @@ from numba.extending import intrinsic
 sys.path.insert(0, str(Path(__file__).parents[1] / "src"))
 
 from loewner._kernels import _jit, _parts
-from loewner._native.entries import ENTRIES, Entry
+from loewner._native.entries import ENTRIES, Entry, types_of
 
 SLOT = ir.IntType(64)
 PREFIX = "loewner_"
@@ -104,28 +104,13 @@ class Exchange:
         )
 
 
-KINDS = {"F": types.float64, "I": types.int64, "B": types.int8, "U": types.uint8, "T": types.boolean}
-NUMBERS = {"i": types.int64, "f": types.float64, "b": types.boolean}
-
-
-def types_of(words: str) -> list[types.Type]:
-    """Numba's types of a signature's words, see `entries`."""
-    found = []
-    for word in words.split():
-        kind = word.removeprefix("c")
-        found.append(
-            NUMBERS[kind] if kind in NUMBERS else types.Array(KINDS[kind[0]], int(kind[1:]), "C", readonly=kind != word)
-        )
-    return found
-
-
 def compiled(entry: Entry):
     """Compile an entry down to intermediate code."""
     kernel = getattr(importlib.import_module(f"loewner._kernels.{entry.module}"), entry.name)
     options = {**kernel.targetoptions, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher = CPUDispatcher(kernel.py_func, targetoptions=options, pipeline_class=_parts.PartCompiler)
-    result = dispatcher._compiler.compile(tuple(types_of(entry.arguments)), None)
-    expected = types_of(entry.results)
+    result = dispatcher._compiler.compile(types_of(entry.arguments), None)
+    expected = list(types_of(entry.results))
     found = result.signature.return_type
     listed = [] if found == types.none else list(found) if isinstance(found, types.BaseTuple) else [found]
     if [types.unliteral(kind) for kind in listed] != expected:

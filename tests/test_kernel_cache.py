@@ -286,14 +286,46 @@ sys.exit(_jit.unwritten())
 QUERIES = """
 import numpy as np
 import loewner
+from loewner import paper, planners
 box, other = loewner.Body.box([1, 1, 1]), loewner.Body.box([0.5, 0.6, 0.7])
 T = np.tile(np.eye(4), (3, 1, 1))
 T[:, 0, 3] = [0.2, 1.1, 1.7]
 loewner.classify(box, None, other, T)
 loewner.collide(box, None, other, T)
+loewner.collide(box, None, other, T, method="estimate")
 loewner.distance(box, None, other, T, exact=True)
 loewner.overlapping_pairs(box, T)
+
+points = np.random.default_rng(0).normal(size=(400, 3))
+loewner.Body.from_points(points / np.linalg.norm(points, axis=1)[:, None])
+loewner.mvce(points)
+loewner.mvie(points)
+one, far = (loewner.Ellipsoids([x, 0.0, 0.0], np.eye(3)) for x in (0.0, 3.0))
+loewner.near_points(one, far)
+loewner.contact_function(one, far)
+loewner.overlap(one, far)
+paper.run(20)
+corners, triangles = points[:4], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
+loewner.Body.from_surface((corners, triangles), solid=False)
+
+robot = loewner.Robot.from_urdf({arm!r})
+robot.forward_kinematics([[0.0]])
+checker = loewner.CollisionChecker(robot, skip_adjacent=False)
+checker.collide([[0.0], [5.0]])
+checker.valid_edges([5.0], [6.0], resolution=0.5)
+checker.certify_edges([5.0], [6.0])
+checker.distance([5.0], exact=True, gradient=True)
+checker.clearance([5.0], gradient=True)
+planners.plan(checker, [5.0], [6.0])
+planners.shorten(checker, [[5.0], [5.5], [6.0]])
 """
+
+ARM = """<robot name="arm">
+  <link name="base"><collision><geometry><cylinder radius="0.5" length="1"/></geometry></collision></link>
+  <link name="hand"><collision><geometry><sphere radius="0.5"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="base"/><child link="hand"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="9" effort="1" velocity="1"/></joint>
+</robot>"""
 
 
 def test_a_second_process_compiles_nothing(tmp_path: Path):
@@ -320,7 +352,7 @@ def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
 
 def test_an_unknown_part_is_told():
     """The error names the parts that there are."""
-    known = "verdicts, crowds, robots, fits, distances, estimates, paper"
+    known = "verdicts, crowds, robots, fits, surfaces, distances, estimates, paper"
     with pytest.raises(loewner.UnknownNameError, match=f"{known}, found 'verdict'"):
         compilation.compile_kernels(["verdict"])
 
@@ -372,5 +404,9 @@ def test_compiling_ahead_leaves_nothing_to_compile(tmp_path: Path):
     env |= {"LOEWNER_CACHE_DIR": str(tmp_path), "LOEWNER_JIT": "1"}
     compiling = subprocess.run([sys.executable, "-m", "loewner", "compile"], env=env, capture_output=True, text=True)
     assert compiling.returncode == 0, compiling.stderr
-    asked = subprocess.run([sys.executable, "-c", QUERIES], env=env, capture_output=True, text=True, check=True)
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(ARM, encoding="utf-8")
+    asked = subprocess.run(
+        [sys.executable, "-c", QUERIES.format(arm=str(arm))], env=env, capture_output=True, text=True, check=True
+    )
     assert asked.stderr == ""

@@ -10,111 +10,25 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
-
 from loewner import _validate
 from loewner._native import entries, library
 from loewner.errors import FileError
 
-_ARM = """<robot name="arm">
-  <link name="base"><collision><geometry><cylinder radius="0.5" length="1"/></geometry></collision></link>
-  <link name="hand"><collision><geometry><sphere radius="0.5"/></geometry></collision></link>
-  <joint name="slide" type="prismatic"><parent link="base"/><child link="hand"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="9" effort="1" velocity="1"/></joint>
-</robot>"""
-
-
-def _poses() -> np.ndarray:
-    T = np.tile(np.eye(4), (3, 1, 1))
-    T[:, 0, 3] = 0.3, 1.05, 4.0
-    return T
-
-
-# Curved bodies where any will do: those with vertices need the kernels of hulls and fits besides.
-
-
-def _verdicts() -> None:
-    import loewner
-
-    a, b = loewner.Body.cylinder(0.5, 1), loewner.Body.sphere(0.5)
-    loewner.classify(a, None, b, _poses())
-    loewner.collide(a, None, b, _poses(), margin=0.1)
-    _validate.rigid_motions(_poses(), "T")
-
-
-def _estimates() -> None:
-    import loewner
-
-    a, b = loewner.Body.cylinder(0.5, 1), loewner.Body.sphere(0.5)
-    loewner.collide(a, None, b, _poses(), method="estimate")
-
-
-def _crowds() -> None:
-    import loewner
-
-    balls = loewner.Bodies.spheres([0.5, 0.5, 0.5])
-    loewner.overlapping_pairs(balls, _poses())
-
-
-def _paper() -> None:
-    from loewner import paper
-
-    paper.run(20)
-    paper.mvce_by_lifted_mvie(np.random.default_rng(0).normal(size=(12, 3)))
-
-
-def _distances() -> None:
-    import loewner
-
-    box, ball, tube = loewner.Body.box([1, 1, 1]), loewner.Body.ellipsoid([1, 2, 3]), loewner.Body.cylinder(1, 1)
-    for body in (box, ball, tube):
-        loewner.distance(box, None, body, _poses(), exact=True)
-    loewner.distance(ball, None, ball, _poses(), exact=True)
-    touching = np.eye(4)
-    touching[0, 3] = 1.0
-    loewner.collide(box, None, box, touching)  # the fallback, which is made of the same searches
-
-
-def _fits() -> None:
-    import loewner
-
-    points = np.random.default_rng(0).normal(size=(12, 3))
-    loewner.Body.from_points(points)
-    round_points = np.random.default_rng(0).normal(size=(400, 3))
-    loewner.Body.from_points(round_points / np.linalg.norm(round_points, axis=1)[:, None])  # with a map of directions
-    loewner.mvce(points)
-    loewner.mvie(points)
-    one, other = (loewner.Ellipsoids([x, 0.0, 0.0], np.eye(3)) for x in (0.0, 3.0))
-    loewner.near_points(one, other)
-    loewner.contact_function(one, other)
-    loewner.overlap(one, other)
-
-
-def _robots() -> None:
-    import loewner
-    from loewner import planners
-
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder, "arm.urdf")
-        urdf.write_text(_ARM, encoding="utf-8")
-        robot = loewner.Robot.from_urdf(urdf)
-    robot.forward_kinematics([[0.0]])
-    checker = loewner.CollisionChecker(robot, skip_adjacent=False)
-    checker.collide([[0.0], [5.0]])
-    checker.valid_edges([5.0], [6.0], resolution=0.5)
-    checker.certify_edges([5.0], [6.0])
-    planners.plan(checker, [5.0], [6.0])
-    planners.shorten(checker, [[5.0], [5.5], [6.0]])
-
-
-_PARTS = {
-    "verdicts": _verdicts, "crowds": _crowds, "robots": _robots, "fits": _fits, "distances": _distances,
-    "estimates": _estimates, "paper": _paper,
-}  # fmt: skip
-PARTS = tuple(_PARTS)
+# Modules below `loewner._kernels`, or the first letters of their names, by the part that their entries belong to.
+_MODULES = {
+    "verdicts": ("pipeline.verdicts", "pipeline.fallback", "pipeline.workspace", "pieces.rigid"),
+    "crowds": ("trees.boxes",),
+    "robots": ("robots.",),
+    "fits": ("fits.", "ellipsoids.", "pieces.directions"),
+    "surfaces": ("narrow.mesh_points", "trees.piece_tree", "trees.triangle"),
+    "distances": ("pipeline.distances",),
+    "estimates": ("pipeline.bounds",),
+    "paper": ("paper.",),
+}
+PARTS = tuple(_MODULES)
 
 # What one process compiles, since most of it is the same; those that take longest first.
-_TOGETHER = (("verdicts", "crowds", "robots"), ("fits",), ("distances", "estimates", "paper"))
+_TOGETHER = (("verdicts", "crowds", "robots"), ("fits", "surfaces"), ("distances", "estimates", "paper"))
 
 POLL = 0.1  # seconds between looks at the processes
 
@@ -128,7 +42,7 @@ def compile_kernels(parts: Iterable[str] = PARTS, *, progress: Callable[[int, in
     Parameters
     ----------
     parts : iterable of str
-        Any of "verdicts", "crowds", "robots", "fits", "distances", "estimates" and "paper"; all by default.
+        Any of "verdicts", "crowds", "robots", "fits", "surfaces", "distances", "estimates" and "paper"; all by default.
     progress : callable, optional
         Called as ``progress(done, total)`` after each part.
 
@@ -210,9 +124,17 @@ import gc, sys
 sys.path.insert(0, {str(Path(__file__).parent.parent)!r})
 gc.set_threshold(200_000, 50, 100)
 from loewner._kernels import _jit
-from loewner.compilation import _PARTS
+from loewner.compilation import compile_part
 for name in {names!r}:
-    _PARTS[name]()
+    compile_part(name)
     print(name, flush=True)
 sys.exit(_jit.unwritten())
 """
+
+
+def compile_part(name: str) -> None:
+    """Compile the entries of a part in this process, for the types that the table of entries states."""
+    for entry in entries.ENTRIES.values():
+        if entry.module.startswith(_MODULES[name]):
+            for signature in entries.signatures(entry):
+                getattr(entries, entry.name)._for_python.compile(signature)

@@ -115,3 +115,25 @@ def expect_numba() -> None:
             f"expected loewner's native library, or Numba to compile its kernels; found no library to use "
             f"({library.why_not()}) and no Numba: pip install 'loewner[jit]', or install loewner again"
         ) from None
+
+
+def signatures(entry: Entry) -> list[tuple[Any, ...]]:
+    """Numba's types of an entry's arguments: first with read-only arrays where they may be, then without."""
+    words = entry.arguments
+    return [types_of(text) for text in dict.fromkeys([words, words.replace("c", "")])]
+
+
+def types_of(words: str) -> tuple[Any, ...]:
+    """Numba's types of a signature's words."""
+    from numba import types
+
+    numbers = {"i": types.int64, "f": types.float64, "b": types.boolean}
+    kinds = {"F": types.float64, "I": types.int64, "B": types.int8, "U": types.uint8, "T": types.boolean}
+
+    def type_of(word: str) -> Any:
+        if word in numbers:
+            return numbers[word]
+        text = word.removeprefix("c")
+        return types.Array(kinds[text[0]], int(text[1:]), "C", readonly=word.startswith("c"))
+
+    return tuple(map(type_of, words.split()))

@@ -129,7 +129,7 @@ def _of_segments(times: Floats, segments: CertifiedMotions) -> CertifiedTrajecto
 
 
 def curves_of(robot: Robot, given: Any) -> list[Curve]:
-    """The courses of a curve, or of those in a list; errors as for `curve_of`."""
+    """The courses of one curve, or of each curve in a list; errors as for `curve_of`."""
     if isinstance(given, (list, tuple)):
         return [curve_of(robot, one, f"curve {k}") for k, one in enumerate(given)]
     return [curve_of(robot, given, "curve")]
