@@ -25,7 +25,6 @@ from numba import njit
 from numba.core import config, types
 from numba.core.bytecode import FunctionIdentity
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
-from numba.core.compiler import compile_result
 from numba.core.datamodel import default_manager
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime import rtsys
@@ -51,7 +50,11 @@ class _OwnLibrary(_parts._PartLibrary):
         self._finalize_final_module()
 
     def serialize_using_object_code(self):
-        return self.name, Exchange.of_process.write(self)
+        return self.name, "bitcode", Exchange.of_process.write(self)
+
+    @classmethod
+    def restored(cls, codegen, name, kept):
+        return Exchange.of_process.read(kept)
 
 
 class Exchange:
@@ -89,19 +92,6 @@ class Exchange:
                 library.add_linking_library(self.read(one))
             self._names[library], self._libraries[name] = name, library
         return self._libraries[name]
-
-    def restored(self, target_context, kept, fndesc, environment, signature, *_):
-        """Do the work of `_parts.restored` for a function whose library is stored here."""
-        return compile_result(
-            target_context=target_context,
-            typing_context=target_context.typing_context,
-            library=self.read(kept[1]),
-            fndesc=fndesc,
-            environment=environment,
-            entry_point=object(),
-            signature=signature,
-            objectmode=False,
-        )
 
 
 def compiled(entry: Entry):
@@ -280,7 +270,6 @@ def main(to: str, number: int, names: list[str]) -> None:
     FunctionIdentity._unique_ids = itertools.count(1 + number * 1_000_000)
     Exchange.of_process = Exchange(_jit.CACHE_FOLDER / "libraries", number)
     _parts.PartCompiler.library_class = _OwnLibrary
-    _parts.restored = Exchange.of_process.restored
     gc.disable()  # a seventh of the time, for half a gigabyte: Numba makes millions of small objects that stay
     Path(to).write_bytes(emit([ENTRIES[name] for name in names]))
 

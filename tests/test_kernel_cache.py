@@ -16,6 +16,7 @@ import loewner
 from loewner import compilation
 from loewner._kernels import _jit, _sealed
 from loewner._native import library
+from loewner._native.entries import ENTRIES
 
 ASK = """
 import sys
@@ -348,6 +349,12 @@ def test_a_broken_part_is_told(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(compilation, "_TOGETHER", (("no such part",),))
     with pytest.raises(loewner.FileError, match="no such part could not be compiled(.|\n)*KeyError"):
         compilation.compile_kernels(["no such part"])
+
+
+def test_every_entry_belongs_to_one_part():
+    """An entry of no part would be compiled at its first call, however much was compiled ahead."""
+    for entry in ENTRIES.values():
+        assert sum(entry.module.startswith(modules) for modules in compilation._MODULES.values()) == 1, entry.name
 
 
 def test_an_unknown_part_is_told():

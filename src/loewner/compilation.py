@@ -137,4 +137,4 @@ def compile_part(name: str) -> None:
     for entry in entries.ENTRIES.values():
         if entry.module.startswith(_MODULES[name]):
             for signature in entries.signatures(entry):
-                getattr(entries, entry.name)._for_python.compile(signature)
+                getattr(entries, entry.name).compile_ahead(signature)

@@ -179,6 +179,10 @@ class _Kernel(CPUDispatcher):
         """Keep a part for the kernels, which look here; Python could not call it."""
         self.overloads[tuple(cres.signature.args)] = cres
 
+    def compile_ahead(self, signature: tuple[Any, ...]) -> None:
+        """Compile what Python can call, for these types."""
+        self._for_python.compile(signature)
+
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         """Compile what Python can call; asked for types that are new."""
         return self._for_python._compile_for_args(*args, **kws)

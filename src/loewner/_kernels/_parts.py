@@ -36,6 +36,13 @@ class _PartLibrary(JITCodeLibrary):
         self._final_module = parse_bitcode(bitcode)
         self._finalize_final_module()
 
+    @classmethod
+    def restored(cls, codegen: Any, name: str, kept: Any) -> Any:
+        """Return the library that was kept on disk."""
+        part = cls(codegen, name)
+        part.load(kept)
+        return part
+
 
 def _key(library: Any, fndesc: Any, environment: Any) -> object:
     """Stand in for what Python would call; callers are compiled against it, and need only that it is unique."""
@@ -72,8 +79,7 @@ def restored(target_context: Any, library: Any, fndesc: Any, environment: Any, s
     name, kind, code = library
     if kind != "bitcode":
         return CompileResult._rebuild(target_context, library, fndesc, environment, signature, *rest)
-    part = _PartLibrary(target_context.codegen(), name)
-    part.load(code)
+    part = PartCompiler.library_class.restored(target_context.codegen(), name, code)
     return compile_result(
         target_context=target_context,
         typing_context=target_context.typing_context,

@@ -29,7 +29,7 @@ def _run(options: argparse.Namespace) -> int:
                 options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
             )
     else:  # a log, where no bar shows
-        _log(f"compiling {', '.join(options.only)}; takes a minute or two")
+        _log(f"compiling {', '.join(options.only)}; takes a few minutes")
         folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))
     print(f"compiled into {folder}")
     return 0

@@ -190,6 +190,18 @@ def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
     return verdicts
 
 
+def collisions_by_pair(ready: CheckedPairs, Q: Floats) -> Bools:
+    """Whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if one is unsettled."""
+    _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
+    out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
+    for first, poses in ready.poses_in_turn(Q):
+        for at, T in enumerate(poses, first):
+            found = pair_verdicts(ready, T)
+            expect_pairs_settled(ready, Q[at], found)
+            out[at] = found == Verdict.COLLIDING
+    return out
+
+
 def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
     """Raise an error if one pair's verdict at a configuration is AMBIGUOUS.
 
@@ -249,15 +261,3 @@ def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
 
 
 _NOWHERE = np.empty(0, dtype=np.int64)
-
-
-def collisions_by_pair(ready: CheckedPairs, Q: Floats) -> Bools:
-    """Whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if one is unsettled."""
-    _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
-    out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
-    for first, poses in ready.poses_in_turn(Q):
-        for at, T in enumerate(poses, first):
-            found = pair_verdicts(ready, T)
-            expect_pairs_settled(ready, Q[at], found)
-            out[at] = found == Verdict.COLLIDING
-    return out
