@@ -899,9 +899,92 @@ def test_paper_refuses(saved, capsys, arguments):
 # -- the program --------------------------------------------------------------------------------
 
 
+# -- audit --------------------------------------------------------------------------------------
+
+AUDIT = ("audit", *ROBOT, "moves.csv", "--scene", "end.yaml")
+AROUND_END = "time,x,y,turn\n0,-0.5,0.7,1.5\n1,0,0.7,1.5\n2,0.5,0.7,1.5\n"
+THROUGH = "time,x,y,turn\n0,-0.5,0.7,1.5\n1,0,0.7,1.5\n2,0,-0.5,1.5\n3,0.5,0.7,1.5\n"
+
+
+def test_audit_of_a_free_trajectory(with_end, capsys):
+    """The ball passes 0.1 m above the wall's end; the nearest distance is that of plane geometry."""
+    Path("moves.csv").write_text(AROUND_END)
+    status, out, err = run(capsys, *AUDIT)
+    assert (status, err) == (0, "")
+    assert out.startswith("FREE  2 pieces, proven free at every time\n")
+    assert re.search(r"^time +0 s \.{60} 2 s$", out, flags=re.M)
+    assert float(re.search(r"^nearest +([0-9.]+) mm", out, flags=re.M)[1]) == pytest.approx(100, abs=1e-3)
+
+
+def test_audit_of_a_collision(with_end, capsys):
+    """Each piece that collides has a time, a pair and a depth, as in the library; the picture shows it."""
+    Path("moves.csv").write_text(THROUGH)
+    status, out, _ = run(capsys, *AUDIT, "--json")
+    answer = json.loads(out)
+    found = checker_of_folder().certify_trajectory(planners.ControllerPoints.load("moves.csv"))
+    assert (status, answer["verdict"], answer["time"]) == (1, "COLLIDING", found.time)
+    assert [piece["number"] for piece in answer["unproven"]] == [1, 2]
+    # In the middle of the wall the ball is as deep as half the wall and its own radius.
+    assert answer["nearest"] == pytest.approx(-0.15, abs=1e-6)
+    assert answer["nearest_pair"] == ["ball", "wall"]
+    assert answer["picture"] == "." * 20 + "#" * 40
+    status, out, _ = run(capsys, *AUDIT)
+    assert status == 1
+    assert out.startswith("COLLIDING  2 of 3 pieces not proven free, ")
+    assert len(re.findall(r"^│ [12] +│ ", out, flags=re.M)) == 2
+
+
+def test_audit_follows_the_controller(with_end, capsys):
+    """Between the same points the straight line is free, and the cubic with these velocities is not."""
+    Path("moves.csv").write_text(
+        "time,x,y,turn,x velocity,y velocity,turn velocity\n0,-0.5,0.7,1.5,0,-4,0\n1,0.5,0.7,1.5,0,4,0\n"
+    )
+    assert run(capsys, *AUDIT, "--controller", "linear")[0] == 0
+    for arguments in ([], ["--controller", "cubic"]):
+        status, out, _ = run(capsys, *AUDIT, *arguments)
+        assert status == 1
+        assert out.endswith("curve     cubic between points\n")
+    status, _, err = run(capsys, *AUDIT, "--controller", "quintic")
+    assert status == 2
+    assert "accelerations" in err
+
+
+def test_audit_with_joints_that_stay(with_end, capsys):
+    """What the file does not name stays at 0, or where --others says; an unknown joint is an error."""
+    Path("moves.csv").write_text("time,x,turn\n0,-0.5,1.5\n1,0.5,1.5\n")
+    assert run(capsys, *AUDIT)[0] == 1
+    assert run(capsys, *AUDIT, "--others", "0 0.7 0")[0] == 0
+    Path("moves.csv").write_text("time,x,tool\n0,-0.5,1.5\n1,0.5,1.5\n")
+    status, _, err = run(capsys, *AUDIT)
+    assert status == 2
+    assert "tool" in err
+
+
+def test_audit_with_a_joint_error(with_end, capsys):
+    """The ball keeps 0.1 m: with less error the curve is proven, with more it is ambiguous, since no point collides."""
+    Path("moves.csv").write_text(AROUND_END)
+    assert run(capsys, *AUDIT, "--joint-error", 0.03)[0] == 0
+    status, out, _ = run(capsys, *AUDIT, "--joint-error", 0.2)
+    assert status == 3
+    assert out.startswith("AMBIGUOUS  ")
+    assert "every value up to 0.2 off" in out
+    assert run(capsys, *AUDIT, "--joint-error", -1)[0] == 2
+
+
 @pytest.mark.parametrize(
     "command",
-    [[], ["fit"], ["check"], ["clearance"], ["paper"], ["robot"], ["robot", "info"], ["robot", "check"], ["plan"]],
+    [
+        [],
+        ["fit"],
+        ["check"],
+        ["clearance"],
+        ["paper"],
+        ["robot"],
+        ["robot", "info"],
+        ["robot", "check"],
+        ["plan"],
+        ["audit"],
+    ],
 )
 def test_help_has_examples(command, capsys):
     """--help works everywhere; each command shows examples, and `check` its exit status."""

@@ -1,7 +1,9 @@
 """Curves in time are proven as SciPy, controllers and trajectories define them."""
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from scipy.interpolate import (
 )
 
 from families import translation
-from loewner import Body, CollisionChecker, InputError, Scene, Verdict
+from loewner import Body, CollisionChecker, FileError, InputError, Scene, Verdict
 from loewner.planners import ControllerPoints, trajectory
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
@@ -242,3 +244,106 @@ def test_a_piece_that_turns_too_far(floating):
     rows[0, at], rows[1, at] = [1, 0, 0, 0], [0, 0, 0, 1]
     with pytest.raises(InputError, match="80 degrees.*from 1 s to 4 s of curve 0"):
         floating.certify_trajectory(ControllerPoints([1.0, 4.0], rows))
+
+
+def test_joint_errors_of_straight_motions(checker, rng):
+    """`certify_edges` proves what it says for a line of a controller; no corner of the errors collides."""
+    a, b = np.swapaxes(paths(checker, rng, 200, corners=2), 0, 1)
+    error = np.where(np.arange(checker.robot.dof) % 2, 5e-3, 2e-3)
+    found = checker.certify_edges(a, b, joint_error=error)
+    given = [ControllerPoints([0, 1], ends) for ends in np.stack([a, b], axis=1)]
+    lines = checker.certify_trajectory(given, joint_error=error)
+    assert found.verdict.tolist() == [one.verdict for one in lines]
+    exact = checker.certify_edges(a, b).verdict
+    assert ((found.verdict == FREE) <= (exact == FREE)).all()
+    assert ((found.verdict == COLLIDING) <= (exact == COLLIDING)).all()
+    free = found.verdict == FREE
+    assert 0 < free.sum() < (exact == FREE).sum()
+    Q = checker.robot.between(a[free, None], b[free, None], np.linspace(0, 1, 50))
+    assert not checker.collide(Q + error * rng.choice([-1.0, 1.0], Q.shape)).any()
+    assert checker.certify_edges(a[0], b[0], joint_error=0.0).verdict == exact[0]
+    with pytest.raises(InputError, match="joint_error"):
+        checker.certify_edges(a, b, joint_error=-1e-3)
+
+
+MESSAGE = {
+    "header": {"frame_id": "base"},
+    "joint_names": ["rail", "elbow"],
+    "points": [
+        {"positions": [0, 0], "velocities": [0, 0.5], "accelerations": [], "time_from_start": {"sec": 0, "nanosec": 0}},
+        {"positions": [1, 2], "velocities": [1, 0], "accelerations": [], "time_from_start": {"sec": 1, "nanosec": 5e8}},
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("points.json", json.dumps(MESSAGE)),
+        ("wrapped.json", json.dumps([{"other": 1}, {"trajectory": {"joint_trajectory": MESSAGE}}])),
+        ("points.yaml", json.dumps(MESSAGE) + "\n---\n"),
+        ("old.json", json.dumps(MESSAGE).replace('"sec"', '"secs"').replace('"nanosec"', '"nsecs"')),
+        ("points.csv", "time,rail,elbow,rail velocity,elbow velocity\n0,0,0,0,0.5\n1.5,1,2,1,0\n"),
+        ("order.csv", "time_from_start,elbow,elbow velocity,rail velocity,rail\n0,0,0.5,0,0\n1.5,2,0,1,1\n"),
+    ],
+)
+def test_points_from_files(tmp_path, monkeypatch, name, text):
+    """Messages of ROS, wrapped or not, and tables give the same points."""
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    found = ControllerPoints.load(name)
+    order = [found.names.index(joint) for joint in ("rail", "elbow")]
+    assert found.times.tolist() == [0.0, 1.5]
+    assert found.positions[:, order].tolist() == [[0, 0], [1, 2]]
+    assert found.velocities[:, order].tolist() == [[0, 0.5], [1, 0]]
+    assert found.accelerations is None
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+def test_saved_trajectories_are_points(checker, rng, tmp_path, monkeypatch, ending):
+    """A controller that gets the knots and velocities of a saved trajectory follows it."""
+    monkeypatch.chdir(tmp_path)
+    moved = trajectory(checker.robot, paths(checker, rng, 1)[0], acceleration=2.0)
+    moved.save(f"moved.{ending}")
+    points = ControllerPoints.load(f"moved.{ending}")
+    curve = curve_of(checker.robot, points, "curve")
+    middle = configurations(checker.robot, curve.courses, np.full(len(curve.courses), 0.5))
+    times = (points.times[1:] + points.times[:-1]) / 2
+    np.testing.assert_allclose(middle, moved.positions(times), rtol=0, atol=1e-12)
+
+
+def _without(key):
+    return {name: value for name, value in MESSAGE.items() if name != key}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("a.csv", "", "header"),
+        ("a.csv", "rail,elbow\n0,1\n", "header"),
+        ("a.csv", "time,rail,rail\n0,1,2\n", "different joints"),
+        ("a.csv", "time,rail\n0,1\n1,2,3\n", "inhomogeneous"),
+        ("a.csv", "time,rail\n0,1\n1,x\n", "'x'"),
+        ("a.csv", "time,rail\n0,1\n0,2\n", "times"),
+        ("a.csv", "time,rail\n0,1\n1,nan\n", "finite"),
+        ("a.csv", "time,rail,elbow,rail velocity\n0,1,1,1\n1,1,1,1\n", "elbow velocity"),
+        ("a.json", "{", "expected points of a trajectory"),
+        ("a.json", json.dumps(_without("points")), "points"),
+        ("a.json", json.dumps(_without("joint_names")), "points"),
+        ("a.json", json.dumps(MESSAGE | {"points": [{}]}), "time_from_start"),
+        ("a.json", json.dumps(MESSAGE | {"points": [{"time_from_start": 0}, {"time_from_start": 1}]}), "positions"),
+        ("a.json", json.dumps(MESSAGE | {"points": [1, 2]}), "expected points of a trajectory"),
+        ("a.json", json.dumps(MESSAGE).replace("[1, 0]", "[]"), "velocities of some points only"),
+        ("a.yaml", "points: [", "line 1"),
+        ("a.json", "[" * 100_000, "expected points of a trajectory"),
+    ],
+)  # fmt: skip
+def test_bad_files_of_points(tmp_path, monkeypatch, name, text, told):
+    """One clear error, which names the file."""
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    with pytest.raises(FileError, match=told) as caught:
+        ControllerPoints.load(name)
+    assert str(caught.value).startswith(name)
+    with pytest.raises(InputError, match="path"):
+        ControllerPoints.load("points.txt")

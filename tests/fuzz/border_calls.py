@@ -942,7 +942,12 @@ CALLS: dict[str, Call] = {
     ),
     "CollisionChecker.certify_edges": Call(
         on(checker, "certify_edges"),
-        {"Q0": CONFIGURATIONS, "Q1": CONFIGURATIONS, "tolerance": positive()},
+        {
+            "Q0": CONFIGURATIONS,
+            "Q1": CONFIGURATIONS,
+            "tolerance": positive(),
+            "joint_error": array([1e-3, 0.0, 1e-3], FINITE, NUMBERS, ZERO, "a number alone"),
+        },
     ),
     "CollisionChecker.certify_trajectory": Call(
         on(checker, "certify_trajectory"),
@@ -1033,6 +1038,7 @@ CALLS: dict[str, Call] = {
             "names": arg(lambda: ["y", "turn", "x"], NONE),
         },
     ),
+    "planners.ControllerPoints.load": Call(planners.ControllerPoints.load, {"path": arg("moved.json")}),
     "planners.Trajectory.load": Call(planners.Trajectory.load, {"path": arg("moved.json")}),
     "planners.space_information": Call(
         planners.space_information,
@@ -1301,6 +1307,10 @@ LINES: dict[str, Call] = {
     "loewner robot check --state": Call(
         line("robot", "check", "gantry.urdf", "--srdf", "gantry.srdf", "--scene", "scene.yaml", "--state", "STATE"),
         {"state": word("left")},
+    ),
+    "loewner audit": Call(
+        line("audit", "gantry.urdf", "moved.json", "--scene", "SCENE", "--others", "OTHERS", "--joint-error", "ERROR"),
+        {"scene": word("scene.yaml"), "others": word("left"), "error": word("0.01", LINE_NUMBERS)},
     ),
     "loewner plan": Call(
         line(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import math
@@ -15,7 +16,7 @@ import loewner
 from loewner import _archives, _tables, _validate
 from loewner._files import read_regular, replacing
 from loewner._validate import Floats
-from loewner.errors import FileError
+from loewner.errors import FileError, InputError
 
 # What configurations are read from, and what paths are written to.
 READ = (".npy", ".csv", ".json")
@@ -51,6 +52,29 @@ def write(path: Path, robot: loewner.Robot, rows: Floats) -> None:
             # One configuration on each line.
             listed = ",\n  ".join(map(json.dumps, numbers))
             file.write(f'{{\n "names": {json.dumps(names)},\n "configurations": [\n  {listed}\n ]\n}}\n')
+
+
+def given(text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None) -> Floats:
+    """One configuration or several, from the name of a state, a file, or numbers; the shape is checked by others.
+
+    A state keeps the values of `start` of joints that it does not name.
+    """
+    if text in robot.states:
+        kept = {} if start is None else dict(zip(robot.configuration_names, start, strict=True))
+        return robot.configuration(kept | dict(robot.states[text][1]))
+    if Path(text).suffix.lower() in READ:
+        Q = robot.checked(read(Path(text), robot), text)
+        return Q[0] if len(Q) == 1 else Q
+    try:
+        numbers = _tables.row(text)
+    except ValueError as error:
+        if options.srdf is not None and "," not in text:
+            raise _validate.unknown_name(f"{name}, state", text, robot.states) from None
+        raise InputError(
+            f"{name}: expected numbers, a .npy, .csv or .json file, or with --srdf the name of a state; found {text!r} "
+            f"({error})"
+        ) from None
+    return robot.checked(numbers, name)
 
 
 def _rows(text: str) -> list[list[str]]:

@@ -1,7 +1,7 @@
 """The command line: parse, call the public API, print.
 
 Exit status: 0 done, or free; 1 colliding (for many pairs or configurations, one or more), or no path; 2 error, or one
-or more of many meshes failed; 3 ambiguous (only for ``loewner check --method certified`` and ``loewner plan``).
+or more of many meshes failed; 3 ambiguous (only for ``loewner check --method certified``, ``loewner plan``, ``audit``).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 import loewner
 from loewner import _validate
-from loewner.cli import check, clearance, compile, fit, info, paper, plan, robot, view
+from loewner.cli import audit, check, clearance, compile, fit, info, paper, plan, robot, view
 from loewner.cli.output import ERROR
 from loewner.errors import InputError, LoewnerError
 
@@ -102,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="loewner", description=loewner.__doc__)
     parser.add_argument("--version", action="version", version=f"loewner {loewner.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (fit, check, clearance, robot, plan, view, compile, info, paper):
+    for command in (fit, check, clearance, robot, plan, audit, view, compile, info, paper):
         command.add(commands)
     return parser
 

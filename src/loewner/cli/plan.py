@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 import loewner
-from loewner import Verdict, _tables, planners
-from loewner._validate import Floats, unknown_name
+from loewner import Verdict, planners
+from loewner._validate import Floats
 from loewner.cli import configurations, inputs
 from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, NO_PATH, new_table, print_table, progress_bar
 from loewner.errors import FileError, InputError, PlanningError
@@ -89,8 +89,8 @@ def _run(options: argparse.Namespace) -> int:
             rule(*pair)
     robot = inputs.robot(options)
     checker = loewner.CollisionChecker(robot, scene)
-    start = robot.checked_one(_configurations(options.start, "--start", options, robot, None), "--start")
-    goal = _configurations(options.goal, "--goal", options, robot, start)
+    start = robot.checked_one(configurations.given(options.start, "--start", options, robot, None), "--start")
+    goal = configurations.given(options.goal, "--goal", options, robot, start)
     inputs.refuse_no_pairs(checker, options.urdf)
     try:
         path, seconds = _found(checker, start, goal, options)
@@ -115,31 +115,6 @@ def _refuse_unused(options: argparse.Namespace) -> None:
         raise InputError("--max-iterations: expected no --planner with it; OMPL's planners end by --timeout")
     if options.out is not None and options.out.suffix.lower() not in configurations.WRITTEN:
         raise FileError(f"--out: expected a .csv or .json file, found {options.out}")
-
-
-def _configurations(
-    text: str, name: str, options: argparse.Namespace, robot: loewner.Robot, start: Floats | None
-) -> Floats:
-    """One configuration or several, from the name of a state, a file, or numbers; the shape is checked by others.
-
-    A state keeps the values of `start` of joints that it does not name.
-    """
-    if text in robot.states:
-        kept = {} if start is None else dict(zip(robot.configuration_names, start, strict=True))
-        return robot.configuration(kept | dict(robot.states[text][1]))
-    if Path(text).suffix.lower() in configurations.READ:
-        Q = robot.checked(configurations.read(Path(text), robot), text)
-        return Q[0] if len(Q) == 1 else Q
-    try:
-        numbers = _tables.row(text)
-    except ValueError as error:
-        if options.srdf is not None and "," not in text:
-            raise unknown_name(f"{name}, state", text, robot.states) from None
-        raise InputError(
-            f"{name}: expected numbers, a .npy, .csv or .json file, or with --srdf the name of a state; found {text!r} "
-            f"({error})"
-        ) from None
-    return robot.checked(numbers, name)
 
 
 def _found(

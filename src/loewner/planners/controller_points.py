@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
-from loewner.errors import InputError
+from loewner._files import read_regular, shown
+from loewner.errors import FileError, InputError
 from loewner.robots.curves import CURVE_ROUNDINGS, Curve
+from loewner.scene_files.yaml_scenes import yaml_data
+
+# What points are read from; the largest file [bytes]; how deep in other messages a trajectory may be.
+ENDINGS = (".csv", ".json", ".yaml", ".yml")
+MOST_BYTES = 2**28
+DEEPEST = 6
+
+TIMES = ("time", "time_from_start")
+VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
 
 class ControllerPoints:
@@ -74,6 +89,93 @@ class ControllerPoints:
                 found = _validate.shape_text(array.shape)
                 raise InputError(f"{name}: expected shape ({len(self.times)}, {dof}), found {found}")
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> ControllerPoints:
+        """Read points from a file that was written for a controller.
+
+        Parameters
+        ----------
+        path : path
+            A ``.json`` or ``.yaml`` file with a ``trajectory_msgs/JointTrajectory`` of ROS, by itself or within another
+            message; or a ``.csv`` file whose columns are ``time``, the joints' names and, if known, ``NAME velocity``
+            and ``NAME acceleration`` of each joint. Files of `Trajectory.save` are read as well.
+
+        Returns
+        -------
+        ControllerPoints
+
+        Raises
+        ------
+        FileError
+            If the file does not exist, or contains no such points.
+        InputError
+            If the name has another ending.
+        MissingExtraError
+            If PyYAML is needed and not installed.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> _ = Path("moves.csv").write_text("time,rail,elbow\\n0,0,0\\n2,0.5,1\\n")
+        >>> ControllerPoints.load("moves.csv")
+        ControllerPoints(2 points, 2 joints, positions)
+        """
+        source = _validate.path(path, "path")
+        suffix, name = source.suffix.lower(), shown(source)
+        if suffix not in ENDINGS:
+            raise InputError(f"path: expected a name that ends in {', '.join(ENDINGS)}, found {name}")
+        data = read_regular(source, "points of a trajectory", MOST_BYTES)
+        try:
+            if suffix == ".csv":
+                return cls._of_table(data.decode("utf-8-sig"))
+            # A recorded message ends in a line that separates it from the next one.
+            held = json.loads(data) if suffix == ".json" else yaml_data(data.rstrip().removesuffix(b"---"), source)
+            return cls._of_message(held)
+        except FileError:
+            raise
+        except KeyError as error:
+            raise FileError(f"{name}: expected points of a trajectory, found no {error}") from None
+        except (InputError, ValueError, TypeError, OverflowError, RecursionError, AttributeError, csv.Error) as error:
+            raise FileError(f"{name}: expected points of a trajectory, found: {_validate.short(str(error))}") from None
+
+    @classmethod
+    def _of_table(cls, text: str) -> ControllerPoints:
+        """Points from a table with a header."""
+        rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text), strict=True) if row]
+        header = rows[0] if rows else []
+        if not header or header[0] not in TIMES or len(set(header)) < len(header):
+            raise ValueError(f"the header {','.join(header)}, where time and different joints should be named")
+        table = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
+        names = [name for name in header[1:] if name != BLEND and not name.endswith((VELOCITY, ACCELERATION))]
+        table = table.reshape(-1, len(header))
+
+        def columns(kind: str) -> Any:
+            wanted = [name + kind for name in names]
+            return table[:, [header.index(name) for name in wanted]] if set(wanted) & set(header) else None
+
+        return cls(table[:, 0], columns(""), columns(VELOCITY), columns(ACCELERATION), names=names)
+
+    @classmethod
+    def _of_message(cls, held: Any) -> ControllerPoints:
+        """Points from a message, or from what `Trajectory.save` writes."""
+        if isinstance(held, Mapping) and "blended" in held:
+            return cls(held["times"], held["positions"], held["velocities"], names=held["names"])
+        message = _message(held, DEEPEST)
+        if message is None:
+            raise KeyError("points")
+        points = message["points"]
+
+        def rows(kind: str) -> Any:
+            given = [point.get(kind) or None for point in points]
+            if any(given) and not all(given):
+                raise ValueError(f"{kind} of some points only")
+            return given if any(given) else None
+
+        times = [_seconds(point["time_from_start"]) for point in points]
+        if rows("positions") is None:
+            raise KeyError("positions")
+        return cls(times, rows("positions"), rows("velocities"), rows("accelerations"), names=message["joint_names"])
+
     def _courses(self) -> Curve:
         """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
         T = np.diff(self.times)[:, None]
@@ -94,3 +196,20 @@ class ControllerPoints:
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
         return f"ControllerPoints({len(self.times)} points, {self.positions.shape[1]} joints, {kind})"
+
+
+def _message(held: Any, depth: int) -> Any:
+    """The first trajectory with points in a message, however it is wrapped; None if there is none."""
+    if isinstance(held, Mapping) and held.get("joint_names") and held.get("points"):
+        return held
+    inner = held.values() if isinstance(held, Mapping) else held if isinstance(held, list) else ()
+    found = (_message(each, depth - 1) for each in inner if depth > 0)
+    return next((each for each in found if each is not None), None)
+
+
+def _seconds(given: Any) -> float:
+    """A duration as ROS writes it, or in seconds."""
+    if not isinstance(given, Mapping):
+        return float(given)
+    whole = given["sec"] if "sec" in given else given["secs"]
+    return float(whole) + 1e-9 * float(given["nanosec"] if "nanosec" in given else given["nsecs"])

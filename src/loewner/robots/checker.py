@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any, Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._guard import guarded
@@ -171,7 +171,7 @@ class CollisionChecker:
                 return collides
         checked = self.robot.checked(Q)
         out, _ = self._exact(checked)
-        return _collisions(out, checked)
+        return verdicts.collisions(out, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
         """Certified verdicts from the ellipsoids alone.
@@ -234,7 +234,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         found = self._exact(checked)
-        return _collisions(found.verdicts, checked), found.counted()
+        return verdicts.collisions(found.verdicts, checked), found.counted()
 
     def valid_edges(self, Q0: ArrayLike, Q1: ArrayLike, resolution: float) -> OneOrMany:
         """Decide which straight motions are free of collisions, at steps no longer than `resolution`.
@@ -282,7 +282,9 @@ class CollisionChecker:
         valid = np.asarray(found == Verdict.FREE)
         return valid.reshape(shape) if shape else bool(valid[0])
 
-    def certify_edges(self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5) -> CertifiedMotions:
+    def certify_edges(
+        self, Q0: ArrayLike, Q1: ArrayLike, *, tolerance: float = 1e-5, joint_error: ArrayLike = 0.0
+    ) -> CertifiedMotions:
         """Prove which straight motions are free of collisions at every one of their configurations.
 
         Parameters
@@ -292,6 +294,9 @@ class CollisionChecker:
         tolerance : float
             In metres. A motion that comes within this distance of colliding may be AMBIGUOUS; every other motion is
             FREE or COLLIDING.
+        joint_error : float or array_like, shape (dof,)
+            Radians or metres by which each value may be off the motion: FREE holds for all these values. A motion on
+            which only such values collide is AMBIGUOUS, and contact at its ends is not allowed.
 
         Returns
         -------
@@ -301,7 +306,8 @@ class CollisionChecker:
         ------
         InputError
             If the width is not dof, an entry is not finite, the shapes do not broadcast, the tolerance is not positive
-            and finite; or if a motion is so long that it would take more than 458,752 intervals.
+            and finite, or a joint error is negative; or if a motion is so long that it would take more than 458,752
+            intervals.
         UnknownNameError
             As for `collide`.
 
@@ -337,7 +343,7 @@ class CollisionChecker:
         a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
         a, b, shape = edges.ends(a, b, 40)
         ready = self._ready()
-        found = proofs.prove_by_rules(ready, a, b, tolerance)
+        found = proofs.prove_by_rules(ready, a, b, tolerance, curves.joint_errors(self.robot, joint_error))
         found.expect_short(a, b)
         return found.of_shape(shape, ready)
 
@@ -641,8 +647,3 @@ class CollisionChecker:
 def prepared_of(checker: CollisionChecker) -> CheckedPairs:
     """Return the pairs of a checker in its scene's current state, for several queries of the same state."""
     return checker._ready()
-
-
-def _collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
-    """Whether configurations collide, from their verdicts."""
-    return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])

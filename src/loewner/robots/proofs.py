@@ -37,12 +37,17 @@ def prove(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | 
     return found
 
 
-def prove_by_rules(ready: CheckedPairs, a: Floats, b: Floats, tolerance: float) -> Found:
+def prove_by_rules(
+    ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None
+) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
-    Pairs of `Scene.leave` and `Scene.reach` may be in contact at their ends.
+    Pairs of `Scene.leave` and `Scene.reach` may be in contact at their ends, unless values may be off by a joint error.
     """
-    found = prove(ready, straight(ready.robot, a, b), tolerance)
+    courses = straight(ready.robot, a, b)
+    if joint_error is not None and joint_error.any():
+        return prove(ready, courses, tolerance, joint_error + contacts.OFF * np.abs(courses).max(axis=1))
+    found = prove(ready, courses, tolerance)
     at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
     if len(at) == 0:
         return found

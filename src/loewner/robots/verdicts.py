@@ -13,7 +13,7 @@ from loewner._kernels import codes
 from loewner._native import entries
 from loewner._settle import settle
 from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, Ints
+from loewner._validate import Bools, Floats, Ints, OneOrMany
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError
 from loewner.queries import Verdict
@@ -261,3 +261,8 @@ def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
 
 
 _NOWHERE = np.empty(0, dtype=np.int64)
+
+
+def collisions(out: NDArray[np.int8], Q: Floats) -> OneOrMany:
+    """Whether configurations collide, from their verdicts."""
+    return bool(out[0]) if Q.ndim == 1 else (out == Verdict.COLLIDING).reshape(Q.shape[:-1])

@@ -215,10 +215,23 @@ def _yaml() -> Any:
 
 def _composed(file: Path) -> Any:
     """Root node of a YAML file; nodes know their lines, and nothing in the file is run or built."""
-    yaml = _yaml()
     data = read_regular(file, "a scene in YAML", MOST_BYTES)
+    root = _parsed(data, file, _yaml().compose)
+    if root is None:
+        raise FileError(f"{file}: expected a scene in YAML, found an empty file")
+    return root
+
+
+def yaml_data(data: bytes, file: Path) -> Any:
+    """Mappings, lists, numbers and texts of a YAML file, as `json.loads` gives them; a FileError names the line."""
+    return _parsed(data, file, _yaml().load)
+
+
+def _parsed(data: bytes, file: Path, parse: Callable[..., Any]) -> Any:
+    """Parse a file with a function of PyYAML, within limits of depth and size."""
+    yaml = _yaml()
     try:
-        root = yaml.compose(data, Loader=_loader())
+        return parse(data, Loader=_loader())
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise FileError(f"{file}, line {mark.line + 1}: expected YAML, found a fault in it ({error.problem})") from None
@@ -230,9 +243,6 @@ def _composed(file: Path) -> Any:
     ) as error:  # the last three from escapes and depth
         what = " ".join(str(error).split())[:200]
         raise FileError(f"{file}: expected YAML, found something else ({what})") from None
-    if root is None:
-        raise FileError(f"{file}: expected a scene in YAML, found an empty file")
-    return root
 
 
 @functools.cache

@@ -1,0 +1,199 @@
+"""``loewner audit``: collisions of a trajectory of any program, with times and depths."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import loewner
+from loewner import Verdict, planners
+from loewner._validate import Floats
+from loewner.cli import configurations, inputs
+from loewner.cli.output import AMBIGUOUS, COLLIDING, FREE, new_table, print_table
+from loewner.errors import InputError
+from loewner.robots import courses, curves
+
+# Times at which the nearest pair is measured, in addition to the times of verdicts.
+MEASURED = 401
+
+# Characters of the picture along time.
+COLUMNS = 60
+MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
+
+CONTROLLERS = ("linear", "cubic", "quintic")
+
+EXAMPLES = """examples:
+  loewner audit panda.urdf moves.csv --srdf panda.srdf --scene shelf.yaml
+  loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3
+
+trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
+  file with the columns time, the joints' names and, if known, "NAME velocity" and "NAME acceleration" of each joint.
+
+controller: between two points a joint trajectory controller follows a straight line if it has positions only, a cubic
+  polynomial if it has velocities as well, and a quintic one if it has accelerations too. This curve is proven free, or
+  not, at every real time.
+
+exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous
+"""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    audit = inputs.command(commands, "audit", "what a trajectory hits, as a controller executes it", EXAMPLES)
+    inputs.add_robot_options(audit)
+    audit.add_argument("trajectory", type=Path, metavar="FILE", help="points with times (.csv, .json, .yaml)")
+    audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
+    audit.add_argument("--controller", choices=CONTROLLERS, help="what runs between points (by what the file holds)")
+    audit.add_argument(
+        "--others", metavar="Q", help="where joints are that the file does not name: a state, a file, or numbers (0)"
+    )
+    audit.add_argument(
+        "--joint-error", type=float, default=0.0, metavar="E", help="how far every value may be off [rad or m] (0)"
+    )
+    audit.add_argument("--json", action="store_true", help="print JSON")
+    audit.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    scene = loewner.Scene() if options.scene is None else loewner.load_scene(options.scene)
+    robot = inputs.robot(options)
+    checker = loewner.CollisionChecker(robot, scene)
+    inputs.refuse_no_pairs(checker, options.urdf)
+    points = _executed(planners.ControllerPoints.load(options.trajectory), options.controller)
+    others = robot.configuration({})
+    if options.others is not None:
+        others = robot.checked_one(configurations.given(options.others, "--others", options, robot, None), "--others")
+    answer = _answer(checker, _complete(points, robot, others), options)
+    if options.json:
+        print(json.dumps(answer, indent=2))
+    else:
+        _print_answer(answer)
+    return {"FREE": FREE, "COLLIDING": COLLIDING, "AMBIGUOUS": AMBIGUOUS}[answer["verdict"]]
+
+
+def _derivatives(points: planners.ControllerPoints) -> int:
+    """How many derivatives the points have: velocities, or accelerations too."""
+    return sum(one is not None for one in (points.velocities, points.accelerations))
+
+
+def _executed(points: planners.ControllerPoints, controller: str | None) -> planners.ControllerPoints:
+    """The points with as many derivatives as a controller uses."""
+    held = [points.velocities, points.accelerations]
+    used = _derivatives(points) if controller is None else CONTROLLERS.index(controller)
+    if any(one is None for one in held[:used]):
+        wanted = ("velocities", "accelerations")[_derivatives(points)]
+        raise InputError(f"--controller {controller}: expected points with {wanted}, found none in the file")
+    kept = [one if k < used else None for k, one in enumerate(held)]
+    return planners.ControllerPoints(points.times, points.positions, *kept, names=points.names)
+
+
+def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
+    """The points with columns for the joints that they do not name, which stay where they are."""
+    missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
+    if points.names is None or not missing:
+        return points
+    still = np.broadcast_to(others[missing], (len(points.times), len(missing)))
+    arrays = [
+        None if array is None else np.hstack([array, still if number == 0 else np.zeros_like(still)])
+        for number, array in enumerate((points.positions, points.velocities, points.accelerations))
+    ]
+    names = [*points.names, *(robot.configuration_names[k] for k in missing)]
+    positions = points.positions if arrays[0] is None else arrays[0]
+    return planners.ControllerPoints(points.times, positions, *arrays[1:], names=names)
+
+
+def _answer(
+    checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
+) -> dict[str, Any]:
+    """The verdicts of a trajectory and of its pieces, and their distances, as they are printed."""
+    curve = curves.curve_of(checker.robot, points, str(options.trajectory))
+    found = checker.certify_trajectory(points, joint_error=options.joint_error)
+    times, fractions = found.times, found.segments.fraction
+    unproven = np.flatnonzero(found.segments.verdict != Verdict.FREE)
+    at = times[unproven] + fractions[unproven] * np.diff(times)[unproven]
+    ticks = np.linspace(times[0], times[-1], MEASURED)
+    piece = np.clip(np.searchsorted(times, ticks, side="right") - 1, 0, len(times) - 2)
+    share = np.clip((ticks - times[piece]) / np.diff(times)[piece], 0.0, 1.0)
+    piece, share = np.concatenate([piece, unproven]), np.concatenate([share, fractions[unproven]])
+    ticks = np.concatenate([ticks, at])
+    Q = courses.configurations(checker.robot, curve.courses[piece], share)
+    measured = checker.distance(Q, exact=True)
+
+    def nearest(rows: Any) -> dict[str, Any]:
+        k = rows[measured.distance[rows].argmin()]
+        return {
+            "nearest": float(measured.distance[k]),
+            "nearest_time": float(ticks[k]),
+            "nearest_pair": measured.names[k].tolist(),
+        }
+
+    pieces = [
+        {
+            "number": int(k),
+            "begins": float(times[k]),
+            "ends": float(times[k + 1]),
+            "verdict": Verdict(int(found.segments.verdict[k])).name,
+            "time": float(time),
+            "pair": found.segments.names[k].tolist(),
+            **nearest(np.flatnonzero(piece == k)),
+        }
+        for k, time in zip(unproven.tolist(), at, strict=True)
+    ]
+    free = found.verdict == Verdict.FREE
+    return {
+        "robot": checker.robot.name,
+        "verdict": found.verdict.name,
+        "time": None if free else float(found.time),
+        "pair": None if free else list(found.names),
+        "controller": CONTROLLERS[_derivatives(points)],
+        "joint_error": options.joint_error,
+        "begins": float(times[0]),
+        "ends": float(times[-1]),
+        "pieces": len(times) - 1,
+        "unproven": pieces,
+        **nearest(np.arange(len(ticks))),
+        "picture": _picture(times, found.segments.verdict),
+        "checked_pairs": len(checker.checked_pairs),
+    }
+
+
+def _picture(times: Floats, verdicts: Any) -> str:
+    """The worst verdict of the pieces in each of equal parts of the time."""
+    edges = np.linspace(times[0], times[-1], COLUMNS + 1)
+    first = np.searchsorted(times, edges[:-1], side="right") - 1
+    last = np.maximum(np.searchsorted(times, edges[1:], side="left"), first + 1)
+    worst = ("".join(MARKS[Verdict(int(one))] for one in verdicts[i:j]) for i, j in zip(first, last, strict=True))
+    return "".join(next(mark for mark in "#?." if mark in part) for part in worst)
+
+
+def _print_answer(answer: dict[str, Any]) -> None:
+    count = "1 piece" if answer["pieces"] == 1 else f"{answer['pieces']} pieces"
+    if answer["verdict"] == "FREE":
+        print(f"FREE  {count}, proven free at every time")
+    else:
+        print(
+            f"{answer['verdict']}  {len(answer['unproven'])} of {count} not proven free, "
+            f"{' and '.join(answer['pair'])} at {answer['time']:.6g} s"
+        )
+        table = new_table(
+            "piece", "from, s", "to, s", "verdict", "at, s", "pair", "", "nearest, mm",
+            title=f"{answer['robot']}, {answer['checked_pairs']} pairs checked",
+        )  # fmt: skip
+        for piece in answer["unproven"]:
+            table.add_row(
+                str(piece["number"]), f"{piece['begins']:.6g}", f"{piece['ends']:.6g}", piece["verdict"],
+                f"{piece['time']:.6g}", *piece["pair"], f"{1e3 * piece['nearest']:.3f}",
+            )  # fmt: skip
+        print_table(table)
+    print(f"time      {answer['begins']:.6g} s {answer['picture']} {answer['ends']:.6g} s")
+    print("          . proven free   ? ambiguous   # collides, by pieces")
+    print(
+        f"nearest   {1e3 * answer['nearest']:.3f} mm at {answer['nearest_time']:.6g} s, "
+        f"{' and '.join(answer['nearest_pair'])}: exact, but measured at {MEASURED} times; negative is a depth"
+    )
+    error = f", every value up to {answer['joint_error']:g} off" if answer["joint_error"] else ""
+    print(f"curve     {answer['controller']} between points{error}")
