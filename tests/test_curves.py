@@ -19,7 +19,7 @@ from scipy.interpolate import (
 
 from families import translation
 from loewner import Body, CollisionChecker, FileError, InputError, Scene, Verdict
-from loewner.planners import ControllerPoints, trajectory
+from loewner.planners import ControllerPoints, Trajectory, trajectory
 from loewner.robots.courses import configurations
 from loewner.robots.curves import curve_of
 from motion_oracle import AFLOAT, example, free_configurations, ring, steps, written
@@ -310,6 +310,29 @@ def test_saved_trajectories_are_points(checker, rng, tmp_path, monkeypatch, endi
     middle = configurations(checker.robot, curve.courses, np.full(len(curve.courses), 0.5))
     times = (points.times[1:] + points.times[:-1]) / 2
     np.testing.assert_allclose(middle, moved.positions(times), rtol=0, atol=1e-12)
+
+
+def test_saved_messages_are_proven(checker, rng, tmp_path, monkeypatch):
+    """A trajectory that is free is free as a message: times are off by half a nanosecond, and all else is the same."""
+    monkeypatch.chdir(tmp_path)
+    one = next(path for path in paths(checker, rng, 60, corners=3, length=0.2) if _is_free(checker, path))
+    one[1, 0] += 1e-5  # values with an exponent, which YAML may read as text
+    moved = trajectory(checker.robot, np.vstack([one, one[:1] * 1e-5]), acceleration=2.0)
+    moved.save("moved.yaml", rate=10.0)
+    points, knots = ControllerPoints.load("moved.yaml"), moved._with_ticks(10.0)
+    assert points.names == moved.names
+    assert np.abs(points.times - knots.times).max() <= 0.5e-9 * (1 + 1e-6)
+    assert points.positions.tolist() == knots.knots.tolist()
+    assert points.velocities.tolist() == knots.rates.tolist()
+    assert points.accelerations is None
+    trajectory(checker.robot, one, acceleration=2.0).save("moved.yaml")
+    assert checker.certify_trajectory(ControllerPoints.load("moved.yaml")).verdict == FREE
+    with pytest.raises(InputError, match="ends in"):
+        Trajectory.load("moved.yaml")
+
+
+def _is_free(checker, path):
+    return (checker.certify_edges(path[:-1], path[1:], joint_error=1e-4).verdict == FREE).all()
 
 
 def _without(key):

@@ -67,6 +67,7 @@ FILE_TOLERANCE, FILE_ROUNDINGS = 1e-9, 64.0 * tolerances.UNIT_ROUNDOFF
 LARGEST_FILE = 2**28  # bytes
 
 ENDINGS = (".csv", ".json")
+WRITTEN = (*ENDINGS, ".yaml")
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,13 +240,15 @@ class Trajectory:
         return times, self.positions(times)
 
     def save(self, path: str | os.PathLike[str], *, rate: float | None = None) -> None:
-        """Write a file, ``.csv`` or ``.json``, that `load` reads: times, positions and velocities in full precision.
+        """Write times, positions and velocities to a file, in full precision.
 
         Parameters
         ----------
         path : path
-            A CSV has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``: 1 where the
-            robot cuts a corner until the next row.
+            A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``: 1
+            where the robot cuts a corner until the next row. This and a ``.json`` file are read by `load`. A ``.yaml``
+            file holds a ``trajectory_msgs/JointTrajectory`` of ROS, whose times are rounded to nanoseconds. It has no
+            accelerations, since a controller that interpolates positions and velocities alone follows the trajectory.
         rate : float, optional
             Also write rows at this rate [1/s], for programs that join rows by straight lines. Between the rows that are
             always written, accelerations are constant.
@@ -265,9 +268,10 @@ class Trajectory:
         >>> print(open("moved.csv").readline().strip())
         time,rail,elbow,rail velocity,elbow velocity,blend
         """
-        target = _with_ending(path)
+        target = _with_ending(path, WRITTEN)
         saved = self if rate is None else self._with_ticks(rate)
-        text = saved._json() if target.suffix.lower() == ".json" else saved._csv()
+        suffix = target.suffix.lower()
+        text = saved._csv() if suffix == ".csv" else saved._json() if suffix == ".json" else saved._yaml()
         with replacing(target) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="")
 
@@ -297,7 +301,7 @@ class Trajectory:
         >>> Trajectory.load("moved.json")
         Trajectory(3 s, 2 joints, stops at 0 corners, 0 blends)
         """
-        source = _with_ending(path)
+        source = _with_ending(path, ENDINGS)
         name = shown(source)
         try:
             text = read_regular(source, "a trajectory", LARGEST_FILE).decode()
@@ -385,6 +389,14 @@ class Trajectory:
             "names": self.names, "times": self.times.tolist(), "positions": self.knots.tolist(),
             "velocities": self.rates.tolist(), "blended": self.blended.tolist(),
         })  # fmt: skip
+
+    def _yaml(self) -> str:
+        lines = [f"joint_names: {json.dumps(self.names)}", "points:"]
+        for time, knot, rate in zip(self.times.tolist(), self.knots.tolist(), self.rates.tolist(), strict=True):
+            seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
+            lines.append(f"- positions: {_listed(knot)}\n  velocities: {_listed(rate)}")
+            lines.append(f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
+        return "\n".join(lines) + "\n"
 
     def _read_only(self) -> Trajectory:
         """The same, with arrays that nobody can change."""
@@ -773,12 +785,18 @@ def _timed(robot: Robot, straights: Straights, halves: Floats) -> Trajectory:
 # -- files --------------------------------------------------------------------------------------
 
 
-def _with_ending(path: str | os.PathLike[str]) -> Path:
-    """A path that ends in what can be read and written."""
+def _with_ending(path: str | os.PathLike[str], endings: tuple[str, ...]) -> Path:
+    """A path that ends in one of these endings."""
     checked = _validate.path(path, "path")
-    if checked.suffix.lower() not in ENDINGS:
-        raise InputError(f"path: expected a name that ends in {' or '.join(ENDINGS)}, found {shown(checked)}")
+    if checked.suffix.lower() not in endings:
+        raise InputError(f"path: expected a name that ends in {' or '.join(endings)}, found {shown(checked)}")
     return checked
+
+
+def _listed(numbers: list[float]) -> str:
+    """A list in YAML, where a number with an exponent needs a decimal point."""
+    texts = (repr(number) for number in numbers)
+    return f"[{', '.join(text if '.' in text else text.replace('e', '.0e') for text in texts)}]"
 
 
 def _header(names: tuple[str, ...]) -> list[str]:
