@@ -230,6 +230,7 @@ def test_command_line_is_shown_whole(monkeypatch):
         " robot info",
         " robot check",
         " plan",
+        " audit",
         " view",
         " compile",
         " info",

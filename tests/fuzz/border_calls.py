@@ -1309,7 +1309,19 @@ LINES: dict[str, Call] = {
         {"state": word("left")},
     ),
     "loewner audit": Call(
-        line("audit", "gantry.urdf", "moved.json", "--scene", "SCENE", "--others", "OTHERS", "--joint-error", "ERROR"),
+        line(
+            "audit",
+            "gantry.urdf",
+            "moved.json",
+            "--srdf",
+            "gantry.srdf",
+            "--scene",
+            "SCENE",
+            "--others",
+            "OTHERS",
+            "--joint-error",
+            "ERROR",
+        ),
         {"scene": word("scene.yaml"), "others": word("left"), "error": word("0.01", LINE_NUMBERS)},
     ),
     "loewner plan": Call(
