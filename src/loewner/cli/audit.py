@@ -96,14 +96,14 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
     missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
     if points.names is None or not missing:
         return points
-    still = np.broadcast_to(others[missing], (len(points.times), len(missing)))
-    arrays = [
-        None if array is None else np.hstack([array, still if number == 0 else np.zeros_like(still)])
-        for number, array in enumerate((points.positions, points.velocities, points.accelerations))
+    shape = len(points.times), len(missing)
+    positions = np.hstack([points.positions, np.broadcast_to(others[missing], shape)])
+    rates = [
+        None if held is None else np.hstack([held, np.zeros(shape)])
+        for held in (points.velocities, points.accelerations)
     ]
     names = [*points.names, *(robot.configuration_names[k] for k in missing)]
-    positions = points.positions if arrays[0] is None else arrays[0]
-    return planners.ControllerPoints(points.times, positions, *arrays[1:], names=names)
+    return planners.ControllerPoints(points.times, positions, *rates, names=names)
 
 
 def _answer(
