@@ -14,24 +14,24 @@ typedef struct {
     int64_t first, last;
     Array2 plan, rows;
     int64_t a;
-    Poses poses_a;
+    Array3 poses_a;
     int64_t b;
-    Poses poses_b;
+    Array3 poses_b;
     Array1 out, tally;
     void *memory;
 } SettleArguments;
 
-#define DISTANCE_TAKES "b i i I2 I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1"
+#define DISTANCE_TAKES "b i i I2 I2 i F3 i F3 i F2 F3 B1"
 typedef struct {
     int64_t wanted, first, last;
     Array2 plan, rows;
     int64_t a;
-    Poses poses_a;
+    Array3 poses_a;
     int64_t b;
-    Poses poses_b;
+    Array3 poses_b;
     void *memory;
-    Array1 lower, upper, estimate, distance;
-    Array2 witness_a, witness_b, normal;
+    Array2 numbers;
+    Array3 vectors;
     Array1 status;
 } DistanceArguments;
 
@@ -45,15 +45,15 @@ typedef struct {
     Given2 pieces, values;
 } DistanceResults;
 
-#define LEFT_TAKES "I2 F2 i F3 i F3 F1 F2 F2 F2 B1"
+#define LEFT_TAKES "I2 F2 i F3 i F3 F2 F3 B1"
 typedef struct {
     Array2 pieces, values;
     int64_t a;
-    Poses poses_a;
+    Array3 poses_a;
     int64_t b;
-    Poses poses_b;
-    Array1 distance;
-    Array2 witness_a, witness_b, normal;
+    Array3 poses_b;
+    Array2 numbers;
+    Array3 vectors;
     Array1 status;
 } LeftArguments;
 
@@ -82,12 +82,12 @@ static PyObject *word_exact, *name_packed, *name_handle;
 typedef struct {
     PyObject *packed; /* held, whatever else happens to the body */
     int64_t handle;
-    Poses poses;
+    Array3 poses;
 } Side;
 
-static int take_pose(PyObject *given, Poses *poses)
+static int take_pose(PyObject *given, Array3 *poses)
 {
-    *poses = (Poses){identity, 1, 4, 4};
+    *poses = (Array3){identity, 1, 4, 4};
     if (given == Py_None)
         return 1;
     if (!is_plain(given, 2))
@@ -214,7 +214,7 @@ typedef struct {
     double number[NUMBERS], vector[VECTORS][3];
 } Found;
 
-static int is_rigid(const Pairs *self, const Poses *poses)
+static int is_rigid(const Pairs *self, const Array3 *poses)
 {
     FaultResults fault;
     return poses->data == identity ||
@@ -226,7 +226,7 @@ static int finished(const Pairs *self, const DistanceArguments *asked, const Dis
 {
     LeftArguments arguments = {
         left->pieces.array, left->values.array, asked->a, asked->poses_a, asked->b, asked->poses_b,
-        asked->distance, asked->witness_a, asked->witness_b, asked->normal, asked->status,
+        asked->numbers, asked->vectors, asked->status,
     };
     int64_t nothing;
     return left->pieces.array.rows == 0 || call_kernel(self->measure_left, &arguments, &nothing, 1) == 0;
@@ -240,9 +240,7 @@ static int measured(const Pairs *self, int wanted, const Side *a, const Side *b,
     double *number = found->number;
     DistanceArguments arguments = {
         wanted, 0, 1, ONE_PAIR, NO_ROWS, a->handle, a->poses, b->handle, b->poses, thread_memory(self->distance_memory),
-        {&number[LOWER], 1}, {&number[UPPER], 1}, {&number[ESTIMATE], 1}, {&number[VALUE], wanted},
-        {found->vector[WITNESS_A], wanted, 3}, {found->vector[WITNESS_B], wanted, 3}, {found->vector[NORMAL], wanted, 3},
-        {&status, wanted},
+        {number, VALUE + wanted, 1}, {found->vector, VECTORS, wanted, 3}, {&status, wanted},
     };
     if (arguments.memory == NULL || call_kernel(self->distance_range, &arguments, &left, is_long(a, b)) != 0)
         return 0;

@@ -26,9 +26,9 @@ typedef struct {
 } Array2;
 
 typedef struct {
-    const double *data;
+    const void *data;
     int64_t count, rows, columns;
-} Poses;
+} Array3;
 
 /* Of `loewner/_kernels/codes.py`; `build.py` says the numbers. */
 enum { FREE = CODE_FREE, COLLIDING = CODE_COLLIDING, AMBIGUOUS = CODE_AMBIGUOUS };

@@ -1,4 +1,7 @@
-"""ARCHITECTURE.md is true: its lists are the modules, its order the import rules', its arrows the imports."""
+"""ARCHITECTURE.md is true: its lists are the modules, its order the import rules', its arrows the imports.
+
+And functions stay small enough to be read.
+"""
 
 import ast
 import re
@@ -106,3 +109,22 @@ def test_kernels_are_listed():
     tops = [level[file.split("/")[0].removesuffix(".py")] for file in listed]
     assert set(level) == {file.split("/")[0].removesuffix(".py") for file in listed}
     assert tops == sorted(tops, reverse=True)
+
+
+# Parameters of a function, and lines of its body without the docstring, at most.
+MOST_PARAMETERS, MOST_LINES = 14, 130
+
+
+def test_functions_are_small():
+    """No function takes 15 parameters or more, and no body has over 130 lines."""
+    large = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                continue
+            body = node.body[1:] if ast.get_docstring(node) is not None else node.body
+            lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
+            parameters = sum(isinstance(part, ast.arg) for part in ast.walk(node.args))
+            if parameters > MOST_PARAMETERS or lines > MOST_LINES:
+                large.append(f"{path.relative_to(PACKAGE)}: {node.name}: {parameters} parameters, {lines} lines")
+    assert large == []

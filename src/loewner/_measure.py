@@ -48,23 +48,22 @@ def measure(exact: bool, n: int, operands: Operands) -> Measures:
     """Bounds on the distances of n pairs, and on request the distances themselves; poses must be rigid motions."""
     plan, rows, *bodies = operands
     m = n if exact else 0
-    lower, upper, estimate, value = np.empty(n), np.empty(n), np.empty(n), np.empty(m)
-    vectors = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
-    status = np.zeros(m, dtype=np.int8)
+    numbers, vectors, status = np.empty((3 + exact, n)), np.empty((3, m, 3)), np.zeros(m, dtype=np.int8)
 
     def run(first: int, last: int) -> None:
         memory = workspace(entries.memory_of_distances())
         pieces, values = entries.distance_range(
-            exact, first, last, plan, rows, *bodies, memory, lower, upper, estimate, value, *vectors, status
+            exact, first, last, plan, rows, *bodies, memory, numbers, vectors, status
         )
         if len(pieces):
-            entries.measure_left(pieces, values, *bodies, value, *vectors, status)
+            entries.measure_left(pieces, values, *bodies, numbers, vectors, status)
 
     in_shares(run, n, CHUNK)
+    lower, upper, estimate = numbers[:3]
+    value = numbers[3] if exact else np.empty(0)
     if exact:
         # The bounds are proven, the value is computed: where rounding puts it outside, they know better.
         np.maximum(lower, np.minimum(value, upper, out=value), out=value)
     unsettled = status != 0
-    for answers in (value, *vectors):
-        answers[unsettled] = np.nan
-    return Measures(lower, upper, estimate, value, *vectors, unsettled)
+    value[unsettled] = vectors[:, unsettled] = np.nan
+    return Measures(lower, upper, estimate, value, vectors[0], vectors[1], vectors[2], unsettled)

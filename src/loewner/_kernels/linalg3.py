@@ -6,7 +6,7 @@ Everything is inlined: a tuple costs nothing.
 """
 
 from loewner._kernels._jit import inline
-from loewner._kernels.simd.vectors import select, signed_one
+from loewner._kernels.simd.vectors import absolute, select, signed_one
 
 
 @inline
@@ -49,6 +49,28 @@ def scaled(t, a):
 def along(p, t, e):
     """The point p + t e."""
     return p[0] + t * e[0], p[1] + t * e[1], p[2] + t * e[2]
+
+
+@inline
+def one_norm(a):
+    """The sum of the absolute values."""
+    return absolute(a[0]) + absolute(a[1]) + absolute(a[2])
+
+
+@inline
+def turned(rest, s, with_sine, c, with_cosine):
+    """The matrix rest + s with_sine + c with_cosine: the rotation of a joint, s and c being sine and cosine."""
+    return (
+        rest[0] + s * with_sine[0] + c * with_cosine[0],
+        rest[1] + s * with_sine[1] + c * with_cosine[1],
+        rest[2] + s * with_sine[2] + c * with_cosine[2],
+        rest[3] + s * with_sine[3] + c * with_cosine[3],
+        rest[4] + s * with_sine[4] + c * with_cosine[4],
+        rest[5] + s * with_sine[5] + c * with_cosine[5],
+        rest[6] + s * with_sine[6] + c * with_cosine[6],
+        rest[7] + s * with_sine[7] + c * with_cosine[7],
+        rest[8] + s * with_sine[8] + c * with_cosine[8],
+    )
 
 
 @inline

@@ -30,15 +30,10 @@ ENTRIES = {
         Entry("robots.configurations", "memory_size", "i i i", "i"),
         Entry("robots.motions", "certify_motions", "i i F3 F2 f i i i B1 F1 I1 I2 i", ""),
         Entry("robots.motions", "motion_memory", "i i i", "i"),
-        Entry(
-            "robots.planning",
-            "connect_trees",
-            "i f f f i i i i I2 F2 F3 I2 F2 I1 F1 F2 F2 F1 F1 B1 I1",
-            "i",
-        ),
-        Entry("robots.shortening", "shorten_path", "i i f f i i i i F2 I1 F2 F2 F1 B1 I1", "i"),
+        Entry("robots.planning", "connect_trees", "i f I1 F1 I2 F2 F3 I2 F2 I1 F1 F2 F2 F1", "i"),
+        Entry("robots.shortening", "shorten_path", "i i I1 F1 F2 I1 F2 F2", "i"),
         Entry("robots.nearest", "memory_of_nearest", "i i i", "i"),
-        Entry("robots.nearest", "nearest_pairs", "b i i F2 i i i F1 F1 F1 F2 F2 F2 I2 B1", ""),
+        Entry("robots.nearest", "nearest_pairs", "b i i F2 i i i F2 F3 I2 B1", ""),
         Entry("robots.nearest", "near_pairs", "f i i F2 i i i I2 i", "i"),
         Entry("robots.clearances", "memory_of_clearances", "i i i", "i"),
         Entry("robots.clearances", "clearances", "b f i i F2 i i i F1 F2", ""),
@@ -46,9 +41,9 @@ ENTRIES = {
         Entry("robots.kinematics", "link_poses", "I1 I1 I1 F1 F1 F2 F2 i i F4", ""),
         Entry("robots.wrenches", "link_jacobians", "I1 I1 I1 F1 F1 F2 F2 i i i F1 F3", ""),
         # -- distances
-        Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F1 F1 F1 F1 F2 F2 F2 B1", "I2 F2"),
+        Entry("pipeline.distances", "distance_range", "b i i I2 I2 i F3 i F3 i F2 F3 B1", "I2 F2"),
         Entry("pipeline.distances", "memory_of_distances", "", "i"),
-        Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F1 F2 F2 F2 B1", ""),
+        Entry("pipeline.distances", "measure_left", "I2 F2 i F3 i F3 F2 F3 B1", ""),
         # -- points and meshes
         Entry("narrow.mesh_points", "points_memory", "", "i"),
         Entry("narrow.mesh_points", "squared_distances_of", "cF2 cF3 F1", ""),
@@ -82,11 +77,11 @@ ENTRIES = {
         Entry("fits.inscribed", "inscribed_ellipsoids", "F2 I2 F2 F3", "i"),
         Entry("fits.mvie", "solve_primal_dual", "F2 i i f F1 F2 F1", "f i"),
         # -- the paper
-        Entry("paper.detectors", "detector_1", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 F2 F1 I1 F2 F1 I1 U1 U1", ""),
-        Entry("paper.detectors", "detector_2", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 f U1 U1", ""),
-        Entry("paper.detectors", "detector_3", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 U1 U1", ""),
-        Entry("paper.detectors", "detector_4", "cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 U1 U1", ""),
-        Entry("paper.estimates", "estimates_of_pairs", "i cF2 cF3 cF2 cF3 cF2 cF3 cF2 cF3 F1", ""),
+        Entry("paper.detectors", "detector_1", "F3 F4 F2 I1 F2 I1 U1 U1", ""),
+        Entry("paper.detectors", "detector_2", "F3 F4 f U1 U1", ""),
+        Entry("paper.detectors", "detector_3", "F3 F4 U1 U1", ""),
+        Entry("paper.detectors", "detector_4", "F3 F4 U1 U1", ""),
+        Entry("paper.estimates", "estimates_of_pairs", "i F3 F4 F1", ""),
     )
 }
 

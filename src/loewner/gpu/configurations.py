@@ -58,7 +58,6 @@ class _Tile(NamedTuple):
     state: Memory
     survivors: Memory
     capacity: int
-    listed: Memory
 
 
 class Checker:
@@ -195,7 +194,7 @@ class Checker:
         """One tile: the kernels one after the other."""
         dof, t = self._checker.robot.dof, tables
         gpu.clear(tile.state.address, 4 * TILE)
-        gpu.clear(tile.listed.address, 4)
+        gpu.clear(tile.survivors.address, 4)
         gpu.launch(
             "place_links", count, TILE, Q + 4 * dof * first, dof, t.links, t.joints.address, t.constants.address,
             tile.placed.address,
@@ -207,16 +206,13 @@ class Checker:
         gpu.launch(
             "cull_pair", t.pair_count * TILE, TILE, LOG_TILE, count, t.moving, t.pairs.address, t.margins.address,
             tile.bounds.address, t.standing.address, tile.state.address, tile.survivors.address, tile.capacity,
-            tile.listed.address,
         )  # fmt: skip
         gpu.launch(
             "certify_survivor", tile.capacity, TILE, LOG_TILE, t.moving, t.bodies.address, t.pairs.address,
             t.margins.address, tile.placed.address, tile.bounds.address, t.rows.address, tile.state.address,
-            tile.survivors.address, tile.capacity, tile.listed.address,
+            tile.survivors.address, tile.capacity,
         )  # fmt: skip
-        gpu.launch(
-            "conclude", count, first, tile.state.address, verdicts.address, left.list.address, left.count.address
-        )
+        gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
     def _tables_of(self, gpu: Device, ready: CheckedPairs) -> _Tables:
         """Return what the kernels read, copied to the GPU when the scene has changed."""
@@ -233,9 +229,8 @@ def _tile(gpu: Device, tables: _Tables) -> _Tile:
         gpu.memory(4 * columns.LINK_NUMBERS * tables.links * TILE),
         gpu.memory(4 * columns.BOUNDS * tables.moving * TILE),
         gpu.memory(4 * TILE),
-        gpu.memory(4 * capacity),
+        gpu.memory(4 * (1 + capacity)),
         capacity,
-        gpu.memory(4),
     )
 
 

@@ -204,7 +204,7 @@ def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool,
     each: list[int] = []
     for table, pose in zip(tables, poses, strict=True):
         each += [table.rows.address, *([] if one_each else [table.start.address]), pose.address]
-    told = of_open, verdicts.address, left.list.address, left.count.address
+    told = of_open, verdicts.address, left.list.address
     gpu.launch("classify_pieces" if one_each else "classify_bodies", plan.total, *asked, *each, *told)
     if refine:
         numbers = left.numbers()

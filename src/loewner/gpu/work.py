@@ -82,7 +82,7 @@ def expect_few(count: int, what: str) -> None:
 
 
 class Left:
-    """The work that a kernel leaves to the CPU: a list on the GPU to which its threads append.
+    """The work that a kernel leaves to the CPU: a list on the GPU to which its threads append, after its length.
 
     Parameters
     ----------
@@ -92,15 +92,15 @@ class Left:
     """
 
     def __init__(self, device: Device, most: int) -> None:
-        self._device, self.list, self.count = device, device.memory(4 * most), device.memory(4)
-        device.clear(self.count.address, 4)
+        self._device, self.list = device, device.memory(4 * (1 + most))
+        device.clear(self.list.address, 4)
 
     def numbers(self) -> Ints:
         """Return the list when all work is done, in ascending order."""
         count = np.empty(1, dtype=np.int32)
-        self._device.download(self.count.address, count)
+        self._device.download(self.list.address, count)
         found = np.empty(int(count[0]), dtype=np.int32)
-        self._device.download(self.list.address, found)
+        self._device.download(self.list.address + count.nbytes, found)
         return np.sort(found).astype(np.int64)
 
 

@@ -354,10 +354,11 @@ def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguou
         raise UnknownNameError(f"detector: expected one of {known}, found {found}")
     angle = _validate.positive_scalar(angle, "angle")
     inner_1, inner_2 = (pairs.heuristic_1, pairs.heuristic_2) if detector == 1 else (pairs.inner_1, pairs.inner_2)
-    arguments: list[Any] = [x for E in (inner_1, pairs.outer_1, inner_2, pairs.outer_2) for x in (E.center, E.factor)]
+    ellipsoids = inner_1, pairs.outer_1, inner_2, pairs.outer_2
+    arguments: list[Any] = [np.stack([E.center for E in ellipsoids]), np.stack([E.factor for E in ellipsoids])]
     if detector == 1:
-        f, g = pairs.faces_1, pairs.faces_2
-        arguments += [f.normals, f.offsets, f.start, g.normals, g.offsets, g.start]
+        for faces in (pairs.faces_1, pairs.faces_2):
+            arguments += [np.column_stack([faces.normals, faces.offsets]), faces.start]
     if detector == 2:
         arguments += [angle]
     kernel = getattr(entries, f"detector_{detector}")

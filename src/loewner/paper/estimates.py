@@ -76,13 +76,10 @@ def distance_estimate(
     batch = _validate.broadcast({name: E.batch_shape for name, E in ellipsoids.items()})
     n = math.prod(batch)
     _validate.fits_memory(BYTES_PER_PAIR * n, f"{n} pairs of pieces")
-    arrays = [
-        np.ascontiguousarray(np.broadcast_to(x, batch + tail).reshape(-1, *tail))
-        for E in ellipsoids.values()
-        for x, tail in ((E.center, (3,)), (E.factor, (3, 3)))
-    ]
-    f = np.empty(n)
-    entries.estimates_of_pairs(code, *arrays, f)
+    centers, factors, f = np.empty((4, *batch, 3)), np.empty((4, *batch, 3, 3)), np.empty(n)
+    for k, E in enumerate(ellipsoids.values()):
+        centers[k], factors[k] = E.center, E.factor
+    entries.estimates_of_pairs(code, centers.reshape(4, n, 3), factors.reshape(4, n, 3, 3), f)
     beyond = np.flatnonzero(~np.isfinite(f))
     if beyond.size:
         raise ConvergenceError(

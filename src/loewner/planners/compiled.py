@@ -105,6 +105,7 @@ def connect(
     limits[2], limits[3] = _sequence(joints, seed)
     longest = math.dist(limits[0].tolist(), limits[1].tolist()) * SHARE
     judge = judge.up_to(longest)
+    asked = judge.asked()
     trees = Trees.of(joints, max(CAPACITY, 2 * many)).rooted(root, goals[:, space.columns])
     state = np.zeros(STATE, dtype=np.int64)
     state[STARTS], state[GOALS] = 1, many
@@ -119,13 +120,13 @@ def connect(
             raise PlanningError(_how_far(judge, state, gap, f"within {timeout:g} s ({done} iterations)", "timeout"))
         if outcome == codes.FULL:
             trees = trees.grown()
-        asked = time.monotonic()
+        called = time.monotonic()
         outcome = entries.connect_trees(
-            min(done + portion, max_iterations), longest, *judge.asked(), numbers, limits, *trees, state, gap, ends,
-            points, np.empty(trees.capacity), *judge.looks(),
+            min(done + portion, max_iterations), longest, *asked, numbers, limits, *trees, state, gap, ends,
+            points, np.empty(trees.capacity),
         )  # fmt: skip
         now = time.monotonic()
-        portion = min(2 * portion, AT_A_TIME) if now - asked < A_WHILE else max(portion // 2, 1)
+        portion = min(2 * portion, AT_A_TIME) if now - called < A_WHILE else max(portion // 2, 1)
         began = began or now
     return _path(space, judge, trees, state)
 
@@ -187,6 +188,7 @@ def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> 
     """A shorter path with the same ends; the judge has found all motions of `path` and of the result free."""
     count = len(path)
     judge = judge.up_to(float(np.sum(judge.checker.robot.distances(path[:-1], path[1:]))))
+    asked = judge.asked()
     room = count + min(max_iterations, MOST_ROOM)
     fits_memory(8 * room * path.shape[1], f"a path of {room} configurations")
     rows, state = np.empty((room, path.shape[1])), np.zeros(STATE, dtype=np.int64)
@@ -196,7 +198,5 @@ def shortened(judge: Judge, path: Floats, *, max_iterations: int, seed: int) -> 
     done = -1
     while done < max_iterations and count > 2 and done != state[ITERATION]:
         done = int(state[ITERATION])
-        count = entries.shorten_path(
-            count, min(done + AT_A_TIME, max_iterations), *judge.asked(), rows, state, ends, points, *judge.looks()
-        )
+        count = entries.shorten_path(count, min(done + AT_A_TIME, max_iterations), *asked, rows, state, ends, points)
     return rows[:count].copy()

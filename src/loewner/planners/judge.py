@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loewner import _validate
 from loewner._kernels import columns
@@ -32,7 +32,7 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """How motions are judged, proven or sampled in steps, with memory for the kernels.
+    """How motions are judged, proven or sampled in steps.
 
     Attributes
     ----------
@@ -41,20 +41,19 @@ class Judge:
         The pairs of one consistent state of the scene, for all motions.
     resolution : float
         0 if motions are proven.
-    fractions, verdicts : ndarray
-        Memory for sampling the longest motion.
+    samples : int
+        How many the longest motion takes.
     """
 
     checker: CollisionChecker
     ready: CheckedPairs
     resolution: float
-    fractions: Floats
-    verdicts: NDArray[np.int8]
+    samples: int
 
     @classmethod
     def of(cls, checker: CollisionChecker, resolution: float) -> Judge:
         """A judge for the scene's current state."""
-        return cls(checker, prepared_of(checker), resolution, np.empty(1), np.empty(1, dtype=np.int8))
+        return cls(checker, prepared_of(checker), resolution, 1)
 
     def how_surfaces_are_seen(self, names: Sequence[str] | None = None) -> str:
         """How surfaces may keep motions from being proven, for messages; empty for sampling or without surfaces.
@@ -77,7 +76,7 @@ class Judge:
         return ""
 
     def up_to(self, longest: float) -> Judge:
-        """A judge for the same state, with memory for sampling motions up to a length.
+        """A judge for the same state that can sample motions up to a length.
 
         Raises
         ------
@@ -93,18 +92,15 @@ class Judge:
             )
         size = int(steps) + 1
         fits_memory(9 * size, f"{size} steps of a motion")
-        return replace(self, fractions=np.empty(size), verdicts=np.empty(size, dtype=np.int8))
+        return replace(self, samples=size)
 
-    def asked(self) -> tuple[float, float, int, int, int, int]:
-        """Tolerance, resolution and addresses, as kernels take them."""
+    def asked(self) -> tuple[Ints, Floats]:
+        """Handles and lengths, as `_kernels.robots.free_motions.judge_of` takes them, for calls of this thread."""
         ready = self.ready if self.resolution else self.ready.in_parts
         prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
-        return TOLERANCE, self.resolution, ready.bodies._packed.handle, ready.handle, prepared.handle, memory
-
-    def looks(self) -> tuple[Floats, NDArray[np.int8], Ints]:
-        """Memory for sampling, as kernels take it; the last is scratch for collision counts, which are discarded."""
-        return self.fractions, self.verdicts, np.zeros_like(self.ready.hits)
+        handles = [ready.bodies._packed.handle, ready.handle, prepared.handle, memory, self.samples]
+        return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:
         """Which motions of a batch are free; what cannot be settled is not."""

@@ -128,19 +128,19 @@ def _expect_pairs(ready: CheckedPairs, query: str) -> None:
 def _nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
     """Columns without the gradient, and with indices of bodies instead of names."""
     n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
-    lower, upper, distance = np.empty(n), np.empty(n), np.empty(m)
-    vectors = [np.empty((m, 3)) for _ in range(3)]
+    numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
 
     def run(first: int, last: int) -> None:
         entries.nearest_pairs(
             exact, first, last, Q, pack.handle, ready.handle, workspace(ready.memory_of_nearest),
-            lower, upper, distance, *vectors, pieces, status,
+            numbers, vectors, pieces, status,
         )  # fmt: skip
 
     in_shares(run, n, LEAST_SHARE)
     if not exact:
-        return [lower, upper]
+        return list(numbers)
+    lower, upper, distance = numbers
     # The bounds are proven and the value is computed, so clamp the value to the bounds.
     np.maximum(lower, np.minimum(distance, upper, out=distance), out=distance)
     bodies = np.searchsorted(pack.piece_start, pieces, side="right") - 1

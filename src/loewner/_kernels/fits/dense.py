@@ -1,12 +1,58 @@
-"""Small dense linear algebra: Cholesky, triangular solves, Householder QR.
+"""Small dense linear algebra: Cholesky, triangular solves, Householder QR, squares of vectors.
 
 LAPACK costs more to call than these sizes cost to solve, so the loops stand here. Every function takes
 the dimension `n` so that a caller with a compile-time `n` gets them unrolled.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import inline, njit
+
+SQRT2 = np.sqrt(2.0)
+
+
+class Counts(NamedTuple):
+    """Sizes of the problems of interior points: m vectors in n dimensions, p entries of a symmetric matrix."""
+
+    m: Any
+    n: Any
+    p: Any
+
+
+@inline
+def counts_of(m, n):
+    """Sizes for m vectors in n dimensions."""
+    return Counts(m, n, n * (n + 1) // 2)
+
+
+@inline
+def svec(v, rows, i, n):
+    """Write the p entries of v vᵀ to row i. The inner product of two such rows is the square of v · w.
+
+    Returns |v|².
+    """
+    a = 0
+    norm2 = 0.0
+    for j in range(n):
+        for k in range(j):
+            rows[i, a] = SQRT2 * v[j] * v[k]
+            a += 1
+        square = v[j] * v[j]
+        norm2 += square
+        rows[i, a] = square
+        a += 1
+    return norm2
+
+
+@inline
+def fill_upper(a, diagonal, n):
+    """Fill the upper triangle of `a` with a multiple of the identity."""
+    for j in range(n):
+        a[j, j] = diagonal
+        for k in range(j + 1, n):
+            a[j, k] = 0.0
 
 
 @njit()

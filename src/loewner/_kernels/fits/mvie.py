@@ -1,9 +1,16 @@
 """Largest ellipsoid inside a polytope (MVIE): Zhang and Gao's primal-dual method, in O(m) per step.
 
 Zhang and Gao, On numerical solution of the maximum volume ellipsoid problem, SIAM J. Optim. 14 (2003): the unknowns
-are the center x, one multiplier y and one slack z per face; the shape follows as E² = (Aᵀ Y A)⁻¹. Their Newton
-system is m x m, diagonal plus a matrix of rank n(n+1)/2; Woodbury's identity turns it into one Cholesky
-factorisation of that size. Predictor and corrector (Mehrotra 1992) share it.
+are the center x, one multiplier y and one slack z per face; the shape follows as E² = (Aᵀ Y A)⁻¹.
+
+It differs from their method in the following:
+
+1. Their Newton system is m x m, diagonal plus a matrix of rank n(n+1)/2. Woodbury's identity turns it into one Cholesky
+   factorisation of that size.
+2. Predictor and corrector (Mehrotra 1992) share this factorisation, and multipliers have a step length of their own.
+   Their plain rule, with one step length, is used only where this fails (`solve_primal_dual`).
+3. The first ellipsoid is scaled until it is inside the polytope.
+4. It stops at the certified gap of the ellipsoid, shrunk until it is inside, which needs no small residuals.
 
 Certificate. In coordinates where the ellipsoid is the unit ball, with rows a_i and slacks d_i >= 0 at its center,
 take any λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric positive definite) around any point,
@@ -11,11 +18,16 @@ take any λ >= 0 with Σ λ_i a_i = 0. For a feasible ellipsoid F (symmetric pos
 log det F <= n log(λᵀd / n) - log det M: that is the gap.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from loewner._kernels._jit import njit
+from loewner._kernels._jit import borrowed, njit
 from loewner._kernels.fits.dense import (
+    Counts,
     cholesky,
+    counts_of,
+    fill_upper,
     inverse_transposed_upper,
     normal_cholesky,
     normal_solve,
@@ -23,8 +35,10 @@ from loewner._kernels.fits.dense import (
     solve_general,
     solve_lower,
     solve_lower_transposed,
+    svec,
 )
-from loewner._kernels.fits.mvce import CENTRING_FLOOR, MAX_ITERATIONS, ROUNDING, SQRT2, STEP_CAP
+from loewner._kernels.fits.mvce import CENTRING_FLOOR, MAX_ITERATIONS, ROUNDING, STEP_CAP, centring, step_inside
+from loewner._kernels.simd.memory import Arena, Place, floats, held, sizes_of
 
 
 @njit()
@@ -72,6 +86,63 @@ def balanced_gap(rows, slack, lam, m, n):
     return n * np.log(total / n) - log_det
 
 
+class _Memory(NamedTuple):
+    """Memory of a run: for m faces a, in n dimensions, with p = n (n + 1) / 2.
+
+    Attributes
+    ----------
+    U : ndarray, shape (n, n)
+        Upper factor of E⁻² = Aᵀ Y A.
+    T : ndarray, shape (m, n)
+        Rows U⁻¹ a: faces in the coordinates where the ellipsoid is the unit ball.
+    V : ndarray, shape (m, p)
+        A row svec(U⁻¹ a (U⁻¹ a)ᵀ) for each face.
+    K : ndarray, shape (p, p)
+        Upper factor of the matrix of Woodbury's identity.
+    C : ndarray, shape (n, p)
+        K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A), transposed.
+    P : ndarray, shape (m, n)
+        (2 y h ∘ T - Y A), solved by the m x m matrix.
+    PA, lhs : ndarray, shape (n, n)
+        Pᵀ A, the matrix of the system for dx; and the copy that is solved.
+    h, d : ndarray, shape (m,)
+        |E a|, and the slack of the center: the ellipsoid is inside where h <= d.
+    y, z : ndarray, shape (m,)
+        Multipliers and slacks.
+    dx, dy, dz : ndarray, shape (n,), (m,), (m,)
+        Steps.
+    rhs, q : ndarray, shape (m,) and (p,)
+        Right sides.
+    """
+
+    U: Any
+    T: Any
+    V: Any
+    K: Any
+    C: Any
+    P: Any
+    PA: Any
+    lhs: Any
+    h: Any
+    d: Any
+    y: Any
+    z: Any
+    dx: Any
+    dy: Any
+    dz: Any
+    rhs: Any
+    q: Any
+
+
+_m, _n, _p = sizes_of(Counts)
+_MEMORY = Arena(
+    _Memory, U=floats(_n, _n), T=floats(_m, _n), V=floats(_m, _p), K=floats(_p, _p), C=floats(_n, _p),
+    P=floats(_m, _n), PA=floats(_n, _n), lhs=floats(_n, _n), h=floats(_m), d=floats(_m), y=floats(_m), z=floats(_m),
+    dx=floats(_n), dy=floats(_m), dz=floats(_m), rhs=floats(_m), q=floats(_p),
+)  # fmt: skip
+_memory_of, _size = _MEMORY.whole(), _MEMORY.sizing()
+
+
 @njit()
 def solve_primal_dual(A, m, n, tol, x, low, lam):
     """Largest ellipsoid in {z : A z <= 1} (rows near unit size); fills center, lower factor, multipliers.
@@ -81,224 +152,245 @@ def solve_primal_dual(A, m, n, tol, x, low, lam):
 
     Returns (gap, iterations); a gap above `tol` means it stopped there.
     """
-    gap, iterations = _iterate(A, m, n, tol, x, low, lam, False)
-    if gap <= tol:
-        return gap, iterations
-    careful_gap, more = _iterate(A, m, n, tol, x, low, lam, True)
-    if careful_gap <= gap or not gap < np.inf:
-        return careful_gap, iterations + more
-    return _iterate(A, m, n, tol, x, low, lam, False)
+    counts = counts_of(m, n)
+    memory = np.empty(_size(counts), np.uint8)
+    place = Place(memory.ctypes.data, counts)
+    gap, iterations = _iterate(place, A, tol, x, low, lam, False)
+    if not gap <= tol:
+        careful_gap, more = _iterate(place, A, tol, x, low, lam, True)
+        if careful_gap <= gap or not gap < np.inf:
+            gap, iterations = careful_gap, iterations + more
+        else:
+            gap, iterations = _iterate(place, A, tol, x, low, lam, False)
+    held(memory)
+    return gap, iterations
 
 
 @njit()
-def _iterate(A, m, n, tol, x, low, lam, careful):
+def _iterate(place, A, tol, x, low, lam, careful):
     """One run of the primal-dual method, from the same start, with long steps or careful ones."""
-    p = n * (n + 1) // 2
-    U = np.empty((n, n))
-    T = np.empty((m, n))
-    V = np.empty((m, p))
-    K = np.empty((p, p))
-    C = np.empty((n, p))
-    P = np.empty((m, n))
-    PA = np.empty((n, n))
-    PA2 = np.empty((n, n))
-    h = np.empty(m)
-    d = np.ones(m)
-    y = np.ones(m)
-    z = np.empty(m)
-    dy = np.zeros(m)
-    dz = np.zeros(m)
-    q = np.empty(p)
-    r23 = np.empty(m)
-    dx = np.empty(n)
+    m, n, work = place.counts.m, place.counts.n, _memory_of(place)
+    y, h = work.y, work.h
+    for i in range(m):
+        work.d[i] = y[i] = 1.0
+        work.dy[i] = work.dz[i] = 0.0
+    for j in range(n):
+        x[j] = 0.0
     best = np.inf
     since_best = 0
     gap = np.inf
-    for j in range(n):
-        x[j] = 0.0
-
     for iteration in range(MAX_ITERATIONS):
-        # E² = (Aᵀ Y A)⁻¹ = L Lᵀ with L = U⁻ᵀ; a~ = Lᵀ a = U⁻¹ a; h = |a~|
-        for j in range(n):
-            for k in range(j, n):
-                U[j, k] = 0.0
-        for i in range(m):
-            for j in range(n):
-                t = y[i] * A[i, j]
-                for k in range(j, n):
-                    U[j, k] += t * A[i, k]
-        if not reversed_cholesky(U, n):
+        is_definite, shrink = _assemble(place, A)
+        if not is_definite:
             return gap, iteration
-        shrink = np.inf
-        for i in range(m):
-            norm2 = 0.0
-            for j in range(n - 1, -1, -1):
-                value = A[i, j]
-                for k in range(j + 1, n):
-                    value -= U[j, k] * T[i, k]
-                value /= U[j, j]
-                T[i, j] = value
-                norm2 += value * value
-            h[i] = np.sqrt(norm2)
-            shrink = min(shrink, d[i] / h[i])
         if iteration == 0:
-            # The largest multiple of the starting ellipsoid that is feasible.
-            for j in range(n):
-                for k in range(j, n):
-                    U[j, k] /= shrink
-            for i in range(m):
-                y[i] /= shrink * shrink
-                h[i] *= shrink
-                for j in range(n):
-                    T[i, j] *= shrink
-                z[i] = max(0.1, d[i] - h[i])
+            _begin(place, shrink)
             shrink = 1.0
-
         # Certificate of shrink * E, in its own coordinates (λ scales freely).
         for i in range(m):
             lam[i] = y[i] * h[i]
-        gap = balanced_gap(T, d, lam, m, n) - n * np.log(shrink)
+        gap = balanced_gap(work.T, work.d, lam, m, n) - n * np.log(shrink)
         if gap < best:
             best = gap
             since_best = 0
         else:
             since_best += 1
         if gap <= tol or (since_best > 8 and best < 1.0):
-            inverse_transposed_upper(U, low, n)
+            inverse_transposed_upper(work.U, low, n)
             for j in range(n):
                 for k in range(j + 1):
                     low[j, k] *= shrink
             return gap, iteration
-
-        for i in range(m):
-            a = 0
-            for j in range(n):
-                for k in range(j):
-                    V[i, a] = SQRT2 * T[i, j] * T[i, k]
-                    a += 1
-                V[i, a] = T[i, j] * T[i, j]
-                a += 1
-
-        # K = I + Uᵀ D⁻¹ U with D = 2 y h z, U = y V;  C = K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A)
-        for j in range(p):
-            K[j, j] = 1.0
-            for k in range(j + 1, p):
-                K[j, k] = 0.0
-        for j in range(n):
-            for a in range(p):
-                C[j, a] = 0.0
-        for i in range(m):
-            weight = y[i] / (2.0 * h[i] * z[i])
-            for j in range(p):
-                t = weight * V[i, j]
-                for k in range(j, p):
-                    K[j, k] += t * V[i, k]
-            weight *= h[i] + z[i]
-            for j in range(n):
-                t = weight * A[i, j]
-                for a in range(p):
-                    C[j, a] += t * V[i, a]
-        if not normal_cholesky(K, p):
+        if not _factor(place, A) or not _step(place, A, x, careful):
             return gap, iteration
-        for j in range(n):
-            normal_solve(K, C[j], p)
-        # P = (2 y h ∘ T - Y A)ᵀ, row i: (y/z) (h a_i - Cᵀ v_i);  and P A
-        for j in range(n):
-            for k in range(n):
-                PA[j, k] = 0.0
-        for i in range(m):
-            for j in range(n):
-                value = h[i] * A[i, j]
-                for a in range(p):
-                    value -= C[j, a] * V[i, a]
-                P[i, j] = value * y[i] / z[i]
-                for k in range(n):
-                    PA[j, k] += P[i, j] * A[i, k]
-
-        mean = 0.0
-        for i in range(m):
-            mean += y[i] * z[i]
-        mean /= m
-        worst = mean
-        mu = 0.0
-        to_y = 1.0
-        to_z = 1.0
-        for stage in range(2):
-            if careful and stage == 0:
-                mu = max(min(0.5, mean) * mean, CENTRING_FLOOR)
-                continue
-            # R1 = -Aᵀ(y h);  R2 = d - h - z;  R3 = mu - y z (- dy dz);  R23 = R2 - R3/y
-            for j in range(n):
-                dx[j] = 0.0
-            for i in range(m):
-                r2 = d[i] - h[i] - z[i]
-                worst = max(worst, abs(r2))
-                r3 = mu - y[i] * z[i] - dy[i] * dz[i]
-                dz[i] = r3 / y[i]
-                r23[i] = r2 - dz[i]
-                for j in range(n):
-                    dx[j] += P[i, j] * r23[i] - A[i, j] * y[i] * h[i]
-            for j in range(n):
-                for k in range(n):
-                    PA2[j, k] = PA[j, k]
-            if not solve_general(PA2, dx, n):
-                return gap, iteration
-            # du = G⁻¹ [2 y h ∘ (A dx - R23)];  dy = y du;  dz = R3/y - z du
-            for a in range(p):
-                q[a] = 0.0
-            for i in range(m):
-                value = -r23[i]
-                for j in range(n):
-                    value += A[i, j] * dx[j]
-                r23[i] = value
-                value *= y[i] / z[i]
-                for a in range(p):
-                    q[a] += value * V[i, a]
-            normal_solve(K, q, p)
-            to_y = np.inf
-            to_z = np.inf
-            for i in range(m):
-                value = r23[i]
-                for a in range(p):
-                    value -= V[i, a] * q[a] / (2.0 * h[i])
-                du = value / z[i]
-                dy[i] = y[i] * du
-                dz[i] -= z[i] * du
-                if dy[i] < 0.0:
-                    to_y = min(to_y, -y[i] / dy[i])
-                if dz[i] < 0.0:
-                    to_z = min(to_z, -z[i] / dz[i])
-                move = 0.0
-                for j in range(n):
-                    move += A[i, j] * dx[j]
-                if move > 0.0:
-                    to_z = min(to_z, d[i] / move)
-            if stage == 0:
-                to_y = min(1.0, to_y)
-                to_z = min(1.0, to_z)
-                after = 0.0
-                for i in range(m):
-                    after += (y[i] + to_y * dy[i]) * (z[i] + to_z * dz[i])
-                after /= m
-                mu = max(mean * (after / mean) ** 3, CENTRING_FLOOR)
-        share = min(STEP_CAP, max(0.75, 1.0 - worst))
-        if careful:
-            to_y = min(to_y, to_z)
-            to_z = to_y
-        to_y = min(1.0, share * to_y)
-        to_z = min(1.0, share * to_z)
-        for j in range(n):
-            x[j] += to_z * dx[j]
-        for i in range(m):
-            y[i] += to_y * dy[i]
-            z[i] += to_z * dz[i]
-            move = 1.0
-            for j in range(n):
-                move -= A[i, j] * x[j]
-            d[i] = move
-            dy[i] = 0.0
-            dz[i] = 0.0
     return gap, MAX_ITERATIONS
+
+
+@njit()
+def _assemble(place, A):
+    """Compute and factor E⁻²; fill T and h.
+
+    Returns whether it is positive definite, and the largest multiple of the ellipsoid about its center that is inside.
+    """
+    m, n, work = place.counts.m, place.counts.n, _memory_of(place)
+    A, U, T, h, d, y = borrowed(A), work.U, work.T, work.h, work.d, work.y
+    # E² = (Aᵀ Y A)⁻¹ = L Lᵀ with L = U⁻ᵀ; a~ = Lᵀ a = U⁻¹ a; h = |a~|
+    fill_upper(U, 0.0, n)
+    for i in range(m):
+        for j in range(n):
+            t = y[i] * A[i, j]
+            for k in range(j, n):
+                U[j, k] += t * A[i, k]
+    if not reversed_cholesky(U, n):
+        return False, 0.0
+    shrink = np.inf
+    for i in range(m):
+        norm2 = 0.0
+        for j in range(n - 1, -1, -1):
+            value = A[i, j]
+            for k in range(j + 1, n):
+                value -= U[j, k] * T[i, k]
+            value /= U[j, j]
+            T[i, j] = value
+            norm2 += value * value
+        h[i] = np.sqrt(norm2)
+        shrink = min(shrink, d[i] / h[i])
+    return True, shrink
+
+
+@njit()
+def _begin(place, shrink):
+    """Begin with the largest multiple of the first ellipsoid that is inside."""
+    m, n, work = place.counts.m, place.counts.n, _memory_of(place)
+    U, T, h, y = work.U, work.T, work.h, work.y
+    for j in range(n):
+        for k in range(j, n):
+            U[j, k] /= shrink
+    for i in range(m):
+        y[i] /= shrink * shrink
+        h[i] *= shrink
+        for j in range(n):
+            T[i, j] *= shrink
+        work.z[i] = max(0.1, work.d[i] - h[i])
+
+
+@njit()
+def _factor(place, A):
+    """Fill V, K, C, P and PA, for predictor and corrector; False if K is not positive definite."""
+    m, n, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
+    A, V, K, C, P, PA, h, y, z = borrowed(A), work.V, work.K, work.C, work.P, work.PA, work.h, work.y, work.z
+    for i in range(m):
+        svec(work.T[i], V, i, n)
+    # K = I + Uᵀ D⁻¹ U with D = 2 y h z, U = y V;  C = K⁻¹ Vᵀ ((h+z) / (2 h z) ∘ Y A)
+    fill_upper(K, 1.0, p)
+    for j in range(n):
+        for a in range(p):
+            C[j, a] = 0.0
+    for i in range(m):
+        weight = y[i] / (2.0 * h[i] * z[i])
+        for j in range(p):
+            t = weight * V[i, j]
+            for k in range(j, p):
+                K[j, k] += t * V[i, k]
+        weight *= h[i] + z[i]
+        for j in range(n):
+            t = weight * A[i, j]
+            for a in range(p):
+                C[j, a] += t * V[i, a]
+    if not normal_cholesky(K, p):
+        return False
+    for j in range(n):
+        normal_solve(K, C[j], p)
+    # P = (2 y h ∘ T - Y A)ᵀ, row i: (y/z) (h a_i - Cᵀ v_i);  and P A
+    for j in range(n):
+        for k in range(n):
+            PA[j, k] = 0.0
+    for i in range(m):
+        for j in range(n):
+            value = h[i] * A[i, j]
+            for a in range(p):
+                value -= C[j, a] * V[i, a]
+            P[i, j] = value * y[i] / z[i]
+            for k in range(n):
+                PA[j, k] += P[i, j] * A[i, k]
+    return True
+
+
+@njit()
+def _step(place, A, x, careful):
+    """Change x, y, z and d by a predictor and a corrector, or by a careful step; False if the system is singular."""
+    m, n, work = place.counts.m, place.counts.n, _memory_of(place)
+    A, y, z, dx, dy, dz = borrowed(A), work.y, work.z, work.dx, work.dy, work.dz
+    mean = 0.0
+    for i in range(m):
+        mean += y[i] * z[i]
+    mean /= m
+    worst = mean
+    if careful:
+        mu = max(min(0.5, mean) * mean, CENTRING_FLOOR)
+    else:
+        is_solved, to_y, to_z, worst = _direction(place, A, 0.0, worst)
+        if not is_solved:
+            return False
+        mu = centring(mean, y, dy, to_y, z, dz, to_z, m)
+    is_solved, to_y, to_z, worst = _direction(place, A, mu, worst)
+    if not is_solved:
+        return False
+    share = min(STEP_CAP, max(0.75, 1.0 - worst))
+    if careful:
+        to_y = min(to_y, to_z)
+        to_z = to_y
+    to_y = min(1.0, share * to_y)
+    to_z = min(1.0, share * to_z)
+    for j in range(n):
+        x[j] += to_z * dx[j]
+    for i in range(m):
+        y[i] += to_y * dy[i]
+        z[i] += to_z * dz[i]
+        move = 1.0
+        for j in range(n):
+            move -= A[i, j] * x[j]
+        work.d[i] = move
+        dy[i] = 0.0
+        dz[i] = 0.0
+    return True
+
+
+@njit()
+def _direction(place, A, mu, worst):
+    """Solve for the steps dx, dy and dz, with the products of dy and dz so far.
+
+    Returns whether the system could be solved, how far y may go along its step, and how far x and z may; and the larger
+    of `worst` and the residuals of h + z = d.
+    """
+    m, n, p, work = place.counts.m, place.counts.n, place.counts.p, _memory_of(place)
+    A, V, P, PA, lhs, h, d = borrowed(A), work.V, work.P, work.PA, work.lhs, work.h, work.d
+    y, z, dx, dy, dz, rhs, q = work.y, work.z, work.dx, work.dy, work.dz, work.rhs, work.q
+    # R1 = -Aᵀ(y h);  R2 = d - h - z;  R3 = mu - y z (- dy dz);  R23 = R2 - R3/y
+    for j in range(n):
+        dx[j] = 0.0
+    for i in range(m):
+        r2 = d[i] - h[i] - z[i]
+        worst = max(worst, abs(r2))
+        r3 = mu - y[i] * z[i] - dy[i] * dz[i]
+        dz[i] = r3 / y[i]
+        rhs[i] = r2 - dz[i]
+        for j in range(n):
+            dx[j] += P[i, j] * rhs[i] - A[i, j] * y[i] * h[i]
+    for j in range(n):
+        for k in range(n):
+            lhs[j, k] = PA[j, k]
+    if not solve_general(lhs, dx, n):
+        return False, 0.0, 0.0, worst
+    # du = G⁻¹ [2 y h ∘ (A dx - R23)];  dy = y du;  dz = R3/y - z du
+    for a in range(p):
+        q[a] = 0.0
+    for i in range(m):
+        value = -rhs[i]
+        for j in range(n):
+            value += A[i, j] * dx[j]
+        rhs[i] = value
+        value *= y[i] / z[i]
+        for a in range(p):
+            q[a] += value * V[i, a]
+    normal_solve(work.K, q, p)
+    to_y = np.inf
+    to_z = np.inf
+    for i in range(m):
+        value = rhs[i]
+        for a in range(p):
+            value -= V[i, a] * q[a] / (2.0 * h[i])
+        du = value / z[i]
+        dy[i] = y[i] * du
+        dz[i] -= z[i] * du
+        to_y = step_inside(to_y, y[i], dy[i])
+        to_z = step_inside(to_z, z[i], dz[i])
+        move = 0.0
+        for j in range(n):
+            move += A[i, j] * dx[j]
+        if move > 0.0:
+            to_z = min(to_z, d[i] / move)
+    return True, to_y, to_z, worst
 
 
 @njit()

@@ -29,7 +29,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import BY_INNER, BY_OUTER, BY_SPHERE, OPEN, UNSURE
 from loewner._kernels.columns import HOT, INNER_CENTER, INNER_SHAPE, OUTER_CENTER, OUTER_RADIUS, OUTER_SHAPE, REACH
 from loewner._kernels.ellipsoids.contact import maximize, nearness, normal_at, position_error, separation
-from loewner._kernels.linalg3 import apply, apply_symmetric, dot, minus, plus, rotated_shape, selected, trace
+from loewner._kernels.linalg3 import apply, apply_symmetric, dot, minus, one_norm, plus, rotated_shape, selected, trace
 from loewner._kernels.pieces.rigid import is_rigid, is_rigid_single
 from loewner._kernels.simd.scalars import eight_at, holds
 from loewner._kernels.simd.vectors import (
@@ -149,14 +149,9 @@ def _offset(a, rotated_a, center_a, b, rotated_b, center_b):
 
 
 @inline
-def _one_norm(v):
-    return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
-
-
-@inline
 def _size(a, reach_a, b, reach_b):
     """Sum of the lengths that go into the vector between two centers."""
-    return _one_norm(minus(b.t, a.t)) + reach_a + reach_b
+    return one_norm(minus(b.t, a.t)) + reach_a + reach_b
 
 
 @inline
@@ -235,7 +230,7 @@ def _apart(a, b, r, n, s, size, unit, sure):
     squared = dot(n, n)
     along = dot(n, r)
     # n·r > √v + √w, with n·r rounded down and the squared widths v and w rounded up.
-    low = along - position_error(size, unit) * _one_norm(n)
+    low = along - position_error(size, unit) * one_norm(n)
     v = nPn + SHAPE_ERROR * unit * trace(a.Q) * squared
     w = nQn + SHAPE_ERROR * unit * trace(b.Q) * squared
     t = low * low * (1.0 - 8.0 * unit) - (v + w)
@@ -257,7 +252,7 @@ def _common(a, b, r, n, s, size, unit, sure):
     Pn, Qn = apply_symmetric(a.Q, n), apply_symmetric(b.Q, n)
     nPn, nQn = dot(Pn, n), dot(Qn, n)
     squared = dot(n, n)
-    length = _one_norm(n)
+    length = one_norm(n)
     u = 1.0 - s
     miss = _miss(r, s, Pn, Qn)
     slack = miss + position_error(size, unit)

@@ -1,8 +1,7 @@
 """The paper's four detectors, each over n pairs on one thread.
 
-Arrays, one row per pair, all in one frame: centers (n, 3) and factors (n, 3, 3) of the inner and outer
-ellipsoids of both bodies. Answers are uint8: `collides`, and `ambiguous` in the detector's own sense,
-which is where its estimate (and not an overlap check) decided.
+Centers and factors as for `estimates.by_name`. Answers are uint8: `collides`, and `ambiguous` in the detector's own
+sense, which is where its estimate (and not an overlap check) decided.
 """
 
 import math
@@ -10,28 +9,29 @@ import math
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.ellipsoids import near_points as near
 from loewner._kernels.linalg3 import dot, matrix, minus
-from loewner._kernels.paper.estimates import f_from_near_points, offset
+from loewner._kernels.paper.estimates import by_name, f_from_near_points, offset
 
 
 @inline
-def _face_distance(normals, offsets, start, stop, origin, p, e):
+def _face_distance(faces, start, stop, origin, p, e):
     """Where the ray origin + p + t e leaves a polytope {x : normals x <= offsets}."""
     t = math.inf
     for i in range(start, stop):
-        n = (normals[i, 0], normals[i, 1], normals[i, 2])
+        n = (faces[i, 0], faces[i, 1], faces[i, 2])
         speed = dot(n, e)
         if speed > 0.0:
-            t = min(t, (offsets[i] - dot(n, origin) - dot(n, p)) / speed)
+            t = min(t, (faces[i, 3] - dot(n, origin) - dot(n, p)) / speed)
     return t
 
 
 @njit()
-def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, collides, ambiguous):
+def detector_1(centers, factors, faces_1, start_1, faces_2, start_2, collides, ambiguous):
     """The earlier method (the paper, section 2), as read in docs/design/paper.md.
 
-    The inner ellipsoids are its own heuristic ones. Faces: normals (f, 3), offsets (f,), and the first face
-    of each body (n + 1,).
+    The inner ellipsoids are its own heuristic ones. Faces: normals and offsets (f, 4), and the first face of each body
+    (n + 1,).
     """
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
         r = offset(c2i, k, c1i)
         F1, F2 = matrix(F1i[k]), matrix(F2i[k])
@@ -46,8 +46,8 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
         outer_1 = near.exit_of_ray(near.inverse(matrix(F1o[k])), minus(v1, offset(c1o, k, c1i)), e)
         outer_2 = L - near.exit_of_ray(near.inverse(matrix(F2o[k])), minus(v2, offset(c2o, k, c1i)), back)
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
-        face_1 = _face_distance(n1, b1, s1[k], s1[k + 1], origin, v1, e)
-        face_2 = L - _face_distance(n2, b2, s2[k], s2[k + 1], origin, v2, back)
+        face_1 = _face_distance(faces_1, start_1[k], start_1[k + 1], origin, v1, e)
+        face_2 = L - _face_distance(faces_2, start_2[k], start_2[k + 1], origin, v2, back)
         # The printed test for "the enclosing ellipsoids overlap". It is false also when the polyhedra
         # overlap along the line, which is a certain collision: the flaw the paper corrects.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
@@ -58,8 +58,9 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
 
 
 @njit()
-def detector_2(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, angle, collides, ambiguous):
+def detector_2(centers, factors, angle, collides, ambiguous):
     """The paper's detector: Lin-Han for both overlap checks and for the near points of f."""
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
         r = offset(c2o, k, c1o)
         F1, F2 = matrix(F1o[k]), matrix(F2o[k])
@@ -80,8 +81,9 @@ def detector_2(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, angle, collides, ambiguou
 
 
 @njit()
-def detector_3(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, collides, ambiguous):
+def detector_3(centers, factors, collides, ambiguous):
     """Level surfaces for both overlap checks (appendix A) and for the near points of f."""
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
         F1 = matrix(F1o[k])
         G2 = near.inverse(matrix(F2o[k]))
@@ -101,8 +103,9 @@ def detector_3(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, collides, ambiguous):
 
 
 @njit()
-def detector_4(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, collides, ambiguous):
+def detector_4(centers, factors, collides, ambiguous):
     """Center lines, each ellipsoid pair's own, for both checks and for the near points of f."""
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(c1i)):
         G1, G2 = near.inverse(matrix(F1o[k])), near.inverse(matrix(F2o[k]))
         _, _, _, status = near.center_line(G1, G2, offset(c2o, k, c1o))

@@ -14,6 +14,25 @@ def offset(x, k, y):
     return (x[k, 0] - y[k, 0], x[k, 1] - y[k, 1], x[k, 2] - y[k, 2])
 
 
+@inline
+def by_name(centers, factors):
+    """Centers and factors of the inner and outer ellipsoids of body 1, then of body 2, for n pairs.
+
+    Parameters
+    ----------
+    centers : ndarray, shape (4, n, 3)
+        Inner of body 1, outer of body 1, inner of body 2, outer of body 2; all of a pair in one frame, in metres.
+    factors : ndarray, shape (4, n, 3, 3)
+
+    Returns
+    -------
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o : ndarray
+    """
+    return (
+        centers[0], factors[0], centers[1], factors[1], centers[2], factors[2], centers[3], factors[3]
+    )  # fmt: skip
+
+
 @njit()
 def f_from_near_points(v1, v2, distance, r, p1, G1, p2, G2):
     """The paper's f from the near points of the inner ellipsoids and the two outer ellipsoids.
@@ -49,7 +68,7 @@ def f_from_near_points(v1, v2, distance, r, p1, G1, p2, G2):
 
 
 @njit()
-def estimates_of_pairs(method, c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, f):
+def estimates_of_pairs(method, centers, factors, f):
     """Fill f (n,) for n pairs, in metres; f <= 0 means collision.
 
     Never NaN for finite input: a Lin-Han pair that does not converge takes the Rimon-Boyd points.
@@ -58,11 +77,10 @@ def estimates_of_pairs(method, c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, f):
     ----------
     method : int
         Of `near_points`; Lin-Han to `PAPER_ANGLE`.
-    c1i, c1o, c2i, c2o : ndarray, shape (n, 3)
-        Centers of the inner and outer ellipsoids of both pieces, all of a pair in one frame, in metres.
-    F1i, F1o, F2i, F2o : ndarray, shape (n, 3, 3)
-        Their factors, in metres.
+    centers, factors
+        See `by_name`.
     """
+    c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o = by_name(centers, factors)
     for k in range(len(f)):
         r = offset(c2i, k, c1i)
         F1, F2 = matrix(F1i[k]), matrix(F2i[k])

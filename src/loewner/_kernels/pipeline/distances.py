@@ -471,20 +471,33 @@ def memory_of_distances():
 
 
 @njit()
-def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memory, lower, upper, estimate, distance,
-                   witness_a, witness_b, normal, status):  # fmt: skip
+def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memory, numbers, vectors, status):
     """Distances of pairs start .. stop.
 
-    Operands as in `verdicts`; the arrays of `Exact`, the last five, are written only if `wanted`. `memory` is the
-    address of `MEMORY` to write to; one thread uses them at a time.
+    Parameters
+    ----------
+    wanted : bool
+        Whether exact distances are; only then are they, the vectors and the status written.
+    plan, rows, pack_a, Ta, pack_b, Tb
+        Operands as in `verdicts`.
+    memory : int
+        Address of `MEMORY` to write to; one thread uses it at a time.
+    numbers : ndarray, shape (4, n), or (3, n) without exact distances
+        Lower bounds, upper bounds, estimates and exact distances.
+    vectors : ndarray, shape (3, n, 3)
+        Witnesses of a and of b, and normals, see `Exact`.
+    status : ndarray of int8, shape (n,)
+        See `Exact`.
 
     Returns
     -------
     pieces, values : ndarray
         Those of a `Left`, for `measure_left`: the pairs in it are not finished without.
     """
+    lower, upper, estimate = numbers[0], numbers[1], numbers[2]
+    distance = numbers[3] if wanted else floats_at(memory, (0,))
     bounds = Bounds(lower, upper, estimate)
-    exact = Exact(distance, witness_a, witness_b, normal, status, integers_at(memory, (0, 2)))
+    exact = Exact(distance, vectors[0], vectors[1], vectors[2], status, integers_at(memory, (0, 2)))
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
@@ -522,10 +535,10 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
 
 
 @njit()
-def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, distance, witness_a, witness_b, normal, status):
+def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, numbers, vectors, status):
     """Exact distances of the piece pairs in a `Left`; compiled only when there is one."""
     operands = Operands(pack_a, Ta, pack_b, Tb)
-    exact = Exact(distance, witness_a, witness_b, normal, status, np.empty((0, 2), np.int64))
+    exact = Exact(numbers[3], vectors[0], vectors[1], vectors[2], status, np.empty((0, 2), np.int64))
     S = np.empty(ROWS * LANES)
     queue = np.empty((QUEUE, LANES), np.int64)
     for first in range(0, len(pieces), LANES):

@@ -10,7 +10,8 @@ from loewner._kernels.columns import RANDOM
 from loewner._kernels.pieces.pack import problem_of
 from loewner._kernels.robots.configurations import check_motion
 from loewner._kernels.robots.kinematics import quaternion_of
-from loewner._kernels.robots.motions import certified
+from loewner._kernels.robots.motions import certified, make_ready
+from loewner._kernels.simd.memory import Arena, Place, floats, integers, sizes_of, small_integers
 
 # Cosine of a quarter of the turn between two orientations that are half a turn apart, give or take rounding: which way
 # `Robot.between` goes is then chosen by the last bit.
@@ -27,22 +28,63 @@ class Judge(NamedTuple):
     Attributes
     ----------
     pack, problem, tables : handles, as for `motions.certify_motions`
-    tolerance : m, as for `motions.certify_motions`
-    resolution : largest distance of two configurations looked at; 0 if motions are proven instead
-    hits : ndarray of int64, shape (pairs,), where collisions found by looking are counted
-    fractions, verdicts : ndarray of float64 and of int8, memory for as many looks as the longest motion takes
     memory : address of the bytes that both kernels write to
+    tolerance : m, as for `motions.certify_motions`
+    resolution : largest distance of two samples; 0 if motions are proven instead
+    samples : Place of memory for as many samples as the longest motion takes
     """
 
     pack: Any
     problem: Any
     tables: Any
+    memory: Any
     tolerance: Any
     resolution: Any
-    hits: Any
-    fractions: Any
-    verdicts: Any
-    memory: Any
+    samples: Any
+
+
+class Counts(NamedTuple):
+    """Samples of the longest motion, and pairs of bodies."""
+
+    samples: Any
+    pairs: Any
+
+
+_SAMPLES, _PAIRS = sizes_of(Counts)
+_MEMORY = Arena(fractions=floats(_SAMPLES), verdicts=small_integers(_SAMPLES), hits=integers(_PAIRS))
+_fractions_of, _verdicts_of, _hits_of = _MEMORY.accessors("fractions verdicts hits")
+_size = _MEMORY.sizing()
+
+
+@inline
+def _counts_of(handles):
+    return Counts(handles[4], len(problem_of(handles[1]).pairs))
+
+
+@inline
+def sample_memory(handles):
+    """Bytes for `judge_of`, which have to live as long as the judge."""
+    return np.empty(_size(_counts_of(handles)), np.uint8)
+
+
+@inline
+def judge_of(handles, lengths, dof, samples):
+    """Make a judge of motions.
+
+    Parameters
+    ----------
+    handles : ndarray of int64, shape (5,)
+        Packed bodies, problem, tables, memory: see `Judge`; and how many samples the longest motion takes.
+    lengths : ndarray, shape (2,)
+        Tolerance and resolution.
+    dof : int
+    samples : int
+        Address of `sample_memory`.
+    """
+    pack, problem, tables, memory = handles[0], handles[1], handles[2], handles[3]
+    if lengths[1] == 0.0:
+        make_ready(pack, problem, tables, dof, memory)
+    return Judge(pack, problem, tables, memory, lengths[0], lengths[1], Place(samples, _counts_of(handles)))
 
 
 @inline
@@ -79,11 +121,12 @@ def _looks_free(judge, ends):
     for c in range(ends.shape[1]):
         squares += (ends[1, c] - ends[0, c]) * (ends[1, c] - ends[0, c])
     parts = np.int64(max(np.ceil(np.sqrt(squares) / judge.resolution), 1.0))
-    if parts + 1 > len(judge.fractions):
+    fractions, verdicts, hits = _fractions_of(judge.samples), _verdicts_of(judge.samples), _hits_of(judge.samples)
+    if parts + 1 > len(fractions):
         return False
-    count = _coarse_first(parts, judge.fractions)
+    count = _coarse_first(parts, fractions)
     verdict, _ = check_motion(
-        ends[0], ends[1], judge.fractions[:count], judge.pack, judge.problem, judge.verdicts, judge.hits, judge.memory
+        ends[0], ends[1], fractions[:count], judge.pack, judge.problem, verdicts, hits, judge.memory
     )
     return verdict == FREE
 

@@ -39,7 +39,7 @@ from loewner._kernels.columns import (
     SINE,
     TRANSLATION,
 )
-from loewner._kernels.linalg3 import along, image, product
+from loewner._kernels.linalg3 import along, image, product, turned
 from loewner._kernels.records import Tree
 from loewner._kernels.simd.trig import sine_cosine
 from loewner._kernels.simd.vectors import LANES, broadcast, load, scatter_transpose, store
@@ -80,18 +80,7 @@ def _turned(constants, link, angle):
     """Rotation of eight turning joints."""
     s, c = sine_cosine(angle)
     rest = _nine(constants, link, ROTATION)
-    with_sine, with_cosine = _nine(constants, link, SINE), _nine(constants, link, COSINE)
-    return (
-        rest[0] + s * with_sine[0] + c * with_cosine[0],
-        rest[1] + s * with_sine[1] + c * with_cosine[1],
-        rest[2] + s * with_sine[2] + c * with_cosine[2],
-        rest[3] + s * with_sine[3] + c * with_cosine[3],
-        rest[4] + s * with_sine[4] + c * with_cosine[4],
-        rest[5] + s * with_sine[5] + c * with_cosine[5],
-        rest[6] + s * with_sine[6] + c * with_cosine[6],
-        rest[7] + s * with_sine[7] + c * with_cosine[7],
-        rest[8] + s * with_sine[8] + c * with_cosine[8],
-    )
+    return turned(rest, s, _nine(constants, link, SINE), c, _nine(constants, link, COSINE))
 
 
 @inline

@@ -127,13 +127,14 @@ def _pose_row(body, s, moving):
 
 
 @njit()
-def _bound(count, queue, operands, work, least, lower, upper):
+def _bound(count, operands, place):
     """Bounds of queued piece pairs, merged into those of their configurations.
 
     Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
     of pairs, for it is farther than `upper`, then lowers nothing here either.
     """
-    W = scratch_of(_distances_of(work))
+    W, queue = scratch_of(_distances_of(place)), queue_of(_distances_of(place))
+    least, lower, upper = _least_of(place), _low_of(place), _high_of(place)
     write_bounds(count, queue, operands, W)
     for lane in range(count):
         s = queue[PAIR, lane]
@@ -142,59 +143,61 @@ def _bound(count, queue, operands, work, least, lower, upper):
 
 
 @njit()
-def _measure(count, queue, operands, searches, work, exact):
+def _measure(count, operands, place):
     """Exact distances of queued piece pairs, merged into those of their configurations."""
-    W = scratch_of(_distances_of(work))
+    W, queue, exact = scratch_of(_distances_of(place)), queue_of(_distances_of(place)), _exact_of(place)
     write_bounds(count, queue, operands, W)
-    late = measure_near(count, queue, operands, W, searches, exact)
+    late = measure_near(count, queue, operands, W, searches_of(_distances_of(place)), exact)
     if late > 0:
         measure_late(late, queue, operands, W, exact)
 
 
 @njit()
-def _take(turn, count, queue, operands, searches, work, least, lower, upper, exact):
+def _take(turn, count, operands, place):
     """Measure queued piece pairs: bounds in the first turn, exact distances in the second."""
     if count > 0:
         if turn == 1:
-            _measure(count, queue, operands, searches, work, exact)
+            _measure(count, operands, place)
         else:
-            _bound(count, queue, operands, work, least, lower, upper)
+            _bound(count, operands, place)
 
 
 @njit()
-def _walk(turn, p, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, least, lower, upper, exact):
+def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
     """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
     pieces = pieces_of(operands.a)
-    steps, numbers = _steps_of(work), _numbers_of(work)
+    queue, steps, numbers = queue_of(_distances_of(place)), _steps_of(place), _numbers_of(place)
+    upper, distance = _high_of(place), _exact_of(place).distance
     poses = operands.poses_a
     piece_tree.begin(pieces, body_a, poses, row_a, pieces, body_b, poses, row_b, steps, numbers)
     while True:
         cut = upper[s] + SETTLED * numbers[piece_tree.SIZE]
         if turn == 1:
-            cut = min(cut, exact.distance[s] + SETTLED * numbers[piece_tree.SIZE])
+            cut = min(cut, distance[s] + SETTLED * numbers[piece_tree.SIZE])
         found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queue)
         if found == 0:
             return
         queue[BODIES, :found] = p
-        _take(turn, found, queue, operands, searches, work, least, lower, upper, exact)
+        _take(turn, found, operands, place)
 
 
 @njit()
-def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, upper, distance, witness_a, witness_b,
-                  normal, pieces_out, status):  # fmt: skip
+def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers, vectors, pieces_out, status):
     """Bounds on the least distance of all pairs at the configurations start .. stop, and the exact one.
 
     Parameters
     ----------
     wanted : bool
-        Whether the exact distance is; the last six arrays are written only then.
+        Whether the exact distance is; only then are it and the last three arrays written.
     Q : ndarray, shape (N, dof)
     pack, problem_handle : int
         As for `configurations.check_configurations`.
     memory : int
         Address of `memory_of_nearest` bytes to write to; one thread uses them at a time.
-    lower, upper, distance : ndarray, shape (N,)
-    witness_a, witness_b, normal : ndarray, shape (N, 3)
+    numbers : ndarray, shape (3, N), or (2, N) without exact distances
+        Lower bounds, upper bounds and exact distances.
+    vectors : ndarray, shape (3, N, 3)
+        Witnesses of a and of b, and normals, see `distances.Exact`.
     pieces_out : ndarray of int64, shape (N, 2)
         Rows of the nearest pieces.
     status : ndarray of int8, shape (N,)
@@ -207,8 +210,8 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
     place = Place(memory, counts)
     least, to, at_placement = _least_of(place), _placement_of(place), _placement_at(place)
     operands = Operands(pack, to.poses, pack, to.poses)
-    queue, searches = queue_of(_distances_of(memory)), searches_of(_distances_of(memory))
-    seeds, low, high, exact = _seeds_of(memory), _low_of(memory), _high_of(memory), _exact_of(memory)
+    queue, seeds = queue_of(_distances_of(memory)), _seeds_of(memory)
+    low, high, exact = _low_of(memory), _high_of(memory), _exact_of(memory)
     stand(problem, counts, to)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
@@ -224,7 +227,7 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
             row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
             enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
             queue[BODIES, s] = p
-        _bound(here, queue, operands, memory, least, low, high)
+        _bound(here, operands, place)
         live = (1 << here) - 1
         for turn in range(2 if wanted else 1):
             count = 0
@@ -236,25 +239,9 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                     near &= near - 1
                     row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
                     if roots[one] >= 0 or roots[other] >= 0:
-                        _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+                        _take(turn, count, operands, place)
                         count = 0
-                        _walk(
-                            turn,
-                            p,
-                            s,
-                            one,
-                            row_a,
-                            other,
-                            row_b,
-                            queue,
-                            operands,
-                            searches,
-                            memory,
-                            least,
-                            low,
-                            high,
-                            exact,
-                        )
+                        _walk(turn, p, s, one, row_a, other, row_b, operands, place)
                         continue
                     for i in range(piece_start[one], piece_start[one + 1]):
                         for j in range(piece_start[other], piece_start[other + 1]):
@@ -262,19 +249,20 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                             queue[BODIES, count] = p
                             count += 1
                             if count == LANES:
-                                _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+                                _take(turn, count, operands, place)
                                 count = 0
-            _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+            _take(turn, count, operands, place)
         for s in range(here):
             k = first + s
-            lower[k], upper[k] = low[s], high[s]
+            numbers[0, k], numbers[1, k] = low[s], high[s]
             if wanted:
-                distance[k], status[k] = exact.distance[s], exact.status[s] if exact.pieces[s, 0] >= 0 else NOT_SETTLED
+                numbers[2, k] = exact.distance[s]
+                status[k] = exact.status[s] if exact.pieces[s, 0] >= 0 else NOT_SETTLED
                 for c in range(2):
                     pieces_out[k, c] = exact.pieces[s, c]
                 for c in range(3):
-                    witness_a[k, c], witness_b[k, c] = exact.witness_a[s, c], exact.witness_b[s, c]
-                    normal[k, c] = exact.normal[s, c]
+                    vectors[0, k, c], vectors[1, k, c] = exact.witness_a[s, c], exact.witness_b[s, c]
+                    vectors[2, k, c] = exact.normal[s, c]
 
 
 @njit()

@@ -1,8 +1,18 @@
 """RRT-Connect: two trees of free motions, from the start and from the goals, that grow until they meet.
 
-The smaller tree grows by a motion towards a configuration drawn at random; then the other one is led there as far as
-motions are free [1]. Configurations that failed are drawn towards only from near by: the dynamic domain [2]. Trees are
+A tree grows by a motion towards a drawn configuration; then its new node is led to the other tree as far as motions are
+free [1]. Configurations that failed are extended only towards configurations near by: the dynamic domain [2]. Trees are
 kept column by column, so that the search for the nearest configuration runs in lanes; they are small as a rule.
+
+It differs from the papers in the following:
+
+1. The smaller tree grows, where [1] takes the trees in turns.
+2. Configurations are drawn from a sequence of low discrepancy, not at random.
+3. The way to the other tree leads straight to one node of it, the nearest at first, in at most `MOST_STEPS` equal
+   steps.
+4. Before anything is drawn, the start is led to the nearest goal. The goals are roots of one tree.
+5. The radius of a dynamic domain changes a little with every failure and success.
+6. Whole turns are left out of the differences of joints without limits.
 
 [1] Kuffner, LaValle: RRT-Connect: An efficient approach to single-query path planning. ICRA 2000.
 [2] Yershova, Jaillet, Siméon, LaValle: Dynamic-domain RRTs. ICRA 2005.
@@ -15,8 +25,8 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import FULL, MET, SPENT
 from loewner._kernels.columns import GOALS, ITERATION, MOTIONS, OF_START, POSES, STARTS
-from loewner._kernels.robots.free_motions import Judge, is_free
-from loewner._kernels.robots.motions import make_ready
+from loewner._kernels.robots.free_motions import is_free, judge_of, sample_memory
+from loewner._kernels.simd.memory import held
 
 # Of the dynamic domain, in ranges: what a configuration is first limited to when a motion from it fails, what it is
 # limited to at least, and the share that a failure takes and a success gives.
@@ -71,6 +81,36 @@ class Space(NamedTuple):
     shift: Any
 
 
+class Search(NamedTuple):
+    """All that a search reads and writes.
+
+    Attributes
+    ----------
+    judge : free_motions.Judge
+    space : Space
+    trees : Trees
+    state : ndarray of int64, shape (columns.STATE,)
+        Where the search stands, see `columns`.
+    gap : ndarray, shape (1,)
+        How near to each other the trees came.
+    ends : ndarray, shape (2, dof)
+        A motion to test, in which joints that do not move keep their values.
+    points : ndarray, shape (3, joints)
+        Memory.
+    squares : ndarray, shape (capacity,)
+        Memory.
+    """
+
+    judge: Any
+    space: Any
+    trees: Any
+    state: Any
+    gap: Any
+    ends: Any
+    points: Any
+    squares: Any
+
+
 @inline
 def _turns(space, c, way):
     """Whole turns to leave out of a way."""
@@ -101,13 +141,14 @@ def _nearest(space, nodes, count, q, squares):
 
 
 @inline
-def _free(judge, space, ends, a, b, state):
+def _free(search, a, b):
     """Is the motion between two settings of the joints that move free?"""
+    space, ends, state = search.space, search.ends, search.state
     for c in range(len(a)):
         ends[0, space.columns[c]] = a[c]
         ends[1, space.columns[c]] = b[c]
     state[MOTIONS] += 1
-    return is_free(judge, ends, state[POSES:])
+    return is_free(search.judge, ends, state[POSES:])
 
 
 @inline
@@ -120,8 +161,9 @@ def _add(trees, tree, count, q, parent):
 
 
 @njit()
-def _iterate(judge, space, trees, state, gap, ends, points, squares):
+def _iterate(search):
     """Grow one tree and lead it to the other; MET if they meet, else SPENT."""
+    space, trees, state, points = search.space, search.trees, search.state, search.points
     joints = len(space.columns)
     drawn, here, there = points[0], points[1], points[2]
     tree = 0 if state[STARTS] <= state[GOALS] else 1
@@ -129,7 +171,7 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
     for c in range(joints):
         share = space.shift[c] + state[ITERATION] * space.stride[c]
         drawn[c] = space.lower[c] + (space.upper[c] - space.lower[c]) * (share - np.floor(share))
-    near, distance = _nearest(space, nodes, count, drawn, squares)
+    near, distance = _nearest(space, nodes, count, drawn, search.squares)
     if distance == 0.0 or distance > trees.domains[tree, near]:
         return SPENT
     share = min(space.range / distance, 1.0)
@@ -140,25 +182,26 @@ def _iterate(judge, space, trees, state, gap, ends, points, squares):
         if space.turning[c] == 0:
             there[c] = min(max(there[c], space.lower[c]), space.upper[c])
     domain = trees.domains[tree, near]
-    if not _free(judge, space, ends, here, there, state):
+    if not _free(search, here, there):
         less = max(domain * (1.0 - CHANGE), LEAST_DOMAIN * space.range)
         trees.domains[tree, near] = FIRST_DOMAIN * space.range if domain == np.inf else less
         return SPENT
     if domain != np.inf:
         trees.domains[tree, near] = domain * (1.0 + CHANGE)
     _add(trees, tree, count, there, near)
-    return _lead(judge, space, trees, state, gap, ends, points, squares, tree, count)
+    return _lead(search, tree, count)
 
 
 @njit()
-def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
+def _lead(search, tree, last):
     """Lead the last node of a tree straight to the nearest one of the other, as far as motions are free."""
+    space, trees, state, gap, points = search.space, search.trees, search.state, search.gap, search.points
     joints, count, other = len(space.columns), last + 1, 1 - tree
     first, here, there = points[0], points[1], points[2]
     for c in range(joints):
         first[c] = trees.nodes[tree, c, last]
         here[c] = first[c]
-    aim, distance = _nearest(space, trees.nodes[other], state[STARTS + other], first, squares)
+    aim, distance = _nearest(space, trees.nodes[other], state[STARTS + other], first, search.squares)
     steps = np.int64(min(max(np.ceil(distance / space.range), 1.0), MOST_STEPS + 1.0))
     met = steps <= MOST_STEPS
     for step in range(1, min(steps, MOST_STEPS) + 1):
@@ -166,7 +209,7 @@ def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
             value = trees.nodes[other, c, aim]
             value -= TURN * _turns(space, c, value - first[c])
             there[c] = first[c] + (value - first[c]) * (step / steps) if step < steps else value
-        if not _free(judge, space, ends, here, there, state):
+        if not _free(search, here, there):
             met = False
             break
         if step == steps:
@@ -191,8 +234,7 @@ def _lead(judge, space, trees, state, gap, ends, points, squares, tree, last):
 
 @njit()
 def connect_trees(
-    most, longest, tolerance, resolution, pack, problem, tables, memory, joints, limits, nodes, parents, domains, state,
-    gap, ends, points, squares, fractions, verdicts, hits,
+    most, longest, handles, lengths, joints, limits, nodes, parents, domains, state, gap, ends, points, squares
 ):  # fmt: skip
     """Let the trees grow, for at most so many iterations.
 
@@ -202,47 +244,40 @@ def connect_trees(
         Iterations in all, those of earlier calls included.
     longest : float
         As `Space.range`.
-    tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
-        See `free_motions.Judge`.
+    handles, lengths
+        See `free_motions.judge_of`.
     joints : ndarray of int64, shape (2, joints)
         Columns and which turn, see `Space`.
     limits : ndarray, shape (4, joints)
         The rest of it: lower, upper, stride, shift.
     nodes, parents, domains
         See `Trees`: roots are in their places.
-    state : ndarray of int64, shape (columns.STATE,)
-        Where the search stands, see `columns`; goes on from there.
-    gap : ndarray, shape (1,)
-        Receives how near to each other the trees came.
-    ends : ndarray, shape (2, dof)
-        Holds what joints that do not move are at, twice.
-    points : ndarray, shape (3, joints)
-        Memory.
-    squares : ndarray, shape (capacity,)
-        Memory.
+    state, gap, ends, points, squares
+        See `Search`, which goes on from there.
 
     Returns
     -------
     int
         MET; SPENT: all iterations are done; or FULL: the trees need more memory to go on.
     """
-    judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
-    space, trees = (
-        Space(joints[0], limits[0], limits[1], joints[1], longest, limits[2], limits[3]),
-        Trees(nodes, parents, domains),
-    )
-    if resolution == 0.0:
-        make_ready(pack, problem, tables, ends.shape[1], memory)
-    capacity = nodes.shape[2]
+    space = Space(joints[0], limits[0], limits[1], joints[1], longest, limits[2], limits[3])
+    samples = sample_memory(handles)
+    judge = judge_of(handles, lengths, ends.shape[1], samples.ctypes.data)
+    outcome = _grow(Search(judge, space, Trees(nodes, parents, domains), state, gap, ends, points, squares), most)
+    held(samples)
+    return outcome
+
+
+@njit()
+def _grow(search, most):
+    """Let the trees grow as `connect_trees` does."""
+    state, capacity = search.state, search.trees.nodes.shape[2]
     while state[ITERATION] < most:
         if max(state[STARTS], state[GOALS]) + MOST_STEPS + 1 > capacity:
             return FULL
         state[ITERATION] += 1
-        if state[ITERATION] == 1:
-            # Straight to the nearest goal, before anything is drawn.
-            outcome = _lead(judge, space, trees, state, gap, ends, points, squares, 0, 0)
-        else:
-            outcome = _iterate(judge, space, trees, state, gap, ends, points, squares)
+        # Straight to the nearest goal, before anything is drawn.
+        outcome = _lead(search, 0, 0) if state[ITERATION] == 1 else _iterate(search)
         if outcome == MET:
             return MET
     return SPENT

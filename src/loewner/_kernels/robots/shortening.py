@@ -8,9 +8,9 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import ITERATION, MOTIONS, POSES
 from loewner._kernels.pieces.pack import problem_of
-from loewner._kernels.robots.free_motions import Judge, is_free, random, turns_clearly
+from loewner._kernels.robots.free_motions import is_free, judge_of, random, sample_memory, turns_clearly
 from loewner._kernels.robots.motion_path import configuration_at
-from loewner._kernels.robots.motions import make_ready
+from loewner._kernels.simd.memory import held
 
 
 @inline
@@ -109,10 +109,7 @@ def _cut(judge, path, count, ends, points, state):
 
 
 @njit()
-def shorten_path(
-    count, most, tolerance, resolution, pack, problem, tables, memory, path, state, ends, points, fractions, verdicts,
-    hits,
-):  # fmt: skip
+def shorten_path(count, most, handles, lengths, path, state, ends, points):
     """Shorten a path, for at most so many cuts; corners are left out before the first and after the last.
 
     Parameters
@@ -121,8 +118,8 @@ def shorten_path(
         Configurations of the path.
     most : int
         Cuts to try in all, those of earlier calls included.
-    tolerance, resolution, pack, problem, tables, memory, fractions, verdicts, hits
-        See `free_motions.Judge`.
+    handles, lengths
+        See `free_motions.judge_of`.
     path : ndarray, shape (capacity, dof)
         Its first rows are the path, and are changed; the ends stay. No cut is made that it has no room for.
     state : ndarray of int64, shape (columns.STATE,)
@@ -137,11 +134,12 @@ def shorten_path(
     int
         Configurations of the path now.
     """
-    judge = Judge(pack, problem, tables, tolerance, resolution, hits, fractions, verdicts, memory)
-    if resolution == 0.0:
-        make_ready(pack, problem, tables, path.shape[1], memory)
+    samples = sample_memory(handles)
+    judge = judge_of(handles, lengths, path.shape[1], samples.ctypes.data)
     count = _skip_corners(judge, path, count, ends, state)
     while state[ITERATION] < most and count > 2:
         state[ITERATION] += 1
         count = _cut(judge, path, count, ends, points, state)
-    return _skip_corners(judge, path, count, ends, state)
+    count = _skip_corners(judge, path, count, ends, state)
+    held(samples)
+    return count

@@ -53,7 +53,7 @@ from loewner._kernels.columns import (
     TRANSLATION,
     TURN_OFF,
 )
-from loewner._kernels.linalg3 import along, apply, image, minus, plus, product, rotated_shape, trace
+from loewner._kernels.linalg3 import along, apply, image, minus, one_norm, plus, product, rotated_shape, trace, turned
 from loewner._kernels.narrow.certificate import SHAPE_ERROR, Pose, tier_of_one
 from loewner._kernels.robots.placement import HALF_X, HALF_Y, HALF_Z, WIDE, Bounds, X, Y, Z, near
 from loewner._kernels.simd.scalars import (
@@ -70,7 +70,7 @@ from loewner._kernels.simd.scalars import (
 )
 from loewner._kernels.simd.trig import SINGLE_LARGEST, sine_cosine_single
 from loewner._kernels.simd.vectors import absolute, maximum, minimum, select, sqrt
-from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS
+from loewner._kernels.threads.pairs import MOST_PIECE_PAIRS, append
 from loewner._kernels.tolerances import LEAST, OFF, SINGLE_ROUNDOFF, UP
 
 # Of a placed body, beside its bounds: metres that any of its points may be off by.
@@ -87,34 +87,13 @@ SO_FAR_FREE, LEFT_OPEN, HIT = 0, 1, 2
 
 
 @inline
-def _nine(constants, k):
-    return (
-        number_at(constants, k), number_at(constants, k + 1), number_at(constants, k + 2), number_at(constants, k + 3),
-        number_at(constants, k + 4), number_at(constants, k + 5), number_at(constants, k + 6),
-        number_at(constants, k + 7), number_at(constants, k + 8),
-    )  # fmt: skip
-
-
-@inline
 def _three(constants, k):
     return number_at(constants, k), number_at(constants, k + 1), number_at(constants, k + 2)
 
 
 @inline
-def _turned(constants, rest, s, c):
-    """Rotation of a turning joint."""
-    with_sine, with_cosine = _nine(constants, SINE), _nine(constants, COSINE)
-    return (
-        rest[0] + s * with_sine[0] + c * with_cosine[0],
-        rest[1] + s * with_sine[1] + c * with_cosine[1],
-        rest[2] + s * with_sine[2] + c * with_cosine[2],
-        rest[3] + s * with_sine[3] + c * with_cosine[3],
-        rest[4] + s * with_sine[4] + c * with_cosine[4],
-        rest[5] + s * with_sine[5] + c * with_cosine[5],
-        rest[6] + s * with_sine[6] + c * with_cosine[6],
-        rest[7] + s * with_sine[7] + c * with_cosine[7],
-        rest[8] + s * with_sine[8] + c * with_cosine[8],
-    )
+def _nine(constants, k):
+    return _three(constants, k) + _three(constants, k + 3) + _three(constants, k + 6)
 
 
 @inline
@@ -155,11 +134,6 @@ def _put_link(placed, link, S, s, R, t, turn_off, shift_off):
     put_number(placed, at + SHIFT_OFF * S, shift_off)
 
 
-@inline
-def _one_norm(v):
-    return absolute(v[0]) + absolute(v[1]) + absolute(v[2])
-
-
 @njit()
 def place_links(thread, S, Q, dof, links, joints, constants, placed):
     """Place the links at one configuration, and bound what rounding does to that (docs/certified.md, B45 to B47).
@@ -182,7 +156,7 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
     while link < links:
         joint, c = joints + 4 * LINK_INTEGERS * link, constants + 4 * LINK_CONSTANTS * link
         R, t = _nine(c, ROTATION), _three(c, TRANSLATION)
-        lengths = _one_norm(t)
+        lengths = one_norm(t)
         turn_off, shift_off = lane_of(0.0), lane_of(0.0)
         kind = integer_at(joint, KIND_OF_LINK)
         if kind in (REVOLUTE, PRISMATIC):
@@ -191,7 +165,7 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
             value, values = moved + offset, absolute(moved) + absolute(offset)
             if kind == REVOLUTE:
                 sine, cosine = sine_cosine_single(value)
-                R = _turned(c, R, sine, cosine)
+                R = turned(R, sine, _nine(c, SINE), cosine, _nine(c, COSINE))
                 # Of an angle that is too large, or no number, nothing is known: infinitely far off.
                 turn_off = select(values < SINGLE_LARGEST, VALUE_TURN * values, lane_of(np.inf))
             else:
@@ -203,7 +177,7 @@ def place_links(thread, S, Q, dof, links, joints, constants, placed):
             b = _vector_at(placed, above * LINK_NUMBERS + LINK_AT, S, thread)
             off = number_at(placed, (above * LINK_NUMBERS + TURN_OFF) * S + thread)
             shift_off = number_at(placed, (above * LINK_NUMBERS + SHIFT_OFF) * S + thread) + off * lengths
-            lengths = lengths + _one_norm(b)
+            lengths = lengths + one_norm(b)
             turn_off = turn_off + off
             t = image(A, b, t)
             R = product(A, R)
@@ -256,7 +230,7 @@ def place_body(thread, S, log_S, placed, bodies, balls, rows, bounds):
     reach = number_at(balls, BALL_NUMBERS * body + BALL_REACH)
     turn_off, shift_off = number_at(placed, (link + TURN_OFF) * S + s), number_at(placed, (link + SHIFT_OFF) * S + s)
     astray = SINGLE_ROUNDOFF * UP * (turn_off * reach + shift_off)
-    off = OFF * (_one_norm(t) + reach) * UP + LEAST + astray
+    off = OFF * (one_norm(t) + reach) * UP + LEAST + astray
     center = plus(apply(R, _three(balls, BALL_NUMBERS * body)), t)
     wide = number_at(balls, BALL_NUMBERS * body + BALL_RADIUS) + off
     half = lane_of(0.0), lane_of(0.0), lane_of(0.0)
@@ -304,7 +278,7 @@ def _bounds_of(bounds, row, step):
 
 
 @njit()
-def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing, state, survivors, capacity, count):
+def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing, state, survivors, capacity):
     """List a pair of bodies at one configuration unless their bounds are apart by the margin.
 
     Parameters
@@ -324,10 +298,8 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
     standing : float32, shape (standing bodies, BOUNDS)
     state : int32, shape (S,)
         A configuration for whose pairs the list is too short is left to the CPU.
-    survivors : int32, shape (capacity,)
-        Receives numbers of threads.
-    count : int32
-        How many there are, more than `capacity` perhaps.
+    survivors : int32, shape (1 + capacity,)
+        Receives numbers of threads, after how many there are, which may be more than `capacity`.
     """
     p, s = thread >> log_S, thread & (S - 1)
     if s >= total:
@@ -340,9 +312,9 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
         there = _bounds_of(standing, (other - moving) * BOUNDS, 1)
     if near(here, there, number_at(margins, p), 1) == 0:
         return
-    at = add_to(count, 0, 1)
+    at = add_to(survivors, 0, 1)
     if at < capacity:
-        put_integer(survivors, at, thread)
+        put_integer(survivors, 1 + at, thread)
     else:
         raise_to(state, s, LEFT_OPEN)
 
@@ -370,7 +342,7 @@ def _pose_of_standing():
 
 @njit()
 def certify_survivor(
-    thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, capacity, count
+    thread, S, log_S, moving, bodies, pairs, margins, placed, bounds, rows, state, survivors, capacity
 ):  # fmt: skip
     """Certify the ellipsoids of a listed pair of bodies, and raise the state of its configuration by what comes out.
 
@@ -378,16 +350,16 @@ def certify_survivor(
     ----------
     thread : int
         Place in the list.
-    moving, pairs, margins, placed, bounds, state, survivors, capacity, count
+    moving, pairs, margins, placed, bounds, state, survivors, capacity
         As for `cull_pair` and `place_body`.
     bodies : int32, shape (bodies, BODY_INTEGERS)
         As for `place_body`; those that stand still follow.
     rows : float32, shape (pieces, HOT)
         In the frames of their links; of what stands still in the world.
     """
-    if thread >= min(integer_at(count, 0), capacity):
+    if thread >= min(integer_at(survivors, 0), capacity):
         return
-    code = integer_at(survivors, thread)
+    code = integer_at(survivors, 1 + thread)
     p, s = code >> log_S, code & (S - 1)
     if integer_at(state, s) == HIT:
         return
@@ -420,9 +392,9 @@ def certify_survivor(
 
 
 @njit()
-def conclude(thread, first, state, verdicts, left, count):
-    """Write the verdict of configuration `first + thread`, and list it if the CPU has to settle it."""
+def conclude(thread, first, state, verdicts, left):
+    """Write the verdict of configuration `first + thread`, and append it to a list if the CPU has to settle it."""
     found = integer_at(state, thread)
     put_byte(verdicts, first + thread, COLLIDING if found == HIT else (AMBIGUOUS if found == LEFT_OPEN else FREE))
     if found == LEFT_OPEN:
-        put_integer(left, add_to(count, 0, 1), first + thread)
+        append(left, first + thread)

@@ -85,17 +85,21 @@ def _rows_of_pair(k, plan, axes, rows, total):
 
 
 @inline
-def _tell(k, verdict, verdicts, left, count):
+def append(listed, number):
+    """Append a number to a list, whose first entry counts the others."""
+    put_integer(listed, 1 + add_to(listed, 0, 1), number)
+
+
+@inline
+def _tell(k, verdict, verdicts, left):
     """Write the verdict of pair k, and list it if it is LEFT."""
     put_byte(verdicts, k, verdict if verdict != LEFT else AMBIGUOUS)
     if verdict == LEFT:
-        put_integer(left, add_to(count, 0, 1), k)
+        append(left, k)
 
 
 @njit()
-def classify_pieces(
-    thread, plan, axes, rows, total, packed_a, Ta, packed_b, Tb, of_open, verdicts, left, count
-):  # fmt: skip
+def classify_pieces(thread, plan, axes, rows, total, packed_a, Ta, packed_b, Tb, of_open, verdicts, left):
     """Certify one pair of bodies of one piece each, margin 0.
 
     Parameters
@@ -113,22 +117,20 @@ def classify_pieces(
     verdicts : int8
         Receives the verdict.
     left : int32
-        Receives the number of each pair that the CPU has to settle, in any order.
-    count : int32
-        Their number is counted here.
+        Receives the number of each pair that the CPU has to settle, in any order, after how many there are.
     """
     i, pose_a, j, pose_b = _rows_of_pair(thread, plan, axes, rows, total)
     a, b = _pose_at(Ta, pose_a), _pose_at(Tb, pose_b)
     verdict = LEFT
     if a.rigid and b.rigid:
         verdict = _verdict_of(tier_of_one(a, packed_a + ROW * i, b, packed_b + ROW * j, lane_of(0.0)), of_open)
-    _tell(thread, verdict, verdicts, left, count)
+    _tell(thread, verdict, verdicts, left)
 
 
 @njit()
 def classify_bodies(
-    thread, plan, axes, rows, total, packed_a, start_a, Ta, packed_b, start_b, Tb, of_open, verdicts, left, count
-):
+    thread, plan, axes, rows, total, packed_a, start_a, Ta, packed_b, start_b, Tb, of_open, verdicts, left
+):  # fmt: skip
     """Certify one pair of bodies of any number of pieces, margin 0.
 
     Parameters as for `classify_pieces`, and where the pieces of bodies begin: of body i they are start[i] ..
@@ -148,7 +150,7 @@ def classify_bodies(
             verdict = _with(verdict, _verdict_of(tier, of_open))
             j += 1
         i += 1
-    _tell(thread, verdict, verdicts, left, count)
+    _tell(thread, verdict, verdicts, left)
 
 
 @njit()
