@@ -1,6 +1,6 @@
 /* Queries of one configuration of a robot, and of one motion, each as one call from Python: the usual case.
 
-   `Configurations` has what `CheckedPairs` prepared: it is made anew whenever that is. */
+   `Configurations` has what `robots.problem` prepared: it is made anew whenever that is. */
 
 #include "single.h"
 

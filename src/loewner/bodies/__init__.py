@@ -6,7 +6,7 @@ a pose to a query; the fits are never computed again.
 `body` defines these two, `pack` and `layout` the arrays behind them, and `files` the ``.npz``.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece
+from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of
 from loewner.bodies.kinds import CURVED
 from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
@@ -23,5 +23,7 @@ __all__ = [
     "Piece",
     "PieceArrays",
     "arrays_of",
+    "bodies_of",
+    "packed_of",
     "take",
 ]

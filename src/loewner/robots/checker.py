@@ -1,6 +1,6 @@
 """Is a robot free in a scene, at one configuration, at a million, or along motions?
 
-A `CollisionChecker` checks arguments, keeps the prepared pairs (`checked_pairs`) while the scene does not change, and
+A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
 wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
 """
 
@@ -16,13 +16,15 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._validate import Bools, Floats, OneOrMany, Pair
+from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
 from loewner.robots import curves, distances, edges, proofs, verdicts
-from loewner.robots.checked_pairs import CheckedPairs, prepared
+from loewner.robots.checked_pairs import prepared
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
+from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
 from loewner.scenes import Contact, Scene
@@ -95,7 +97,7 @@ class CollisionChecker:
             raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
         if scene is not None and not isinstance(scene, Scene):
             raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
-        if not any(body._packed.piece_start[-1] > 0 for body in robot.bodies.values()):
+        if not any(packed_of(body).piece_start[-1] > 0 for body in robot.bodies.values()):
             raise InputError(
                 f"robot: expected a robot with collision geometry, found none in {robot.name!r}; "
                 f"links with <visual> only: {', '.join(robot._only_visual) or 'none'}"
@@ -107,7 +109,7 @@ class CollisionChecker:
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
-        self._prepared: CheckedPairs | None = None
+        self._prepared: Problem | None = None
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
@@ -273,8 +275,7 @@ class CollisionChecker:
                 self._learn(ready, abs(settled))
                 return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
-        a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        a, b, shape = edges.ends(a, b, 40)
+        a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found, fractions = verdicts.sampled(ready, a, b, step)
         for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
@@ -340,8 +341,7 @@ class CollisionChecker:
         True
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
-        a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        a, b, shape = edges.ends(a, b, 40)
+        a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance, curves.joint_errors(self.robot, joint_error))
         found.expect_short(a, b)
@@ -616,19 +616,19 @@ class CollisionChecker:
         verdicts.expect_settled(ready, flat, found.verdicts)
         return found
 
-    def _learn(self, ready: CheckedPairs, count: int) -> None:
+    def _learn(self, ready: Problem, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
         self._seen += count
         if self._seen >= self._next_look and self._prepared is ready:
             self._next_look = 2 * self._seen
-            self._prepared = ready.ordered()
+            self._prepared = ready.with_order(np.argsort(-ready.hits, kind="stable"))
 
-    def _at_hand(self) -> CheckedPairs | None:
+    def _at_hand(self) -> Problem | None:
         """What the kernel takes, if nothing has changed since it was made."""
         ready = self._prepared
-        return ready if ready is not None and ready.version == self._scene._version else None
+        return ready if ready is not None and ready.version == self._scene.version else None
 
-    def _ready(self) -> CheckedPairs:
+    def _ready(self) -> Problem:
         """What the kernel takes, made anew if the scene has changed."""
         ready = self._at_hand()
         if ready is not None:
@@ -639,11 +639,11 @@ class CollisionChecker:
             ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
-            ready = ready.placed(scene, scene.version)
+            ready = ready.with_poses(scene.static_poses, scene.version)
         self._prepared = ready
         return ready
 
 
-def prepared_of(checker: CollisionChecker) -> CheckedPairs:
+def prepared_of(checker: CollisionChecker) -> Problem:
     """Return the pairs of a checker in its scene's current state, for several queries of the same state."""
     return checker._ready()
