@@ -106,3 +106,59 @@ def test_kernels_are_listed():
     tops = [level[file.split("/")[0].removesuffix(".py")] for file in listed]
     assert set(level) == {file.split("/")[0].removesuffix(".py") for file in listed}
     assert tops == sorted(tops, reverse=True)
+
+
+def trees() -> dict[str, ast.Module]:
+    """The syntax trees of all files of the library, by their path in it."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in paths}
+
+
+# Private names of other projects: the standard library and named tuples; and files that use names of Numba or viser.
+FOREIGN_NAMES = {"_getframe", "_exit", "_asdict", "_replace"}
+FOREIGN_FILES = {"_kernels/_jit.py", "_kernels/_parts.py", "_kernels/simd/memory.py", "_ptx.py", "viewer/guard.py"}
+
+
+def bound(tree: ast.Module) -> set[str]:
+    """Names of functions, classes, variables and attributes that a file defines."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.add(node.name)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found.add(node.attr)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return found
+
+
+def test_private_names_stay_in_their_package():
+    """No file uses a name with an underscore that no file of its package defines, be it of an object or of a module."""
+    files, defined = trees(), {}
+    for path, tree in files.items():
+        defined.setdefault(path.split("/")[0], set()).update(bound(tree))
+    strange = []
+    for path, tree in files.items():
+        known = defined[path.split("/")[0]] | FOREIGN_NAMES
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and path not in FOREIGN_FILES:
+                names = {node.attr}
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("loewner"):
+                folder = PACKAGE.joinpath(*node.module.split(".")[1:])
+                names = {alias.name for alias in node.names if not list(folder.glob(f"{alias.name}*"))}  # no module
+            else:
+                continue
+            private = {name for name in names if re.match("_[^_]", name)} - known
+            strange += [f"{path}:{node.lineno}: {name}" for name in private]
+    assert strange == []
+
+
+def test_unsettled_answers_travel_as_values():
+    """Below the command line and the viewer nothing catches the error of an unsettled answer, but to name its file."""
+    catchers = []
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ExceptHandler) and node.type and "ConvergenceError" in ast.unparse(node.type):
+                again = any(isinstance(inner, ast.Raise) for inner in node.body)
+                catchers += [] if again else [path]
+    assert set(catchers) <= {"cli/clearance.py", "viewer/robot.py"}

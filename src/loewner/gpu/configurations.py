@@ -273,5 +273,5 @@ def _tables(gpu: Device, ready: Problem) -> _Tables:
         rows=gpu.upload(rows),
         pairs=gpu.upload(ready.pairs.astype(np.int32)),
         margins=gpu.upload(floats[2]),
-        standing=gpu.upload(ready.standing),
+        standing=gpu.upload(ready.standing_bounds),
     )

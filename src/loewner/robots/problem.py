@@ -27,7 +27,7 @@ from loewner.bodies.parts import in_parts
 from loewner.robots.motion_tables import motion_tables
 from loewner.robots.robot import Robot, link_poses
 
-# An allowance for rounding, and for what a pose that is accepted as rigid may stretch lengths by.
+# An allowance for rounding, and for lengths that a pose accepted as rigid may stretch.
 STRETCH = 1 + 4 * tolerances.ROTATION_TOLERANCE
 
 # Configurations a thread takes at a time, at least: about half a millisecond of work.
@@ -88,7 +88,7 @@ class Problem:
         The bodies in the same order, packed; moving bodies in the frame of their link.
     body : callable
         From an index to this body, packed by itself when it is first requested: a cloud takes milliseconds.
-    link, balls, pairs, margins, order, standing, standing_rows, standing_poses : ndarray
+    link, balls, pairs, margins, order, standing_bounds, standing_rows, standing_poses : ndarray
         See `records.Problem`.
     leaving, reaching : ndarray of bool, shape (pairs,)
         Pairs that may be in contact where a motion starts, or ends: see `Scene.leave` and `Scene.reach`.
@@ -110,7 +110,7 @@ class Problem:
     leaving: Bools
     reaching: Bools
     order: Ints
-    standing: NDArray[np.float32]
+    standing_bounds: NDArray[np.float32]
     standing_rows: NDArray[np.float32]
     standing_poses: Floats
     hits: Ints
@@ -148,7 +148,7 @@ class Problem:
             leaving=leaving,
             reaching=reaching,
             order=np.arange(len(pairs)),
-            standing=np.zeros((len(start) - 1, columns.BOUNDS), dtype=np.float32),
+            standing_bounds=np.zeros((len(start) - 1, columns.BOUNDS), dtype=np.float32),
             standing_rows=np.zeros((start[-1] - start[0], columns.HOT), dtype=np.float32),
             standing_poses=np.full((len(start) - 1, 16), np.nan),  # differs from every pose
             hits=np.zeros(len(pairs), dtype=np.int64),
@@ -176,13 +176,13 @@ class Problem:
         """The static bodies at other poses, shape (bodies, 4, 4), which the scene has at a version."""
         start = self.packed.piece_start[len(self.link) :]
         flat = np.ascontiguousarray(poses.reshape(-1, 16))
-        # New arrays, since another thread may be reading the old ones; most of what is in them still holds.
-        standing, rows = self.standing.copy(), self.standing_rows.copy()
+        # New arrays, since another thread may be reading the old ones; most of their entries still hold.
+        bounds, rows = self.standing_bounds.copy(), self.standing_rows.copy()
         for k in np.flatnonzero((flat != self.standing_poses).any(axis=1)):
             placed = _placed_rows(self.packed.kernel.hot[start[k] : start[k + 1]], poses[k])
             rows[start[k] - start[0] : start[k + 1] - start[0]] = _single(placed)
-            standing[k, :7] = _single(_bounds(self.packed, start[k], placed, poses[k]))
-        moved = replace(self, version=version, standing=standing, standing_rows=rows, standing_poses=flat)
+            bounds[k, :7] = _single(_bounds(self.packed, start[k], placed, poses[k]))
+        moved = replace(self, version=version, standing_bounds=bounds, standing_rows=rows, standing_poses=flat)
         Problem.cut.hand_on(self, moved, lambda cut: cut and cut.with_poses(poses, version))
         return moved
 
@@ -198,7 +198,7 @@ class Problem:
         """The arrays in the order of `records.Problem`, and the table of their addresses."""
         arrays = (
             *self.robot.tree, self.link, self.balls, self.pairs, self.margins, self.order,
-            self.standing, self.standing_rows, self.standing_poses,
+            self.standing_bounds, self.standing_rows, self.standing_poses,
         )  # fmt: skip
         return *arrays, records.table_of(arrays)
 
@@ -239,7 +239,7 @@ class Problem:
             for k, T in enumerate(self.standing_poses.reshape(-1, 4, 4))
         ]
         tables = motion_tables(
-            self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.standing.astype(np.float64),
+            self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.standing_bounds.astype(np.float64),
             self.standing_poses, np.concatenate([np.empty((0, columns.HOT)), *rows]),
         )  # fmt: skip
         table = records.table_of(tables)
@@ -262,7 +262,7 @@ class Problem:
             self,
             bodies=bodies,
             body=lru_cache(None)(bodies.__getitem__),
-            standing=np.zeros_like(self.standing),
+            standing_bounds=np.zeros_like(self.standing_bounds),
             standing_rows=np.zeros((packed.piece_start[-1] - first, columns.HOT), dtype=np.float32),
             standing_poses=np.full_like(self.standing_poses, np.nan),
         )
@@ -286,7 +286,7 @@ class Problem:
 
     @property
     def _stand(self) -> Bools:
-        """Which bodies are at one pose, whatever the configuration is."""
+        """Which bodies are at one pose in all configurations."""
         stand = np.ones(len(self.bodies), dtype=bool)
         rigid = rigid_with(self.robot)
         stand[: len(self.link)] = rigid[self.link] == rigid[0]
@@ -351,7 +351,7 @@ def _ball(packed: Packed, k: int) -> tuple[float, ...]:
     """Center and radius of a ball about all pieces of a body, and the farthest it reaches from the origin."""
     first, last = packed.piece_start[k], packed.piece_start[k + 1]
     centers = packed.kernel.table[first:last, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
-    # The kernel takes the center of a single piece to be that of its outer ellipsoid.
+    # The kernel takes a single piece and its outer ellipsoid to have the same center.
     middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
     radius = _farthest(packed, first, last, np.eye(4), middle) * STRETCH
     return (*middle, radius, (np.linalg.norm(middle) + radius) * STRETCH)
@@ -368,7 +368,7 @@ def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
     placed : ndarray, shape (pieces, HOT)
         `_placed_rows` of its pieces.
     T : ndarray, shape (4, 4)
-        Where it stands.
+        Its pose.
     """
     last = first + len(placed)
     lower, upper = _box(packed, first, last, T, placed)
@@ -394,7 +394,7 @@ def _placed_rows(hot: Floats, T: Floats) -> Floats:
 
 
 def _single(rows: Floats) -> NDArray[np.float32]:
-    """The same in single precision; what is too large is infinite there, and certifies nothing."""
+    """The same in single precision; numbers that are too large are infinite there, and certify nothing."""
     with np.errstate(over="ignore"):
         return rows.astype(np.float32)
 
@@ -402,7 +402,7 @@ def _single(rows: Floats) -> NDArray[np.float32]:
 def _box(packed: Packed, first: int, last: int, T: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Corners of a box along the axes of the world about some placed pieces, up to rounding.
 
-    The box of a piece is no larger than that of its ellipsoid, and than that of its corners.
+    The box of a piece is no larger than the box of its ellipsoid, and than the box of its corners.
     """
     center = rows[:, columns.OUTER_CENTER : columns.OUTER_CENTER + 3]
     Q = rows[:, [columns.OUTER_SHAPE, columns.OUTER_SHAPE + 3, columns.OUTER_SHAPE + 5]]

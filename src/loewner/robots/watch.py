@@ -25,14 +25,14 @@ LARGEST_VALUE = 1e200
 
 
 class Watch:
-    """Looks at configurations for values that no computation can take, and for those far outside the limits.
+    """Finds values of configurations that no computation can take, and values far outside the limits.
 
     Parameters
     ----------
     robot : str
         Its name, for the warning.
     names : sequence of str
-        Of the entries of a configuration.
+        The entries of a configuration.
     lower, upper : ndarray, shape (dof,)
         Limits; infinite where there are none.
     turns : sequence of bool
@@ -43,7 +43,7 @@ class Watch:
     Attributes
     ----------
     range : ndarray, shape (2, dof)
-        Least and largest values that nothing is said about; the array stays, and its entries may move outwards.
+        Least and largest values that need no warning; the array stays, and its entries may move outwards.
 
     Notes
     -----
@@ -66,7 +66,7 @@ class Watch:
         span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
         room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
         widest = np.where(turns, LARGEST_TURN, LARGEST_VALUE)
-        # Where there is one limit only, it may lie beyond what a joint without any would be asked about.
+        # Where there is one limit only, it may lie beyond the values that a joint without any would be warned about.
         least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
         most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
         self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
@@ -76,11 +76,11 @@ class Watch:
         self._least, self._most = self.range.tolist()
 
     def passes_one(self, values: list[float]) -> bool:
-        """Whether nothing is to be said about one configuration."""
+        """Whether one configuration needs no warning."""
         return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
 
     def passes(self, Q: Floats) -> bool:
-        """Whether nothing is to be said about many configurations, shape (..., dof)."""
+        """Whether none of many configurations, shape (..., dof), needs a warning."""
         least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
