@@ -168,7 +168,8 @@ def test_codes_that_the_extension_knows_are_those_of_the_kernels():
     assert sorted(re.findall(r"\b(\w+) = CODE_\1\b", header)) == sorted(build.CODES)
     assert not re.search(r"enum \{[^}]*= \d", header)
     steps = (NATIVE / "configurations.c").read_text()
-    assert "NEARLY_WHOLE * " in steps and "define NEARLY_WHOLE" not in steps
+    assert "NEARLY_WHOLE * " in steps
+    assert "define NEARLY_WHOLE" not in steps
     assert f"-DNEARLY_WHOLE={edges.NEARLY_WHOLE!r}" in build.DEFINED
 
 

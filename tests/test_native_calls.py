@@ -332,7 +332,7 @@ def test_pieces_are_counted_by_the_first_array(rng):
     """The extension reads from a handle how many pieces a body has: rows of the first array behind it."""
     assert records.Pieces._fields[0] == "table"
     for body in (*CURVED, *unions(rng, 2)):
-        assert body._packed.kernel_arrays.table[0, 1] == len(body.pieces)
+        assert body._packed.addresses[0, 1] == len(body.pieces)
 
 
 # -- configurations and motions ------------------------------------------------------------------

@@ -8,7 +8,7 @@ a pose to a query; the fits are never computed again.
 
 from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of
 from loewner.bodies.kinds import CURVED
-from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
+from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "SMALLEST",
     "Bodies",
     "Body",
-    "KernelArrays",
     "Packed",
     "Piece",
     "PieceArrays",

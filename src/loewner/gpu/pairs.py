@@ -166,9 +166,7 @@ def _tables_of(gpu: Device, packed: Packed) -> _Tables:
     """Return the tables of bodies, copied to the GPU when they are first asked about."""
     at = _tables.setdefault(packed, {})
     if gpu not in at:
-        at[gpu] = _Tables(
-            gpu.upload(single_rows(packed)), gpu.upload(packed.kernel_arrays.arrays.piece_start.astype(np.int32))
-        )
+        at[gpu] = _Tables(gpu.upload(single_rows(packed)), gpu.upload(packed.kernel.piece_start.astype(np.int32)))
     return at[gpu]
 
 

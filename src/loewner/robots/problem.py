@@ -45,23 +45,12 @@ _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class PreparedMotions(NamedTuple):
-    """The additional input of the kernel that proves motions.
-
-    Attributes
-    ----------
-    tables : MotionTables
-    handle : int
-        Addresses of the arrays, for the kernel; valid as long as this object lives.
-    memory : int
-        Scratch bytes for the kernel.
-    table : ndarray
-        The arrays to which the handle points.
-    """
+    """The additional input of the kernel that proves motions."""
 
     tables: MotionTables
-    handle: int
-    memory: int
-    table: Ints
+    addresses: Ints  # where these arrays are
+    handle: int  # where the addresses are; valid as long as this object lives
+    memory: int  # scratch bytes
 
 
 class OfMargin(NamedTuple):
@@ -242,9 +231,9 @@ class Problem:
             self.robot.tree, self.packed, self.link, self.balls, self.pairs, self.standing_bounds.astype(np.float64),
             self.standing_poses, np.concatenate([np.empty((0, columns.HOT)), *rows]),
         )  # fmt: skip
-        table = records.table_of(tables)
+        addresses = records.table_of(tables)
         memory = entries.motion_memory(self.packed.handle, self.handle, self.robot.dof)
-        return PreparedMotions(tables, table.ctypes.data, memory, table)
+        return PreparedMotions(tables, addresses, addresses.ctypes.data, memory)
 
     # -- parts and subsets --------------------------------------------------------------------
 
