@@ -58,7 +58,7 @@ FIRST = (
 # What the C compiler is told of files that people get.
 RELEASE = ("-O2", "-s")
 
-EXTENSION = ("module.c", "call.c", "single.c", "pairs.c", "configurations.c")
+EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
 # Names of `codes` that the extension knows.
 CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")

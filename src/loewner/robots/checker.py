@@ -165,8 +165,8 @@ class CollisionChecker:
         UserWarning
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
-        ready = self._at_hand()
-        if ready is not None:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             collides = ready.single.collide(Q)
             if collides is not None:
                 self._learn(ready, 1)
@@ -192,8 +192,8 @@ class CollisionChecker:
         InputError, UnknownNameError
             As for `collide`.
         """
-        ready = self._at_hand()
-        if ready is not None:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             verdict = ready.single.classify(Q)
             if verdict is not None:
                 self._learn(ready, 1)
@@ -268,8 +268,8 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
-        ready = self._at_hand()
-        if ready is not None:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             settled = ready.single.motion(Q0, Q1, resolution, edges.coarse_first)
             if settled is not None:
                 self._learn(ready, abs(settled))
@@ -623,15 +623,10 @@ class CollisionChecker:
             self._next_look = 2 * self._seen
             self._prepared = ready.with_order(np.argsort(-ready.hits, kind="stable"))
 
-    def _at_hand(self) -> Problem | None:
-        """What the kernel takes, if nothing has changed since it was made."""
-        ready = self._prepared
-        return ready if ready is not None and ready.version == self._scene.version else None
-
     def _ready(self) -> Problem:
         """What the kernel takes, made anew if the scene has changed."""
-        ready = self._at_hand()
-        if ready is not None:
+        ready = self._prepared
+        if ready is not None and ready.version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
         scene, ready = self._scene.snapshot(), self._prepared
