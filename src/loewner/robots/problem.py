@@ -117,16 +117,7 @@ class Problem:
         leaving: Bools,
         reaching: Bools,
     ) -> Problem:
-        """Pairs of bodies, the moving ones first; `with_poses` places the static ones.
-
-        Parameters
-        ----------
-        robot : Robot
-        versions : tuple of 2 int
-            The scene's version and structure version.
-        names, bodies, link, pairs, margins, leaving, reaching
-            As in the attributes.
-        """
+        """Pairs of bodies, with the version and structure version of the scene; `with_poses` places static bodies."""
         packed = packed_of(bodies)
         start = packed.piece_start[len(link) :]
         return cls(
@@ -349,15 +340,7 @@ def _ball(packed: Packed, k: int) -> tuple[float, ...]:
 def _bounds(packed: Packed, first: int, placed: Floats, T: Floats) -> Floats:
     """Center of a box along the axes of the world about a placed body, radius of a ball about it, half the box's sides.
 
-    Parameters
-    ----------
-    packed : Packed
-    first : int
-        The body's first piece.
-    placed : ndarray, shape (pieces, HOT)
-        `_placed_rows` of its pieces.
-    T : ndarray, shape (4, 4)
-        Its pose.
+    Its pieces begin with the `first` one; `placed` are their `_placed_rows` at the pose T.
     """
     last = first + len(placed)
     lower, upper = _box(packed, first, last, T, placed)
