@@ -471,7 +471,7 @@ def test_configurations_leak_nothing(sliders):
     checker, _ = sliders
     checker.collide([0.5, 0.0])
     q = [np.array([-0.5, 0.0]), np.array([0.5, 0.0]), np.array([np.nan, 0.0])]
-    held = [*q, checker._prepared, checker._prepared.single, checker._prepared.hits]
+    held = [*q, checker._ready(), checker._ready().single, checker._ready().hits]
 
     def many(rounds):
         for _ in range(rounds):

@@ -32,6 +32,9 @@ from loewner.scenes import Contact, Scene
 # Pairs are put in another order after so many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
 
+# Version of the scene, queries of one configuration, and the problem behind them: one tuple, for threads and for speed.
+UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
+
 
 @guarded
 class CollisionChecker:
@@ -109,12 +112,12 @@ class CollisionChecker:
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
-        self._prepared: Problem | None = None
+        self._prepared = UNPREPARED
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles prepare anew: a handle is an address, and means nothing anywhere else."""
-        return {**self.__dict__, "_prepared": None}
+        return {**self.__dict__, "_prepared": UNPREPARED}
 
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
@@ -165,15 +168,16 @@ class CollisionChecker:
         UserWarning
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
-        ready = self._prepared
-        if ready is not None and ready.version == self._scene.version:
-            collides = ready.single.collide(Q)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            collides = single.collide(Q)
             if collides is not None:
-                self._learn(ready, 1)
+                self._seen += 1  # a call for each answer would take a tenth of its time
+                if self._seen >= self._next_look:
+                    self._learn(ready, 0)
                 return collides
         checked = self.robot.checked(Q)
-        out, _ = self._exact(checked)
-        return verdicts.collisions(out, checked)
+        return verdicts.collisions(self._exact(checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
         """Certified verdicts from the ellipsoids alone.
@@ -192,14 +196,13 @@ class CollisionChecker:
         InputError, UnknownNameError
             As for `collide`.
         """
-        ready = self._prepared
-        if ready is not None and ready.version == self._scene.version:
-            verdict = ready.single.classify(Q)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            verdict = single.classify(Q)
             if verdict is not None:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
-        checked = self.robot.checked(Q)
-        ready = self._ready()
+        checked, ready = self.robot.checked(Q), self._ready()
         out, _ = verdicts.classified(ready, codes.CERTIFY, edges.flat(checked))
         self._learn(ready, len(out))
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
@@ -268,11 +271,13 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
-        ready = self._prepared
-        if ready is not None and ready.version == self._scene.version:
-            settled = ready.single.motion(Q0, Q1, resolution, edges.coarse_first)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            settled = single.motion(Q0, Q1, resolution, edges.coarse_first)
             if settled is not None:
-                self._learn(ready, abs(settled))
+                self._seen += abs(settled)
+                if self._seen >= self._next_look:
+                    self._learn(ready, 0)
                 return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
         a, b, shape = edges.ends(self.robot, Q0, Q1)
@@ -603,8 +608,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
-        ready, flat = self._ready(), edges.flat(checked)
-        return distances.by_pair(ready, flat, within, gradient)
+        return distances.by_pair(self._ready(), edges.flat(checked), within, gradient)
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -619,23 +623,24 @@ class CollisionChecker:
     def _learn(self, ready: Problem, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
         self._seen += count
-        if self._seen >= self._next_look and self._prepared is ready:
+        if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
-            self._prepared = ready.with_order(np.argsort(-ready.hits, kind="stable"))
+            ordered = ready.with_order(np.argsort(-ready.hits, kind="stable"))
+            self._prepared = ordered.version, ordered.single, ordered
 
     def _ready(self) -> Problem:
         """What the kernel takes, made anew if the scene has changed."""
-        ready = self._prepared
-        if ready is not None and ready.version == self._scene.version:
+        version, _, ready = self._prepared
+        if version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
-        scene, ready = self._scene.snapshot(), self._prepared
+        scene = self._scene.snapshot()
         if ready is None or ready.structure_version != scene.structure_version:
             ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
             ready = ready.with_poses(scene.static_poses, scene.version)
-        self._prepared = ready
+        self._prepared = ready.version, ready.single, ready
         return ready
 
 
