@@ -33,6 +33,7 @@ from loewner._kernels import codes  # noqa: E402
 from loewner._kernels._sources import source_hash  # noqa: E402
 from loewner._native.entries import ENTRIES  # noqa: E402
 from loewner._native.library import HOME, LIST  # noqa: E402
+from loewner.robots.edges import NEARLY_WHOLE  # noqa: E402
 
 # By architecture: the levels, best first, and what LLVM is told of each. Without the last word it takes registers of
 # half the width for level 4.
@@ -57,10 +58,13 @@ FIRST = (
 # What the C compiler is told of files that people get.
 RELEASE = ("-O2", "-s")
 
-EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c")
+EXTENSION = ("call.c", "single.c", "pairs.c", "configurations.c", "module.c")
 
 # Names of `codes` that the extension knows.
 CODES = ("FREE", "COLLIDING", "AMBIGUOUS", "CERTIFY", "EXACT", "OPEN", "TIERS")
+
+# What the extension knows of `codes` and of the steps of a motion: definitions for the C compiler.
+DEFINED = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES] + [f"-DNEARLY_WHOLE={NEARLY_WHOLE!r}"]
 
 
 class Command(NamedTuple):
@@ -84,7 +88,7 @@ def architecture() -> str:
 def recipe() -> str:
     """Hash of all that decides what is built, but for the levels and the interpreter."""
     digest = hashlib.sha256(source_hash().encode())
-    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"))).encode())
+    digest.update(repr((version("numba"), version("llvmlite"), version("numpy"), DEFINED)).encode())
     written = [HERE / "build.py", HERE / "emit.py", *HERE.glob("*.[ch]")]
     besides = SOURCES / "loewner" / "_native" / "entries.py", SOURCES / "loewner" / "_ptx.py"
     for path in sorted([*written, *besides]):
@@ -221,10 +225,9 @@ def compile_extension(to: Path, flags: tuple[str, ...] = RELEASE) -> None:
     headers = Path(sysconfig.get_path("include"), "Python.h")
     if not headers.exists():
         raise BuildError(f"expected the headers of Python, found no {headers}; install them (python3-dev)")
-    numbers = [f"-DCODE_{name}={getattr(codes, name)}" for name in CODES]
     included = [f"-I{headers.parent}", f"-I{numpy.get_include()}"]
     undefined = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
-    compile_c([*(HERE / name for name in EXTENSION), *numbers, *included, *undefined, "-ldl"], to, flags)
+    compile_c([*(HERE / name for name in EXTENSION), *DEFINED, *included, *undefined, "-ldl"], to, flags)
 
 
 def link(objects: list[Path], level: str, to: Path) -> None:

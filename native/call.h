@@ -33,7 +33,7 @@ typedef struct {
     Word argument[MOST_WORDS], result[MOST_WORDS];
 } Kernel;
 
-extern PyTypeObject KernelType;
+extern PyTypeObject KernelType, LibraryType;
 
 /* Read words as `loewner/_native/entries.py` describes them; how many, or -1 with an exception. */
 int read_words(const char *text, Word *words, int most);

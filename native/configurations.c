@@ -1,6 +1,6 @@
 /* Queries of one configuration of a robot, and of one motion, each as one call from Python: the usual case.
 
-   `Configurations` has what `CheckedPairs` prepared: it is made anew whenever that is. */
+   `Configurations` has what `robots.problem` prepared: it is made anew whenever that is. */
 
 #include "single.h"
 
@@ -97,9 +97,6 @@ static PyObject *configurations_classify(Configurations *self, PyObject *q)
 /* Steps of a motion at most: the results of more are not worth keeping with a thread. */
 #define MOST_STEPS 4096
 
-/* A quotient of a length and a step so near to a whole number may be rounded to either side of it. */
-#define NEARLY_WHOLE 1e-9
-
 static PyObject *dist; /* math.dist */
 
 static PyObject *tuple_of(const double *entries, int64_t count)
@@ -127,7 +124,8 @@ static double exact_length(const double *a, const double *b, int64_t count)
     return length;
 }
 
-/* In how many steps a motion is divided, as `edges.steps` does it; 0 if that takes the long way. */
+/* In how many steps a motion is divided, as `edges.steps` does it; 0 if that takes the long way. `build.py` says how
+   near to a whole number a quotient may be rounded to either side of it. */
 static int64_t steps_of(const double *a, const double *b, int64_t count, double step)
 {
     double squared = 0;

@@ -12,6 +12,7 @@ import loewner
 from loewner import Verdict
 from loewner._native import singles
 from loewner.robots import verdicts
+from loewner.robots.checker import UNPREPARED
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parent / "fuzz")]
 
@@ -52,6 +53,6 @@ def undecided(monkeypatch):
         monkeypatch.setattr(verdicts, "classified", doubtful)
         monkeypatch.setattr(verdicts, "pair_verdicts", lambda ready, _: np.full(len(ready.pairs), Verdict.AMBIGUOUS))
         monkeypatch.setattr(singles, "configurations", lambda *_: singles.LongWay())
-        monkeypatch.setattr(checker, "_prepared", None)
+        monkeypatch.setattr(checker, "_prepared", UNPREPARED)
 
     return call

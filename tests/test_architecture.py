@@ -111,6 +111,12 @@ def test_kernels_are_listed():
     assert tops == sorted(tops, reverse=True)
 
 
+def trees() -> dict[str, ast.Module]:
+    """The syntax trees of all files of the library, by their path in it."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in paths}
+
+
 # Parameters of a function, and lines of its body without the docstring, at most.
 MOST_PARAMETERS, MOST_LINES = 14, 130
 
@@ -118,13 +124,63 @@ MOST_PARAMETERS, MOST_LINES = 14, 130
 def test_functions_are_small():
     """No function takes 15 parameters or more, and no body has over 130 lines."""
     large = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
             if not isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 continue
             body = node.body[1:] if ast.get_docstring(node) is not None else node.body
             lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
             parameters = sum(isinstance(part, ast.arg) for part in ast.walk(node.args))
             if parameters > MOST_PARAMETERS or lines > MOST_LINES:
-                large.append(f"{path.relative_to(PACKAGE)}: {node.name}: {parameters} parameters, {lines} lines")
+                large.append(f"{path}: {node.name}: {parameters} parameters, {lines} lines")
     assert large == []
+
+
+# Private names of other projects: the standard library and named tuples; and files that use names of Numba or viser.
+FOREIGN_NAMES = {"_getframe", "_exit", "_asdict", "_replace"}
+FOREIGN_FILES = {"_kernels/_jit.py", "_kernels/_parts.py", "_kernels/simd/memory.py", "_ptx.py", "viewer/guard.py"}
+
+
+def bound(tree: ast.Module) -> set[str]:
+    """Names of functions, classes, variables and attributes that a file defines."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.add(node.name)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found.add(node.attr)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return found
+
+
+def test_private_names_stay_in_their_package():
+    """No file uses a name with an underscore that no file of its package defines, be it of an object or of a module."""
+    files, defined = trees(), {}
+    for path, tree in files.items():
+        defined.setdefault(path.split("/")[0], set()).update(bound(tree))
+    strange = []
+    for path, tree in files.items():
+        known = defined[path.split("/")[0]] | FOREIGN_NAMES
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and path not in FOREIGN_FILES:
+                names = {node.attr}
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("loewner"):
+                folder = PACKAGE.joinpath(*node.module.split(".")[1:])
+                names = {alias.name for alias in node.names if not list(folder.glob(f"{alias.name}*"))}  # no module
+            else:
+                continue
+            private = {name for name in names if re.match("_[^_]", name)} - known
+            strange += [f"{path}:{node.lineno}: {name}" for name in private]
+    assert strange == []
+
+
+def test_unsettled_answers_travel_as_values():
+    """Below the command line and the viewer nothing catches the error of an unsettled answer, but to name its file."""
+    catchers = []
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ExceptHandler) and node.type and "ConvergenceError" in ast.unparse(node.type):
+                again = any(isinstance(inner, ast.Raise) for inner in node.body)
+                catchers += [] if again else [path]
+    assert set(catchers) <= {"cli/clearance.py", "viewer/robot.py"}

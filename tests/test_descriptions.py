@@ -23,7 +23,7 @@ from loewner import (
     load_scene,
     read_motion_bench_maker,
 )
-from loewner._plausible import Watch
+from loewner.robots.watch import Watch
 
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
 LIMIT = '<limit lower="-2" upper="2"/>'

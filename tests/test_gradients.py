@@ -240,15 +240,15 @@ def test_bodies_are_taken_out_once(tmp_path: Path):
         found = checker.distance_by_pair(q, within=100.0)
         return found.distance[(found.names == "seen").any(axis=1)]
 
-    before, taken = nearest(), checker._ready().taken
-    assert taken
-    kept = dict(taken)
+    before, ready = nearest(), checker._ready()
+    kept = [ready.body(k) for k in range(len(ready.names))]
+    assert ready.body.cache_info().hits
     T = np.eye(4)
     T[0, 3] = 3.0
     scene.move("seen", T)
     moved = nearest()
     assert (moved != before).any()
-    assert all(checker._ready().taken[k] is body for k, body in kept.items())
+    assert all(checker._ready().body(k) is body for k, body in enumerate(kept))
     scene.remove("seen")
     scene.add("seen", Body.from_cloud(rng.normal(size=(50, 3)) - [3, 0, 0], radius=0.1), T)
     assert (nearest() != moved).any()

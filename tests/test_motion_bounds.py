@@ -12,6 +12,7 @@ from loewner._kernels import columns
 from loewner._kernels.robots.motion_bounds import Rates, rates_of, uncertainty, ways_between, write_strays
 from loewner._kernels.robots.motion_path import write_part
 from loewner.robots import courses
+from loewner.robots.robot import on_the_way
 from motion_oracle import AFLOAT, example, steps, written
 
 Real = np.longdouble
@@ -248,7 +249,7 @@ def test_strays(tmp_path, seed):
         strays = empty_rates(robot)
         off = rng.uniform(0.0, 0.05, robot.dof) * (rng.random(robot.dof) < 0.5)
         write_strays(robot.tree, off, made, strays)
-        start = robot.between(q, robot._on_the_way(q, end), 0.5)
+        start = robot.between(q, on_the_way(robot, q, end), 0.5)
         there = start + off * rng.choice([-1.0, 1.0], (20, robot.dof))
         for at in robot._quaternions.values():
             there[:, at] /= np.linalg.norm(there[:, at], axis=1, keepdims=True)

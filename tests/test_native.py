@@ -16,6 +16,7 @@ import pytest
 import loewner
 from loewner._native import entries, library
 from loewner.errors import InputError, MissingExtraError
+from loewner.robots import edges
 from native_files import NATIVE, module
 
 OFFERED = library.level() is not None or os.environ.get("LOEWNER_NATIVE") == "required"
@@ -166,6 +167,10 @@ def test_codes_that_the_extension_knows_are_those_of_the_kernels():
     header, build = (NATIVE / "single.h").read_text(), module("build")
     assert sorted(re.findall(r"\b(\w+) = CODE_\1\b", header)) == sorted(build.CODES)
     assert not re.search(r"enum \{[^}]*= \d", header)
+    steps = (NATIVE / "configurations.c").read_text()
+    assert "NEARLY_WHOLE * " in steps
+    assert "define NEARLY_WHOLE" not in steps
+    assert f"-DNEARLY_WHOLE={edges.NEARLY_WHOLE!r}" in build.DEFINED
 
 
 @needs_library

@@ -332,7 +332,7 @@ def test_pieces_are_counted_by_the_first_array(rng):
     """The extension reads from a handle how many pieces a body has: rows of the first array behind it."""
     assert records.Pieces._fields[0] == "table"
     for body in (*CURVED, *unions(rng, 2)):
-        assert body._packed.kernel_arrays.table[0, 1] == len(body.pieces)
+        assert body._packed.addresses[0, 1] == len(body.pieces)
 
 
 # -- configurations and motions ------------------------------------------------------------------
@@ -436,7 +436,7 @@ def test_far_outside_the_limits_there_is_one_warning(sliders):
         assert checker.collide(far) is False
     assert checker.collide(far) is False
     if library.level() is not None:
-        assert checker._at_hand().single.collide(far) is False
+        assert checker._ready().single.collide(far) is False
 
 
 @native
@@ -444,7 +444,7 @@ def test_usual_configurations_are_answered_by_the_extension(sliders):
     """Otherwise the tests above compare the long way with itself."""
     checker, _ = sliders
     assert checker.collide([0.5, 0.0]) is True
-    single = checker._at_hand().single
+    single = checker._ready().single
     assert single.collide(np.array([0.5, 0.0])) is True
     assert single.classify(np.array([-0.5, 0.0])) == 0
     assert single.motion(np.array([-0.5, 0.0]), np.array([0.5, 0.0]), 0.1, loewner.robots.edges.coarse_first) < 0
@@ -460,9 +460,9 @@ def test_what_is_raised_on_the_way_reaches_the_caller(sliders):
     checker.collide([0.5, 0.0])
     a, b = np.array([-0.5, 0.0]), np.array([0.5, 0.0])
     with pytest.raises(KeyboardInterrupt) if library.level() is not None else contextlib.nullcontext():
-        assert checker._at_hand().single.motion(a, b, 0.1, interrupted) is None
+        assert checker._ready().single.motion(a, b, 0.1, interrupted) is None
     for order in (lambda steps: None, lambda steps: np.zeros(3), lambda steps: np.zeros(steps + 1, dtype=int)):
-        assert checker._at_hand().single.motion(a, b, 0.1, order) is None
+        assert checker._ready().single.motion(a, b, 0.1, order) is None
 
 
 @native
@@ -471,7 +471,7 @@ def test_configurations_leak_nothing(sliders):
     checker, _ = sliders
     checker.collide([0.5, 0.0])
     q = [np.array([-0.5, 0.0]), np.array([0.5, 0.0]), np.array([np.nan, 0.0])]
-    held = [*q, checker._prepared, checker._prepared.single, checker._prepared.hits]
+    held = [*q, checker._ready(), checker._ready().single, checker._ready().hits]
 
     def many(rounds):
         for _ in range(rounds):

@@ -28,7 +28,7 @@ from loewner import (
 )
 from loewner._proportions import wilson
 from loewner.paper import Confusion, detectors, figures, fitting, report, sheets, tables
-from loewner.paper.experiment import write_atomically
+from loewner.paper.results import write_atomically
 from oracles import hull, pack, signed_distances
 
 

@@ -267,6 +267,25 @@ def test_many_surfaces_have_few_parts_each(monkeypatch):
     assert ready.in_parts is ready
 
 
+def test_problems_made_of_others_are_as_made_anew(rng):
+    """At other poses, in another order and of fewer pairs: with the parts that were made before, and none by chance."""
+    vertices, faces = bumpy(rng)
+    scene = _scene(solid=Body.from_surface((vertices, faces)), cloud=Body.from_cloud(vertices, radius=0.1))
+    checker = CollisionChecker(_lone(), scene)
+    before = checker._ready()
+    assert before.cut is not None
+    scene.move("cloud", translation(2.0, 0.0, 1.0))
+    moved, anew = checker._ready(), CollisionChecker(_lone(), scene)._ready()
+    assert moved.cut.bodies is before.cut.bodies
+    for one, other in ((moved, anew), (moved.cut, anew.cut), (moved.only([1]), anew.only([1]))):
+        assert all(map(np.array_equal, one.arrays[:-1], other.arrays[:-1]))
+    assert moved.only([1]).cut.pairs.tolist() == moved.pairs[[1]].tolist()
+    ordered = moved.with_order(np.array([1, 0]))
+    assert ordered.cut is moved.cut
+    assert ordered.order.tolist() == [1, 0]
+    assert ordered.hits is moved.hits
+
+
 def _lone():
     robot = """<robot name="lone"><link name="base"/><link name="ball"><collision><geometry><sphere radius="0.1"/>
     </geometry></collision></link><joint name="x" type="prismatic"><parent link="base"/><child link="ball"/>

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loewner import _validate
 from loewner.errors import InputError
 from loewner.robots import CollisionChecker
+from loewner.robots.robot import expect_width
 
 # Configurations, and whether gradients are wanted, to values and gradients (anything where they are not).
 Ask = Callable[[NDArray[Any], bool], tuple[Any, Any]]
@@ -39,7 +40,7 @@ class Measure:
 
     def expect_width(self, shape: tuple[int, ...]) -> None:
         """Refuse configurations of another robot before they have values."""
-        self.checker.robot._expect_width(shape, "Q")
+        expect_width(self.checker.robot, shape, "Q")
 
     def no_second_derivatives(self) -> InputError:
         """The error for second derivatives: zeros would be wrong, and the mistake would go unnoticed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar, overload
 
@@ -31,3 +32,9 @@ class kept(cached_property[T]):
         # From now on found before this: what an object has itself goes before what its class has but does not set.
         value: T = vars(instance).setdefault(self.func.__name__, self.func(instance))
         return value
+
+    def hand_on(self, old: Any, new: Any, change: Callable[[T], T] | None = None) -> None:
+        """Give a new object the value of an old one, or what `change` makes of it, if it has been computed."""
+        if self.func.__name__ in vars(old):
+            value = vars(old)[self.func.__name__]
+            vars(new)[self.func.__name__] = value if change is None else change(value)

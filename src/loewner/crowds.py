@@ -16,7 +16,7 @@ from loewner._native import entries
 from loewner._settle import Operands, settle
 from loewner._threads import get_num_threads, in_shares
 from loewner._validate import Floats, Ints
-from loewner.bodies import Bodies, Body, Packed
+from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import ConvergenceError, InputError, PoseError
 
 # The smallest share of a crowd that is worth handing to a thread.
@@ -218,7 +218,7 @@ def _prepare(bodies: Body | Bodies, T_world: ArrayLike | None) -> tuple[int, tup
         if T_world is not None and len(T) != n:
             raise PoseError(f"T_world: expected one pose for each of {n} bodies, found {len(T)}")
     steps = int(isinstance(bodies, Bodies)), int(T_world is not None)
-    return n, steps, (bodies._packed, T.reshape(-1, 4, 4))
+    return n, steps, (packed_of(bodies), T.reshape(-1, 4, 4))
 
 
 def _tree(n: int, steps: tuple[int, int], operands: tuple[Packed, Floats]) -> tuple[Floats, Ints, Ints]:

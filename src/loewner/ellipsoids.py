@@ -73,13 +73,6 @@ class Ellipsoids:
         object.__setattr__(self, "factor", F)
 
     @classmethod
-    def _trusted(cls, c: Floats, F: Floats) -> Ellipsoids:
-        """Wrap arrays that a fit or a rigid motion made, without checking them again."""
-        self = object.__new__(cls)
-        self._freeze(c, F)
-        return self
-
-    @classmethod
     def from_shape_matrix(cls, center: ArrayLike, shape_matrix: ArrayLike) -> Ellipsoids:
         """Build from Q, E = {x : (x-c)ᵀ Q⁻¹ (x-c) <= 1}.
 
@@ -182,7 +175,7 @@ class Ellipsoids:
             ) from None
         if c.shape[-1:] != (self.dim,) or F.shape != (*c.shape, self.dim):
             raise BodyIndexError(f"expected an index of the batch only, found {_validate.short(index)}")
-        return Ellipsoids._trusted(c, F)
+        return trusted(c, F)
 
     def __repr__(self) -> str:
         if self.batch_shape or self.dim > _validate.FEW:
@@ -375,7 +368,14 @@ class Ellipsoids:
         point = ~self.factor.any(axis=(-2, -1))  # which stays one
         if not there or (F.size and not (point | (np.linalg.svd(F, compute_uv=False)[..., -1] > 0)).all()):
             raise GeometryError("expected a map to where floats can say the ellipsoid, found one beyond their range")
-        return Ellipsoids._trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
+        return trusted(c, np.broadcast_to(F, (*c.shape, self.dim)))
+
+
+def trusted(center: Floats, factor: Floats) -> Ellipsoids:
+    """Wrap arrays that a fit or a rigid motion made, without checking them again."""
+    made = object.__new__(Ellipsoids)
+    made._freeze(center, factor)
+    return made
 
 
 def _near_one(x: Floats, axes: tuple[int, ...]) -> tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[np.int_]]]:

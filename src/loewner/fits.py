@@ -20,7 +20,7 @@ from loewner._large_fits.dense import Reporter, inverse_of, lower_root
 from loewner._native import entries
 from loewner._threads import in_shares
 from loewner._validate import Floats, Ints, Progress
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import ConvergenceError, GeometryError, InputError
 from loewner.polytopes import (
     BLOCK,
@@ -414,4 +414,4 @@ def certified_fit(
         weights.setflags(write=False)
     if reporter is not None:
         reporter.done()
-    return Fit(Ellipsoids._trusted(center, factor), float(max(gap, 0.0)), int(iterations), weights)
+    return Fit(trusted(center, factor), float(max(gap, 0.0)), int(iterations), weights)

@@ -19,7 +19,7 @@ from loewner._native import entries, singles
 from loewner._settle import NO_ROWS, ONE_PAIR, Operands, settle
 from loewner._threads import in_shares
 from loewner._validate import BoolOrBools, Bools, FloatOrFloats, Floats, Ints, OneOrMany
-from loewner.bodies import Bodies, Body, Packed
+from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import ConvergenceError, InputError, PoseError
 
 if TYPE_CHECKING:  # at runtime, defaults of type variables are of Python 3.13
@@ -186,7 +186,7 @@ def _prepare(
     expect_bodies(a, b)
     Ta = _validate.poses(T_world_a, "T_world_a", check=check)
     Tb = _validate.poses(T_world_b, "T_world_b", check=check)
-    packs = a._packed, b._packed
+    packs = packed_of(a), packed_of(b)
     if chosen is None and Ta.ndim == 2 and Tb.ndim == 2 and isinstance(a, Body) and isinstance(b, Body):
         return _Pairs((), 1, ONE_PAIR, packs, (Ta.reshape(1, 4, 4), Tb.reshape(1, 4, 4)))
     plan = plan_of(a, Ta.shape, b, Tb.shape, each=each, chosen=chosen)
@@ -308,13 +308,18 @@ def _collapse(shape: tuple[int, ...], strides: list[list[int]]) -> Ints:
     return np.ascontiguousarray(np.array(axes, dtype=np.int64).T)
 
 
-def _settle(mode: int, margin: float, pairs: _Pairs) -> tuple[NDArray[np.int8], Ints]:
-    """Verdict of every pair, and how many piece pairs each tier settled."""
+def _settle(mode: int, margin: float, pairs: _Pairs, estimate: bool = False) -> tuple[NDArray[np.int8], Ints]:
+    """Verdict of every pair, and how many piece pairs each tier settled.
+
+    With `estimate` the product of the contact functions decides the pairs that would be AMBIGUOUS.
+    """
     out = np.empty(pairs.total, dtype=np.int8)
 
     def run(first: int, last: int) -> Ints:
         tally = settle(mode, margin, first, last, pairs.operands, out)
         if tally is not None:
+            if estimate:
+                entries.estimate_range(margin, first, last, *pairs.operands, out)
             return tally
         for T, name in zip(pairs.poses, ("T_world_a", "T_world_b"), strict=True):
             _validate.rigid_motions(T, name)
@@ -499,22 +504,11 @@ def collide(
 def _collided(exact: bool, margin: float, a: Any, T_world_a: Any, b: Any, T_world_b: Any, chosen: Any) -> BoolOrBools:
     """Whether bodies collide: exactly, or by the estimate."""
     asked = _prepare(a, T_world_a, b, T_world_b, check=False, each=COLLIDE_BYTES, chosen=chosen)
-    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked)
-    if not exact:
-        _estimate(margin, asked, out)
+    out, _ = _settle(codes.EXACT if exact else codes.CERTIFY, margin, asked, estimate=not exact)
     unsettled = out == Verdict.AMBIGUOUS
     colliding = (out == Verdict.COLLIDING) | unsettled
     found = bool(colliding[0]) if asked.shape == () else colliding.reshape(asked.shape)
     return _refused(unsettled, "collide", found) if unsettled.any() else found
-
-
-def _estimate(margin: float, pairs: _Pairs, out: Any) -> None:
-    """Decide the pairs that `out` has as AMBIGUOUS by the product of their contact functions."""
-
-    def run(first: int, last: int) -> None:
-        entries.estimate_range(margin, first, last, *pairs.operands, out)
-
-    in_shares(run, pairs.total, CHUNK)
 
 
 # fmt: off

@@ -21,7 +21,7 @@ from loewner._guard import guarded
 from loewner._kernels.columns import OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Ints, Pair
-from loewner.bodies import Bodies, Body
+from loewner.bodies import Bodies, Body, packed_of
 from loewner.errors import InputError
 from loewner.queries import Bounds, Distance, Measured
 
@@ -335,7 +335,7 @@ class Scene:
 
     def _doubt(self, name: str, body: Body, T: Floats) -> None:
         """Warn once if the body seems not to be in metres."""
-        radius = float(body._packed.kernel.table[:, OUTER_RADIUS].max(initial=0.0))
+        radius = float(packed_of(body).kernel.table[:, OUTER_RADIUS].max(initial=0.0))
         doubt = doubt_about_size(radius, max(map(abs, T[:3, 3].tolist())))
         if doubt:
             self._doubted = True

@@ -62,7 +62,7 @@ class Asked:
 
     def calls(self, T: Any, q: Any, body: Any) -> Iterator[Callable[[], Any]]:
         """Every query with something hostile in it."""
-        box, end, single = self.bodies[0], self.Q[0], self.checker._at_hand().single
+        box, end, single = self.bodies[0], self.Q[0], self.checker._ready().single
         yield lambda: loewner.collide(box, T, body, None)
         yield lambda: loewner.collide(body, None, box, T, margin=0.1)
         yield lambda: loewner.classify(box, T, body, T)
@@ -239,7 +239,7 @@ def test_forks_under_load(asked: Asked, rounds: int):
 
 def test_an_order_that_shrinks_its_arrays(asked: Asked):
     """What gives the order of a motion may resize the ends of it: the motion is looked at anew, or left to Python."""
-    single = asked.checker._at_hand().single
+    single = asked.checker._ready().single
     for length in (0, 1, 3, 100_000):
         for which in (0, 1):
             ends = [asked.Q[0].copy(), asked.Q[1].copy()]

@@ -6,9 +6,9 @@ a pose to a query; the fits are never computed again.
 `body` defines these two, `pack` and `layout` the arrays behind them, and `files` the ``.npz``.
 """
 
-from loewner.bodies.body import Bodies, Body, Piece
+from loewner.bodies.body import Bodies, Body, Piece, bodies_of, packed_of
 from loewner.bodies.kinds import CURVED
-from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, KernelArrays, PieceArrays, arrays_of
+from loewner.bodies.layout import ARRAYS, LARGEST, SMALLEST, PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, take
 
 __all__ = [
@@ -18,10 +18,11 @@ __all__ = [
     "SMALLEST",
     "Bodies",
     "Body",
-    "KernelArrays",
     "Packed",
     "Piece",
     "PieceArrays",
     "arrays_of",
+    "bodies_of",
+    "packed_of",
     "take",
 ]

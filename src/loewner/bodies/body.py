@@ -20,7 +20,7 @@ from loewner.bodies.layout import PieceArrays, arrays_of
 from loewner.bodies.pack import Packed, empty, join, moved, take
 from loewner.bodies.primitives import CLOSED_FORM_ROUNDING, primitives
 from loewner.coverage import Covering
-from loewner.ellipsoids import Ellipsoids
+from loewner.ellipsoids import Ellipsoids, trusted
 from loewner.errors import BodyIndexError, FileError, GeometryError, InputError
 from loewner.polytopes import Hulls, box_hull, hulls
 
@@ -90,12 +90,12 @@ class _Bodies:
     @property
     def inner(self) -> Ellipsoids:
         """Inner ellipsoids, one row per piece; a surface that is not solid and has no radius has a point instead."""
-        return Ellipsoids._trusted(self._packed.inner_center, self._packed.inner_factor)
+        return trusted(self._packed.inner_center, self._packed.inner_factor)
 
     @property
     def outer(self) -> Ellipsoids:
         """Outer ellipsoids, one row per piece."""
-        return Ellipsoids._trusted(self._packed.outer_center, self._packed.outer_factor)
+        return trusted(self._packed.outer_center, self._packed.outer_factor)
 
     @property
     def gaps(self) -> Floats:
@@ -1105,7 +1105,7 @@ class Bodies(_Bodies):
             ) from None
         if rows.ndim != 1:
             raise BodyIndexError(f"expected a slice, or indices of shape (k,), found {_validate.short(index)}")
-        return Bodies._wrap(take(self._packed, rows))
+        return bodies_of(take(self._packed, rows))
 
     def __repr__(self) -> str:
         return f"Bodies({len(self)} bodies, {len(self._packed.layout)} pieces)"
@@ -1204,6 +1204,16 @@ def _assemble_polytopes(
     return Packed.of(pieces)
 
 
+def packed_of(bodies: Body | Bodies) -> Packed:
+    """The arrays of bodies, for modules that call kernels."""
+    return bodies._packed
+
+
+def bodies_of(packed: Packed) -> Bodies:
+    """Bodies with these arrays."""
+    return Bodies._wrap(packed)
+
+
 def _primitive(kind: int, rounding: float, frame: ArrayLike) -> Body:
     """One curved piece: image of a unit shape, and the radius of the ball added to it."""
     return Body(primitives(kind, np.array([rounding]), np.array([frame], dtype=float)))
@@ -1220,8 +1230,8 @@ def _piece(p: Packed, i: int) -> Piece:
         normals=p.planes[planes, :3] if polytope else None,
         offsets=p.planes[planes, 3] if polytope else None,
         triangles=p.triangles[p.triangle_start[i] : p.triangle_start[i + 1]] if flat else None,
-        inner=Ellipsoids._trusted(p.inner_center[i], p.inner_factor[i]),
-        outer=Ellipsoids._trusted(p.outer_center[i], p.outer_factor[i]),
+        inner=trusted(p.inner_center[i], p.inner_factor[i]),
+        outer=trusted(p.outer_center[i], p.outer_factor[i]),
         inner_gap=float(p.gaps[i, 0]),
         outer_gap=float(p.gaps[i, 1]),
     )

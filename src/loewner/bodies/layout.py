@@ -91,46 +91,25 @@ def arrays_of(pieces: PieceArrays) -> dict[str, Any]:
     return {name: getattr(pieces, name) for name in ARRAYS}
 
 
-@dataclass(frozen=True, eq=False)
-class KernelArrays:
-    """The arrays that kernels receive for a pack, and their handle.
+def kernel_arrays(p: PieceArrays, maps: Maps, trees: Trees) -> records.Pieces:
+    """The arrays that kernels receive, with the direction maps of large pieces and the trees of surfaces.
 
-    Attributes
-    ----------
-    arrays : Pieces
-        Described in `loewner._kernels.pieces.shapes`. They are not read-only: to Numba that would be another type, and
-        everything would be compiled twice.
-    table : ndarray of int64
-        Addresses and lengths of the arrays; the handle is the address of this table, so it must live as long.
-    handle : int
-        See `loewner._kernels.pieces.pack`.
+    They are described in `loewner._kernels.pieces.shapes`, and not read-only: to Numba that would be another type, and
+    everything would be compiled twice.
+
+    Raises
+    ------
+    GeometryError
+        If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
     """
-
-    arrays: Any
-    table: Ints
-    handle: int
-
-    @classmethod
-    def of(cls, p: PieceArrays, maps: Maps, trees: Trees) -> KernelArrays:
-        """Make the arrays of pieces, with the direction maps of large pieces and the trees of surfaces.
-
-        Raises
-        ------
-        GeometryError
-            If a piece is smaller than `SMALLEST` or larger than `LARGEST`.
-        """
-        table = _table(p)
-        layout, points = _kernel_points(p, maps, trees)
-        hot = np.ascontiguousarray(table[:, : columns.HOT])
-        start = p.piece_start.copy()
-        single = _single(hot)
-        vertices = records.aligned(len(points) if len(single) else 0, np.float32)
-        vertices[:] = points[: len(vertices)]
-        arrays = records.Pieces(
-            table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees)
-        )
-        addresses = records.table_of(arrays)
-        return cls(arrays, addresses, addresses.ctypes.data)
+    table = _table(p)
+    layout, points = _kernel_points(p, maps, trees)
+    hot = np.ascontiguousarray(table[:, : columns.HOT])
+    start = p.piece_start.copy()
+    single = _single(hot)
+    vertices = records.aligned(len(points) if len(single) else 0, np.float32)
+    vertices[:] = points[: len(vertices)]
+    return records.Pieces(table, layout, points, start, hot, single, *_trees(table, start), vertices, *_parts(p, trees))
 
 
 def direction_maps(layout: Ints, points: Floats) -> Maps:

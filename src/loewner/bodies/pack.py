@@ -9,9 +9,18 @@ from typing import Any
 import numpy as np
 
 from loewner import _memory, _validate
-from loewner._kernels import columns
+from loewner._kernels import columns, records
 from loewner._validate import Floats, Ints
-from loewner.bodies.layout import ARRAYS, KernelArrays, Maps, PieceArrays, arrays_of, direction_maps, heights_of, starts
+from loewner.bodies.layout import (
+    ARRAYS,
+    Maps,
+    PieceArrays,
+    arrays_of,
+    direction_maps,
+    heights_of,
+    kernel_arrays,
+    starts,
+)
 from loewner.bodies.surface_trees import Trees, around_point, surface_trees
 from loewner.errors import GeometryError
 
@@ -49,16 +58,16 @@ class Packed(Prepared):
 
     Attributes
     ----------
-    kernel_arrays : KernelArrays
-        The object must live as long as `handle` is used.
-    kernel : Pieces
-        A reference to its arrays, for single calls.
+    kernel : records.Pieces
+        The arrays that kernels receive.
+    addresses : ndarray of int64
+        Where these arrays are, and their lengths.
     handle : int
-        A copy of its handle, for single calls.
+        Address of `addresses`, see `loewner._kernels.pieces.pack`; valid as long as this object lives.
     """
 
-    kernel_arrays: KernelArrays
     kernel: Any
+    addresses: Ints
     handle: int
 
     @classmethod
@@ -76,10 +85,10 @@ class Packed(Prepared):
         if trees is None:
             trees = surface_trees(pieces.layout, pieces.points, pieces.triangles, pieces.triangle_start)
         pieces = _with_inner_of_solids(pieces, trees)
-        made = KernelArrays.of(pieces, maps, trees)
-        return cls(
-            **arrays_of(pieces), maps=maps, trees=trees, kernel_arrays=made, kernel=made.arrays, handle=made.handle
-        )
+        kernel = kernel_arrays(pieces, maps, trees)
+        table = records.table_of(kernel)
+        arrays = arrays_of(pieces)
+        return cls(**arrays, maps=maps, trees=trees, kernel=kernel, addresses=table, handle=table.ctypes.data)
 
     def __reduce__(self) -> Any:
         """Copies and pickles are made anew: a handle is an address, and means nothing anywhere else."""

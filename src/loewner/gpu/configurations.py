@@ -19,8 +19,8 @@ from loewner.gpu.driver import Device, Memory
 from loewner.gpu.pairs import single_rows
 from loewner.gpu.work import FALLBACKS, Left, attempted, expect_few, gathered, number_of, scattered
 from loewner.robots import CollisionChecker
-from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.checker import prepared_of
+from loewner.robots.problem import Problem
 from loewner.robots.verdicts import classified, expect_settled
 
 # Configurations of a tile, a power of two: some tens of megabytes, which the caches of large GPUs hold.
@@ -168,7 +168,7 @@ class Checker:
         scattered(gpu, left, settled, verdicts)
         return DeviceArray(verdicts, view.shape[:-1], np.bool_)
 
-    def _settled(self, ready: CheckedPairs, Q: Floats) -> NDArray[np.int8]:
+    def _settled(self, ready: Problem, Q: Floats) -> NDArray[np.int8]:
         """Verdicts of some configurations by the checker, in the scene as it was."""
         if len(Q) == 0:
             return np.empty(0, dtype=np.int8)
@@ -177,7 +177,7 @@ class Checker:
         expect_settled(ready, Q, found)
         return found
 
-    def _asked(self, gpu: Device, ready: CheckedPairs, Q: int, total: int) -> tuple[Memory, Ints]:
+    def _asked(self, gpu: Device, ready: Problem, Q: int, total: int) -> tuple[Memory, Ints]:
         """Verdicts of configurations at an address, and the numbers of those that are left to the CPU."""
         expect_few(total, "configurations")
         tables = self._tables_of(gpu, ready)
@@ -214,7 +214,7 @@ class Checker:
         )  # fmt: skip
         gpu.launch("conclude", count, first, tile.state.address, verdicts.address, left.list.address)
 
-    def _tables_of(self, gpu: Device, ready: CheckedPairs) -> _Tables:
+    def _tables_of(self, gpu: Device, ready: Problem) -> _Tables:
         """Return what the kernels read, copied to the GPU when the scene has changed."""
         tables = self._tables.get(gpu)
         if tables is None or tables.version != ready.version:
@@ -234,9 +234,9 @@ def _tile(gpu: Device, tables: _Tables) -> _Tile:
     )
 
 
-def _tables(gpu: Device, ready: CheckedPairs) -> _Tables:
+def _tables(gpu: Device, ready: Problem) -> _Tables:
     """Copy to the GPU what the kernels read of a robot and its scene."""
-    tree, packed, moving = ready.robot.tree, ready.bodies._packed, len(ready.link)
+    tree, packed, moving = ready.robot.tree, ready.packed, len(ready.link)
     start = packed.piece_start
     rows = single_rows(packed).copy()
     rows[start[moving] :] = ready.standing_rows
@@ -268,5 +268,5 @@ def _tables(gpu: Device, ready: CheckedPairs) -> _Tables:
         rows=gpu.upload(rows),
         pairs=gpu.upload(ready.pairs.astype(np.int32)),
         margins=gpu.upload(floats[2]),
-        standing=gpu.upload(ready.standing),
+        standing=gpu.upload(ready.standing_bounds),
     )

@@ -13,7 +13,7 @@ from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._settle import NO_ROWS, settle
 from loewner._validate import Floats, Ints
-from loewner.bodies import Bodies, Body, Packed
+from loewner.bodies import Bodies, Body, Packed, packed_of
 from loewner.errors import InputError, PoseError
 from loewner.gpu import driver
 from loewner.gpu.arrays import DeviceArray, View, is_on_gpu, taken
@@ -166,9 +166,7 @@ def _tables_of(gpu: Device, packed: Packed) -> _Tables:
     """Return the tables of bodies, copied to the GPU when they are first asked about."""
     at = _tables.setdefault(packed, {})
     if gpu not in at:
-        at[gpu] = _Tables(
-            gpu.upload(single_rows(packed)), gpu.upload(packed.kernel_arrays.arrays.piece_start.astype(np.int32))
-        )
+        at[gpu] = _Tables(gpu.upload(single_rows(packed)), gpu.upload(packed.kernel.piece_start.astype(np.int32)))
     return at[gpu]
 
 
@@ -191,7 +189,7 @@ def single_rows(packed: Packed) -> NDArray[np.float32]:
 def _classified(gpu: Device, plan: Plan, operands: list[_Operand], refine: bool, there: bool) -> Any:
     """Ask the GPU, and the CPU about what that leaves."""
     expect_few(plan.total, "pairs")
-    packs = [operand.bodies._packed for operand in operands]
+    packs = [packed_of(operand.bodies) for operand in operands]
     tables = [_tables_of(gpu, packed) for packed in packs]
     poses = [_poses_on(gpu, operand) for operand in operands]
     steps = gpu.upload(plan.steps.astype(np.int32))
@@ -245,7 +243,7 @@ def _settled(gpu: Device, plan: Plan, operands: list[_Operand], numbers: Ints) -
     out = np.empty(len(numbers), dtype=np.int8)
     if len(numbers) == 0:
         return out
-    a, b = (operand.bodies._packed.handle for operand in operands)
+    a, b = (packed_of(operand.bodies).handle for operand in operands)
     body_a, pose_a, body_b, pose_b = _rows_of(plan, numbers)
     Ta, Tb = operands[0].poses_at(gpu, pose_a), operands[1].poses_at(gpu, pose_b)
     if not body_a.any() and not body_b.any():

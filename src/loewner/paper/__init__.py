@@ -1,19 +1,20 @@
 """The paper's experiment: its data set, four detectors, tables and figures; and its own methods, for comparison.
 
 `run` performs the experiment and returns an `Experiment`; `tables.rows` gives its tables as text. The modules follow
-the paper's order: `dataset`, `fitting`, `detectors`, `experiment`, `tables`, `sheets`, `figures`, `report`. The paper's
-methods that the library replaces are in `estimates` (f, section 4), `overlap` (appendix A) and `lifted_mvie` (appendix
-B).
+the paper's order: `dataset`, `fitting`, `detectors`, `results`, `tables`, `sheets`, `figures`, `report`, `experiment`.
+The paper's methods that the library replaces are in `estimates` (f, section 4), `overlap` (appendix A) and
+`lifted_mvie` (appendix B).
 """
 
 from loewner.paper import tables
 from loewner.paper.dataset import DataSet, sample
 from loewner.paper.detectors import Answers, Confusion, Pairs, detect, estimate
 from loewner.paper.estimates import distance_estimate
-from loewner.paper.experiment import Experiment, Result, run
+from loewner.paper.experiment import run
 from loewner.paper.fitting import Fitting
 from loewner.paper.lifted_mvie import mvce_by_lifted_mvie
 from loewner.paper.overlap import overlap_by_eigenvalue
+from loewner.paper.results import Experiment, Result
 
 __all__ = [
     "Answers",

@@ -20,7 +20,7 @@ from loewner._kernels import columns
 from loewner._kernels.tolerances import PAPER_ANGLE
 from loewner._native import entries
 from loewner._validate import Floats, Ints
-from loewner.bodies import Bodies
+from loewner.bodies import Bodies, packed_of
 from loewner.ellipsoid_pairs import contact_function
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import InputError, UnknownNameError
@@ -367,7 +367,7 @@ def _bound(detector: int, pairs: Pairs, angle: float, collides: object, ambiguou
 
 def _unpacked(bodies: Bodies) -> tuple[Faces, Floats]:
     """Faces of bodies of one polytope each, and the mean of each body's vertices."""
-    packed = bodies._packed
+    packed = packed_of(bodies)
     layout = packed.layout
     single = (np.diff(packed.piece_start) == 1) & (layout[packed.piece_start[:-1], columns.KIND] == columns.POLYTOPE)
     if not single.all():

@@ -18,7 +18,7 @@ from loewner.bodies import Piece
 from loewner.ellipsoid_pairs import near_points
 from loewner.ellipsoids import Ellipsoids
 from loewner.errors import MissingExtraError, installing
-from loewner.paper.experiment import Experiment
+from loewner.paper.results import Experiment
 
 FIGURES = ("figure-1", "figure-2", "figure-3", "figure-4")
 FORMATS = ("png", "svg")

@@ -12,7 +12,7 @@ from loewner import _validate
 from loewner.errors import FileError
 from loewner.paper import figures, sheets
 from loewner.paper.dataset import DATA_SETS
-from loewner.paper.experiment import Experiment, write_atomically
+from loewner.paper.results import Experiment, write_atomically
 from loewner.paper.tables import PAPER, SIGNIFICANCE, homogeneity, percent, tables
 
 CAPTIONS = {

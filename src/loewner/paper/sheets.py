@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from loewner.fits import DEFAULT_TOLERANCE
 from loewner.paper.detectors import Confusion
-from loewner.paper.experiment import Experiment, Result
 from loewner.paper.fitting import MOST_POLYHEDRA
+from loewner.paper.results import Experiment, Result
 from loewner.paper.tables import (
     CELLS,
     CLASS_SOURCES,

@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 from loewner._proportions import wilson
 from loewner.errors import InputError
 from loewner.paper.detectors import Confusion
-from loewner.paper.experiment import Experiment, Result
+from loewner.paper.results import Experiment, Result
 
 # The paper's numbers by the number of their table, which is also the detector's: its part (a), all pairs, and its
 # part (b), the ambiguous ones, then the milliseconds per check that the caption gives for (a) and (b) (Pentium 4 at

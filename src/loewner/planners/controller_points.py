@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._files import read_regular, shown
 from loewner.errors import FileError, InputError
-from loewner.robots.curves import CURVE_ROUNDINGS, Curve
+from loewner.robots.curves import CURVE_ROUNDINGS, Curve, form_of
 from loewner.scene_files.yaml_scenes import yaml_data
 
 # What points are read from; the largest file [bytes]; how deep in other messages a trajectory may be.
@@ -176,26 +176,28 @@ class ControllerPoints:
             raise KeyError("positions")
         return cls(times, rows("positions"), rows("velocities"), rows("accelerations"), names=message["joint_names"])
 
-    def _courses(self) -> Curve:
-        """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
-        T = np.diff(self.times)[:, None]
-        q0, q1 = self.positions[:-1], self.positions[1:]
-        points, size = [q0, q1], np.maximum(np.abs(q0), np.abs(q1))
-        if self.velocities is not None:
-            v0, v1 = self.velocities[:-1] * T, self.velocities[1:] * T
-            size = size + np.maximum(np.abs(v0), np.abs(v1))
-            points = [q0, q0 + v0 / 3, q1 - v1 / 3, q1]
-            if self.accelerations is not None:
-                a0, a1 = self.accelerations[:-1] * T**2, self.accelerations[1:] * T**2
-                size = size + np.maximum(np.abs(a0), np.abs(a1))
-                points = [
-                    q0, q0 + v0 / 5, q0 + 2 * v0 / 5 + a0 / 20, q1 - 2 * v1 / 5 + a1 / 20, q1 - v1 / 5, q1,
-                ]  # fmt: skip
-        return Curve(self.names, self.times, np.stack(points, axis=1), CURVE_ROUNDINGS * size)
-
     def __repr__(self) -> str:
         kind = "positions" if self.velocities is None else "cubic" if self.accelerations is None else "quintic"
         return f"ControllerPoints({len(self.times)} points, {self.positions.shape[1]} joints, {kind})"
+
+
+@form_of.register(ControllerPoints)
+def _form(given: ControllerPoints, name: str) -> Curve:
+    """The curve that the controller executes; see `CollisionChecker.certify_trajectory`."""
+    T = np.diff(given.times)[:, None]
+    q0, q1 = given.positions[:-1], given.positions[1:]
+    points, size = [q0, q1], np.maximum(np.abs(q0), np.abs(q1))
+    if given.velocities is not None:
+        v0, v1 = given.velocities[:-1] * T, given.velocities[1:] * T
+        size = size + np.maximum(np.abs(v0), np.abs(v1))
+        points = [q0, q0 + v0 / 3, q1 - v1 / 3, q1]
+        if given.accelerations is not None:
+            a0, a1 = given.accelerations[:-1] * T**2, given.accelerations[1:] * T**2
+            size = size + np.maximum(np.abs(a0), np.abs(a1))
+            points = [
+                q0, q0 + v0 / 5, q0 + 2 * v0 / 5 + a0 / 20, q1 - 2 * v1 / 5 + a1 / 20, q1 - v1 / 5, q1,
+            ]  # fmt: skip
+    return Curve(given.names, given.times, np.stack(points, axis=1), CURVE_ROUNDINGS * size)
 
 
 def _message(held: Any, depth: int) -> Any:

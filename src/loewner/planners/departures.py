@@ -11,7 +11,7 @@ from loewner.errors import PlanningError
 from loewner.planners.judge import TOLERANCE
 from loewner.planners.space import Space
 from loewner.queries import Verdict
-from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import contacts
 from loewner.scenes import Contact
@@ -41,7 +41,7 @@ class Departures:
     free_goals: Floats
 
     @classmethod
-    def of(cls, space: Space, ready: CheckedPairs, start: Floats, goals: Floats) -> Departures:
+    def of(cls, space: Space, ready: Problem, start: Floats, goals: Floats) -> Departures:
         """Find them, in one consistent state of the scene.
 
         Raises
@@ -73,7 +73,7 @@ class Departures:
         return np.concatenate(rows)
 
 
-def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
+def _apart(space: Space, ready: Problem, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
     """A free configuration near one in contact, with a proven motion between; or itself, and what is at fault."""
     checker = space.checker
     ruled = {
@@ -102,7 +102,7 @@ def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> t
     )
 
 
-def _way(space: Space, ready: CheckedPairs, q: Floats, touching: tuple[Contact, ...]) -> Floats:
+def _way(space: Space, ready: Problem, q: Floats, touching: tuple[Contact, ...]) -> Floats:
     """The change of configuration, for each metre, that moves what touches apart along the normals without turning it.
 
     As nearly as the joints can, in the sense of least squares.

@@ -19,11 +19,11 @@ from loewner._workspaces import workspace
 from loewner.errors import InputError, PlanningError
 from loewner.queries import Verdict
 from loewner.robots import CollisionChecker, Robot, verdicts
-from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.checker import prepared_of
 from loewner.robots.contacts import deeper_than_ends
 from loewner.robots.courses import straight
 from loewner.robots.edges import MOST_STEPS
+from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove, prove_by_rules
 
 # Metres: what comes nearer than this to colliding may count as not free.
@@ -37,7 +37,7 @@ class Judge:
     Attributes
     ----------
     checker : CollisionChecker
-    ready : CheckedPairs
+    ready : Problem
         The pairs of one consistent state of the scene, for all motions.
     resolution : float
         0 if motions are proven.
@@ -46,7 +46,7 @@ class Judge:
     """
 
     checker: CollisionChecker
-    ready: CheckedPairs
+    ready: Problem
     resolution: float
     samples: int
 
@@ -63,7 +63,7 @@ class Judge:
         names : sequence of str, optional
             Names of the bodies in question; all bodies if not given.
         """
-        whole, cut = self.ready.bodies._packed, self.ready.in_parts.bodies._packed
+        whole, cut = self.ready.packed, self.ready.in_parts.packed
         kinds = np.minimum.reduceat(whole.layout[:, columns.KIND], whole.piece_start[:-1])
         for k, name in enumerate(self.ready.names):
             if kinds[k] <= columns.SURFACE and not self.resolution and (names is None or name in names):
@@ -99,7 +99,7 @@ class Judge:
         ready = self.ready if self.resolution else self.ready.in_parts
         prepared = ready.motions
         memory = workspace(max(prepared.memory, ready.memory))
-        handles = [ready.bodies._packed.handle, ready.handle, prepared.handle, memory, self.samples]
+        handles = [ready.packed.handle, ready.handle, prepared.handle, memory, self.samples]
         return np.array(handles, dtype=np.int64), np.array([TOLERANCE, self.resolution])
 
     def free(self, Q0: Floats, Q1: Floats) -> Bools:

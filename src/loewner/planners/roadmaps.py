@@ -353,7 +353,7 @@ class Roadmap:
         >>> Roadmap.load("arm.npz", checker)
         Roadmap(joints rail, elbow: 100 nodes, 1093 of 1093 motions free)
         """
-        graph, ready = self._now(), self.checker._ready()
+        graph, ready = self._now(), prepared_of(self.checker)
         arrays = {
             "nodes": self._nodes,
             "edges": self._edges,

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loewner import _validate
+from loewner._kernels import columns
+from loewner._plausible import FARTHEST_LIMIT
 from loewner._validate import Bools, Floats, Ints
 from loewner.errors import InputError, PlanningError
 from loewner.robots import CollisionChecker, Robot, verdicts
@@ -55,7 +57,7 @@ class Space:
         robot = checker.robot
         moving = _columns(robot, joints)
         lower, upper = robot.lower, robot.upper
-        below, above, turning = robot._unlimited
+        below, above, turning = _unlimited(robot)
         if below.any() or above.any():
             least, most = np.minimum(goals.min(axis=0), q), np.maximum(goals.max(axis=0), q)
             lower = np.where(below, np.maximum(least - np.pi, lower), lower)
@@ -192,6 +194,20 @@ def checked_checker(checker: Any) -> CollisionChecker:
     if not isinstance(checker, CollisionChecker):
         raise InputError(f"checker: expected loewner.CollisionChecker, found {type(checker).__name__}")
     return checker
+
+
+def _unlimited(robot: Robot) -> tuple[Bools, Bools, Bools]:
+    """Columns without a lower limit, without an upper one, and columns of angles without any limit.
+
+    What some programs write for no limit, 1e16 or the largest number, counts as none.
+    """
+    below, above = robot.lower <= -FARTHEST_LIMIT, robot.upper >= FARTHEST_LIMIT
+    tree, turning = robot.tree, np.zeros(robot.dof, dtype=bool)
+    moved = tree.kind != columns.FIXED
+    turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
+    turning[tree.column[moved]] = True
+    turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
+    return below, above, turning & below & above
 
 
 def _by_a_hair(excess: float) -> str:

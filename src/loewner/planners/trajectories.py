@@ -28,7 +28,7 @@ from loewner.errors import FileError, InputError
 from loewner.planners.judge import Judge, checked_path, refuse_unfree
 from loewner.planners.space import checked_checker
 from loewner.robots import CertifiedTrajectory, CollisionChecker, Robot
-from loewner.robots.curves import Curve
+from loewner.robots.curves import Curve, form_of
 
 # Seconds in which a joint reaches its limit of velocity, where no limit of acceleration is given.
 UP_IN = 1.0
@@ -338,12 +338,6 @@ class Trajectory:
         """
         return checked_checker(checker).certify_trajectory(self, joint_error=joint_error)
 
-    def _courses(self) -> Curve:
-        """The curve for `CollisionChecker.certify_trajectory`: parabolas between knots."""
-        T = np.diff(self.times)[:, None]
-        courses = np.stack([self.knots[:-1], self.knots[:-1] + self.rates[:-1] * (T / 2), self.knots[1:]], axis=1)
-        return Curve(self.names, self.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
-
     # -- inside -------------------------------------------------------------------------------
 
     def _pieces(self, t: ArrayLike) -> tuple[Any, Floats, Floats]:
@@ -428,6 +422,14 @@ class Trajectory:
                 f"found others of {self.names[joint]} after the time {self.times[k]:g}"
             )
         return ""
+
+
+@form_of.register(Trajectory)
+def _form(given: Trajectory, name: str) -> Curve:
+    """The curve that a robot executes; see `CollisionChecker.certify_trajectory`: parabolas between knots."""
+    T = np.diff(given.times)[:, None]
+    courses = np.stack([given.knots[:-1], given.knots[:-1] + given.rates[:-1] * (T / 2), given.knots[1:]], axis=1)
+    return Curve(given.names, given.times, courses, BLEND_ROUNDINGS * np.abs(courses).max(axis=1))
 
 
 @guarded

@@ -1,7 +1,7 @@
 """Robots: descriptions in files to links with bodies, where these are, and what they collide with.
 
 `robot` holds links on joints (read by `urdf`, `srdf` and `link_bodies`). `checker` is what users call; `checked_pairs`
-prepares, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pairs that need no check.
+and `problem` prepare, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pairs that need no check.
 """
 
 from loewner.robots.checker import CollisionChecker

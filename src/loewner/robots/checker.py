@@ -1,6 +1,6 @@
 """Is a robot free in a scene, at one configuration, at a million, or along motions?
 
-A `CollisionChecker` checks arguments, keeps the prepared pairs (`checked_pairs`) while the scene does not change, and
+A `CollisionChecker` checks arguments, keeps the prepared pairs (`problem`) while the scene does not change, and
 wraps the results of `verdicts`, `proofs` and `distances`. Only this module raises an error for an unsettled answer.
 """
 
@@ -16,19 +16,24 @@ from loewner import _validate
 from loewner._guard import guarded
 from loewner._kernels import codes
 from loewner._validate import Bools, Floats, OneOrMany, Pair
+from loewner.bodies import packed_of
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import VERDICTS, Verdict
 from loewner.robots import curves, distances, edges, proofs, verdicts
-from loewner.robots.checked_pairs import CheckedPairs, prepared
+from loewner.robots.checked_pairs import prepared
 from loewner.robots.curves import CertifiedTrajectory
 from loewner.robots.distances import PairDistances, StateDistance
 from loewner.robots.motions import CertifiedMotions
+from loewner.robots.problem import Problem
 from loewner.robots.robot import Robot
 from loewner.robots.verdicts import Settled, Verdicts
 from loewner.scenes import Contact, Scene
 
 # Pairs are put in another order after so many configurations, and again each time their number has doubled.
 FIRST_LOOK = 256
+
+# Version of the scene, queries of one configuration, and the problem behind them: one tuple, for threads and for speed.
+UNPREPARED: tuple[int, Any, Any] = (-1, None, None)
 
 
 @guarded
@@ -95,7 +100,7 @@ class CollisionChecker:
             raise InputError(f"robot: expected loewner.Robot, found {type(robot).__name__}")
         if scene is not None and not isinstance(scene, Scene):
             raise InputError(f"scene: expected loewner.Scene or None, found {type(scene).__name__}")
-        if not any(body._packed.piece_start[-1] > 0 for body in robot.bodies.values()):
+        if not any(packed_of(body).piece_start[-1] > 0 for body in robot.bodies.values()):
             raise InputError(
                 f"robot: expected a robot with collision geometry, found none in {robot.name!r}; "
                 f"links with <visual> only: {', '.join(robot._only_visual) or 'none'}"
@@ -107,12 +112,12 @@ class CollisionChecker:
         if skip_adjacent or (skip_adjacent is None and not robot.disabled_pairs):
             skipped |= robot.adjacent_pairs
         self._skipped = frozenset(skipped) | robot.link_pairs(allowed, "allowed")
-        self._prepared: CheckedPairs | None = None
+        self._prepared = UNPREPARED
         self._seen, self._next_look = 0, FIRST_LOOK
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles prepare anew: a handle is an address, and means nothing anywhere else."""
-        return {**self.__dict__, "_prepared": None}
+        return {**self.__dict__, "_prepared": UNPREPARED}
 
     def __repr__(self) -> str:
         return f"CollisionChecker({self.robot!r}, {self.scene!r})"
@@ -163,15 +168,16 @@ class CollisionChecker:
         UserWarning
             Given once per robot, if a configuration is far outside the limits: see `Robot.checked`.
         """
-        ready = self._at_hand()
-        if ready is not None:
-            collides = ready.single.collide(Q)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            collides = single.collide(Q)
             if collides is not None:
-                self._learn(ready, 1)
+                self._seen += 1  # a call for each answer would take a tenth of its time
+                if self._seen >= self._next_look:
+                    self._learn(ready, 0)
                 return collides
         checked = self.robot.checked(Q)
-        out, _ = self._exact(checked)
-        return verdicts.collisions(out, checked)
+        return verdicts.collisions(self._exact(checked).verdicts, checked)
 
     def classify(self, Q: ArrayLike) -> OneOrMany:
         """Certified verdicts from the ellipsoids alone.
@@ -190,14 +196,13 @@ class CollisionChecker:
         InputError, UnknownNameError
             As for `collide`.
         """
-        ready = self._at_hand()
-        if ready is not None:
-            verdict = ready.single.classify(Q)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            verdict = single.classify(Q)
             if verdict is not None:
                 self._learn(ready, 1)
                 return VERDICTS[verdict]
-        checked = self.robot.checked(Q)
-        ready = self._ready()
+        checked, ready = self.robot.checked(Q), self._ready()
         out, _ = verdicts.classified(ready, codes.CERTIFY, edges.flat(checked))
         self._learn(ready, len(out))
         return Verdict(int(out[0])) if checked.ndim == 1 else out.reshape(checked.shape[:-1])
@@ -266,15 +271,16 @@ class CollisionChecker:
         >>> checker.valid_edges([0.0, 1.57], [[0.5, 1.57], [2.0, 1.57]], resolution=0.05)  # the post is in the way
         array([ True, False])
         """
-        ready = self._at_hand()
-        if ready is not None:
-            settled = ready.single.motion(Q0, Q1, resolution, edges.coarse_first)
+        version, single, ready = self._prepared
+        if version == self._scene.version:
+            settled = single.motion(Q0, Q1, resolution, edges.coarse_first)
             if settled is not None:
-                self._learn(ready, abs(settled))
+                self._seen += abs(settled)
+                if self._seen >= self._next_look:
+                    self._learn(ready, 0)
                 return settled > 0
         step = _validate.positive_scalar(resolution, "resolution")
-        a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        a, b, shape = edges.ends(a, b, 40)
+        a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found, fractions = verdicts.sampled(ready, a, b, step)
         for k in np.flatnonzero(found == Verdict.AMBIGUOUS)[:1]:
@@ -340,8 +346,7 @@ class CollisionChecker:
         True
         """
         tolerance = _validate.positive_scalar(tolerance, "tolerance")
-        a, b = self.robot.checked(Q0, "Q0"), self.robot.checked(Q1, "Q1")
-        a, b, shape = edges.ends(a, b, 40)
+        a, b, shape = edges.ends(self.robot, Q0, Q1)
         ready = self._ready()
         found = proofs.prove_by_rules(ready, a, b, tolerance, curves.joint_errors(self.robot, joint_error))
         found.expect_short(a, b)
@@ -603,8 +608,7 @@ class CollisionChecker:
         """
         checked = self.robot.checked(Q)
         within, gradient = _validate.positive_scalar(within, "within", zero=True), _validate.flag(gradient, "gradient")
-        ready, flat = self._ready(), edges.flat(checked)
-        return distances.by_pair(ready, flat, within, gradient)
+        return distances.by_pair(self._ready(), edges.flat(checked), within, gradient)
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -616,34 +620,30 @@ class CollisionChecker:
         verdicts.expect_settled(ready, flat, found.verdicts)
         return found
 
-    def _learn(self, ready: CheckedPairs, count: int) -> None:
+    def _learn(self, ready: Problem, count: int) -> None:
         """Put the pairs that hit most often first, now and then."""
         self._seen += count
-        if self._seen >= self._next_look and self._prepared is ready:
+        if self._seen >= self._next_look and self._prepared[2] is ready:
             self._next_look = 2 * self._seen
-            self._prepared = ready.ordered()
+            ordered = ready.with_order(np.argsort(-ready.hits, kind="stable"))
+            self._prepared = ordered.version, ordered.single, ordered
 
-    def _at_hand(self) -> CheckedPairs | None:
-        """What the kernel takes, if nothing has changed since it was made."""
-        ready = self._prepared
-        return ready if ready is not None and ready.version == self._scene._version else None
-
-    def _ready(self) -> CheckedPairs:
+    def _ready(self) -> Problem:
         """What the kernel takes, made anew if the scene has changed."""
-        ready = self._at_hand()
-        if ready is not None:
+        version, _, ready = self._prepared
+        if version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
-        scene, ready = self._scene.snapshot(), self._prepared
+        scene = self._scene.snapshot()
         if ready is None or ready.structure_version != scene.structure_version:
             ready = prepared(self._robot, scene, self._skipped, scene.version)
             self._seen, self._next_look = 0, FIRST_LOOK
         else:
-            ready = ready.placed(scene, scene.version)
-        self._prepared = ready
+            ready = ready.with_poses(scene.static_poses, scene.version)
+        self._prepared = ready.version, ready.single, ready
         return ready
 
 
-def prepared_of(checker: CollisionChecker) -> CheckedPairs:
+def prepared_of(checker: CollisionChecker) -> Problem:
     """Return the pairs of a checker in its scene's current state, for several queries of the same state."""
     return checker._ready()

@@ -13,12 +13,12 @@ import numpy as np
 from loewner import queries
 from loewner._kernels import columns
 from loewner._validate import Floats, Ints
-from loewner.bodies import Bodies, Body
+from loewner.bodies import Bodies, Body, bodies_of, packed_of
 from loewner.bodies.layout import starts
 from loewner.bodies.pack import some
 from loewner.queries import Verdict
 from loewner.robots import motions
-from loewner.robots.checked_pairs import CheckedPairs, arranged
+from loewner.robots.problem import Problem
 
 # First stretches that are tried, shares of the motion: the longest of them on which the contact recedes.
 STRETCHES = 2.0 ** -np.arange(16)
@@ -40,12 +40,12 @@ FOR_PROOF = 0.25
 TOUCHING = 1e-9
 
 
-def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
+def settle(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[int, float]:
     """Settle a motion for one pair that may be in contact at its start, or at its end.
 
     Parameters
     ----------
-    ready : CheckedPairs
+    ready : Problem
     pair : int
         Its index. It is in `ready.leaving` or `ready.reaching`.
     a, b : ndarray, shape (dof,)
@@ -79,7 +79,7 @@ def settle(ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: floa
     return int(Verdict.FREE), np.nan
 
 
-def deeper_than_ends(ready: CheckedPairs, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
+def deeper_than_ends(ready: Problem, path: Floats, rows: Ints, tolerance: float) -> tuple[int, int] | None:
     """First row of a path where a pair is in deeper contact than a rule allows at the ends of the path, and the pair.
 
     Each motion of a path may get deeper by the tolerance; all of them together may not.
@@ -97,7 +97,7 @@ def deeper_than_ends(ready: CheckedPairs, path: Floats, rows: Ints, tolerance: f
 
 
 def _leaves(
-    ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
+    ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float, deepest: float
 ) -> tuple[list[float], float]:
     """Where a motion may not be free for one pair that may be in contact at its start; nowhere if it is proven free.
 
@@ -130,22 +130,20 @@ def _leaves(
     return [*doubtful, share + (1.0 - share) * float(found.fractions[0])], least
 
 
-def _distance(ready: CheckedPairs, pair: int, q: Floats) -> float:
+def _distance(ready: Problem, pair: int, q: Floats) -> float:
     """Signed distance of the two bodies at a configuration."""
     i, j = (int(k) for k in ready.pairs[pair])
     T = ready.poses(q[None])[0]
     return float(queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True).distance)
 
 
-def _reach(ready: CheckedPairs, pair: int, a: Floats, b: Floats) -> float:
+def _reach(ready: Problem, pair: int, a: Floats, b: Floats) -> float:
     """How far points of the robot get from the second body of a pair on a motion, at most."""
     T = ready.poses(a[None])[0, ready.pairs[pair, 1]]
     return float(ready.motions.tables.chain[1] + np.maximum(np.abs(a), np.abs(b)).sum() + np.abs(T[:3, 3]).sum())
 
 
-def _beside_planes(
-    ready: CheckedPairs, pair: int, a: Floats, b: Floats, tolerance: float
-) -> tuple[CheckedPairs, float]:
+def _beside_planes(ready: Problem, pair: int, a: Floats, b: Floats, tolerance: float) -> tuple[Problem, float]:
     """The pieces of the first body against planes in front of which they begin, instead of pieces that they touch.
 
     And the tolerance of the proof that they stay in front. The plane of pieces that touch leaves them most of the
@@ -173,7 +171,7 @@ def _beside_planes(
     R = T[when, j, :3, :3]
     normals = -np.einsum("kri,kr->ki", R, np.where((when > 0)[:, None], found.normal[when, nth], apart_by_little))
     # How far the piece reaches along the normal, whatever that is: from its distance to a wall beyond it.
-    far = 2 * float(theirs._packed.kernel.table[:, columns.REACH].max())
+    far = 2 * float(packed_of(theirs).kernel.table[:, columns.REACH].max())
     walls = Bodies([Body.half_space(-n, -far, extent=8 * far) for n in normals])
     reached = far * (1 + FAR_ROUNDINGS) - queries.distance(theirs[v], None, walls, None, exact=True).distance
     gap = at_start[touching] - margin
@@ -188,16 +186,16 @@ def _beside_planes(
     moves = j < len(ready.link)
     link = np.concatenate([np.full(first, ready.link[i]), np.full(count * moves, ready.link[j if moves else i])])
     no_rule = np.zeros(len(pairs), dtype=bool)
-    made = arranged(
+    made = Problem.of(
         ready.robot, (ready.version, ready.structure_version), tuple(map(str, range(len(bodies)))), Bodies(bodies),
         link.astype(np.int64), pairs, np.where(np.arange(len(pairs)) < len(apart), margin, 0.0), no_rule, no_rule,
     )  # fmt: skip
     for_proof = float(back.min(initial=tolerance)) * FOR_PROOF / (1 - FOR_PROOF)
-    return made._placed(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof
+    return made.with_poses(np.tile(T[0, j], (0 if moves else count, 1, 1)), ready.version), for_proof
 
 
-def _pieces(ready: CheckedPairs, body: int) -> Bodies:
+def _pieces(ready: Problem, body: int) -> Bodies:
     """The pieces of a body as bodies of one piece each."""
-    packed = ready.bodies._packed
+    packed = ready.packed
     at: Ints = np.arange(packed.piece_start[body], packed.piece_start[body + 1])
-    return Bodies._wrap(some(packed, at, starts(np.ones(len(at), dtype=np.int64))).packed())
+    return bodies_of(some(packed, at, starts(np.ones(len(at), dtype=np.int64))).packed())

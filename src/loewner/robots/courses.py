@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from loewner._validate import Floats
-from loewner.robots.robot import Robot
+from loewner.robots.robot import Robot, interpolated, on_the_way
 
 
 def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
     """The straight motions between configurations a and b, shape (N, dof) each, as `Robot.between` takes them."""
     courses = np.empty((len(a), 2, robot.dof))  # for one motion, `np.stack` takes four times as long
-    courses[:, 0], courses[:, 1] = a, robot._on_the_way(a, b)
+    courses[:, 0], courses[:, 1] = a, on_the_way(robot, a, b)
     return courses
 
 
@@ -21,7 +21,7 @@ def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
     """One configuration of each course, shape (N, dof), at fractions of shape (N,)."""
     degree = courses.shape[1] - 1
     if degree == 1:
-        return robot.between(courses[:, 0], courses[:, 1], fractions)
+        return interpolated(robot, courses[:, 0], courses[:, 1], fractions[:, None])
     t = fractions[:, None]
     weights = [math.comb(degree, k) * t**k * (1 - t) ** (degree - k) for k in range(degree + 1)]
     Q: Floats = np.einsum("knc,nkc->nc", np.broadcast_to(weights, (degree + 1, *courses[:, 0].shape)), courses)

@@ -1,9 +1,10 @@
-"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and objects with `_courses`."""
+"""Curves in time as courses, one for each segment: SciPy's piecewise polynomials, and what registers with `form_of`."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import singledispatch
 from math import comb
 from typing import Any, NamedTuple
 
@@ -15,8 +16,8 @@ from loewner._kernels import codes, tolerances
 from loewner._validate import Floats
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.motions import CertifiedMotions, Found
+from loewner.robots.problem import Problem
 from loewner.robots.proofs import prove
 from loewner.robots.robot import Robot
 
@@ -89,9 +90,7 @@ class CertifiedTrajectory:
         return _validate.brief(self)
 
 
-def certified(
-    ready: CheckedPairs, curves: list[Curve], tolerance: float, joint_error: Floats
-) -> list[CertifiedTrajectory]:
+def certified(ready: Problem, curves: list[Curve], tolerance: float, joint_error: Floats) -> list[CertifiedTrajectory]:
     """Prove which curves are free, together with all configurations that are off by no more than `joint_error`."""
     degrees = np.array([curve.courses.shape[1] for curve in curves])
     found: list[CertifiedTrajectory | None] = [None] * len(curves)
@@ -145,7 +144,7 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
         not increase, a degree above 7, or a jump.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # refused below
-        curve = _from_scipy(given, name) or (given._courses() if hasattr(type(given), "_courses") else None)
+        curve = form_of(given, name)
     if curve is None:
         raise InputError(
             f"{name}: expected a PPoly, BPoly or BSpline of scipy.interpolate, a planners.Trajectory or "
@@ -172,7 +171,12 @@ def curve_of(robot: Robot, given: Any, name: str) -> Curve:
     return curve._replace(courses=points, off=off)
 
 
-def _from_scipy(given: Any, name: str) -> Curve | None:
+@singledispatch
+def form_of(given: Any, name: str) -> Curve | None:
+    """The courses of a curve as its type defines them, unchecked; None if it is no curve.
+
+    Types of planners register here, since their modules are above this one.
+    """
     interpolate = sys.modules.get("scipy.interpolate")  # loaded, if there is an object of its types
     if interpolate is None or not isinstance(given, (interpolate.PPoly, interpolate.BPoly, interpolate.BSpline)):
         return None

@@ -15,8 +15,8 @@ from loewner._validate import Floats, Ints, OneOrMany
 from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError, InputError
 from loewner.queries import NOTHING, Exact, Vector
-from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
 from loewner.robots.edges import flat
+from loewner.robots.problem import LEAST_SHARE, Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class PairDistances:
         return _validate.brief(self)
 
 
-def nearest(ready: CheckedPairs, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:
+def nearest(ready: Problem, configurations: Floats, exact: bool, gradient: bool) -> StateDistance:
     """Distances of the nearest pairs at configurations, shape (..., dof): see `CollisionChecker.distance`."""
     batch, Q = configurations.shape[:-1], flat(configurations)
     _expect_pairs(ready, "distance")
@@ -120,14 +120,14 @@ def nearest(ready: CheckedPairs, configurations: Floats, exact: bool, gradient: 
     )
 
 
-def _expect_pairs(ready: CheckedPairs, query: str) -> None:
+def _expect_pairs(ready: Problem, query: str) -> None:
     if len(ready.pairs) == 0:
         raise InputError(f"{query}: expected a robot and a scene with pairs to check, found none")
 
 
-def _nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
+def _nearest(ready: Problem, Q: Floats, exact: bool) -> list[Any]:
     """Columns without the gradient, and with indices of bodies instead of names."""
-    n, m, pack = len(Q), len(Q) * exact, ready.bodies._packed
+    n, m, pack = len(Q), len(Q) * exact, ready.packed
     numbers, vectors = np.empty((2 + exact, n)), np.empty((3, m, 3))
     pieces, status = np.empty((m, 2), dtype=np.int64), np.empty(m, dtype=np.int8)
 
@@ -151,12 +151,12 @@ def _nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
     return [lower, upper, distance, bodies, *vectors]
 
 
-def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
+def near_pairs(ready: Problem, Q: Floats, within: float) -> Ints:
     """Configurations and pairs that balls and boxes leave within a distance, in that order."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
     memory = workspace(ready.memory_of_nearest)
     while True:
-        operands = within, 0, len(Q), Q, ready.bodies._packed.handle, ready.handle, memory
+        operands = within, 0, len(Q), Q, ready.packed.handle, ready.handle, memory
         count = entries.near_pairs(*operands, listed, 0)
         if count <= len(listed):
             found = listed[:count]
@@ -165,13 +165,13 @@ def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
         listed = np.empty((count, 2), dtype=np.int64)
 
 
-def gradients(ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
+def gradients(ready: Problem, Q: Floats, bodies: Ints, witness: Floats, normal: Floats) -> Floats:
     """Derivatives of exact distances of pairs of bodies with respect to the configuration, one per pair."""
     slopes = np.empty((len(Q), ready.robot.dof))
 
     def run(first: int, last: int) -> None:
         entries.pair_gradients(
-            first, last, Q, ready.bodies._packed.handle, ready.handle, workspace(ready.memory_of_clearances),
+            first, last, Q, ready.packed.handle, ready.handle, workspace(ready.memory_of_clearances),
             bodies, normal, witness, slopes,
         )  # fmt: skip
 
@@ -179,7 +179,7 @@ def gradients(ready: CheckedPairs, Q: Floats, bodies: Ints, witness: Floats, nor
     return slopes
 
 
-def by_pair(ready: CheckedPairs, Q: Floats, within: float, gradient: bool) -> PairDistances:
+def by_pair(ready: Problem, Q: Floats, within: float, gradient: bool) -> PairDistances:
     """Exact distances of all pairs that come within a distance: see `CollisionChecker.distance_by_pair`."""
     listed = near_pairs(ready, Q, within)
     _validate.fits_memory(len(listed) * 256, f"distances of {len(listed)} pairs")
@@ -201,7 +201,7 @@ def by_pair(ready: CheckedPairs, Q: Floats, within: float, gradient: bool) -> Pa
     return PairDistances(listed[:, 0], listed[:, 1], names, distance, vectors[0], vectors[1], vectors[2], slopes)
 
 
-def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
+def clearances(ready: Problem, Q: Floats, softness: float, gradient: bool) -> tuple[Floats, Floats]:
     """Smooth lower bounds and their gradients, see `CollisionChecker.clearance`.
 
     Raises
@@ -218,7 +218,7 @@ def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) 
 
     def run(first: int, last: int) -> None:
         entries.clearances(
-            gradient, softness, first, last, Q, ready.bodies._packed.handle, ready.handle,
+            gradient, softness, first, last, Q, ready.packed.handle, ready.handle,
             workspace(ready.memory_of_clearances), lower, slopes,
         )  # fmt: skip
 
@@ -229,7 +229,7 @@ def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) 
     return lower, slopes
 
 
-def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
+def _nearest_with_care(ready: Problem, q: Floats) -> tuple[Any, ...]:
     """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T

@@ -11,11 +11,12 @@ from functools import lru_cache
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from loewner import _validate
 from loewner._validate import Floats, Ints
 from loewner.errors import InputError
+from loewner.robots.robot import Robot
 
 # Configurations of edges that are worth a call.
 AT_LEAST = 64
@@ -25,6 +26,9 @@ MOST_AT_ONCE = 2**20
 
 # A quotient of a length and a step so near to a whole number may be rounded to either side of it.
 NEARLY_WHOLE = 1e-9
+
+# Results of a motion: a verdict, a fraction, a pair, and the work that was done, in bytes.
+BYTES_OF_A_MOTION = 40
 
 # What a motion may be divided into; more is a slip in a unit.
 MOST_STEPS = 2**24
@@ -95,17 +99,18 @@ def coarse_first(parts: int) -> Floats:
     return np.concatenate([[0.0, 1.0], reversed_bits[reversed_bits < parts] / parts])
 
 
-def ends(a: Floats, b: Floats, each: int) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Ends of motions broadcast together, in one column each, and their shape; `each` bytes a motion go with them."""
+def ends(robot: Robot, Q0: ArrayLike, Q1: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
+    """Ends of motions, checked and broadcast together, in one column each, and the shape of the motions."""
+    a, b = robot.checked(Q0, "Q0"), robot.checked(Q1, "Q1")
     if a.ndim == b.ndim == 1:
         return a[None], b[None], ()
     try:
         a, b = np.broadcast_arrays(a, b)
     except ValueError:
-        texts = _validate.shape_text(a.shape), _validate.shape_text(b.shape)
-        raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {texts[0]} and {texts[1]}") from None
+        raise InputError(f"expected Q0 and Q1 whose shapes broadcast, found {a.shape} and {b.shape}") from None
     shape = a.shape[:-1]
-    _validate.fits_memory(math.prod(shape) * (16 * a.shape[-1] + each), f"{_validate.shape_text(shape)} motions")
+    count = math.prod(shape)
+    _validate.fits_memory(count * (BYTES_OF_A_MOTION + 16 * robot.dof), f"{shape} motions")
     return np.ascontiguousarray(flat(a)), np.ascontiguousarray(flat(b)), shape
 
 

@@ -18,7 +18,7 @@ from loewner._kernels import _sources
 from loewner._kernels.columns import OUTER_CENTER, OUTER_RADIUS
 from loewner._plausible import doubt_about_size, warn
 from loewner._validate import Floats, Progress
-from loewner.bodies import Body
+from loewner.bodies import Body, packed_of
 from loewner.coverage import Covering
 from loewner.errors import ConvergenceError, FileError, InputError
 from loewner.robots.urdf import Description, Shape
@@ -121,7 +121,7 @@ def link_bodies(
 def _doubts(made: dict[str, Body]) -> Iterator[tuple[str, str]]:
     """What speaks against metres, body by body."""
     for name, body in made.items():
-        rows = body._packed.kernel.table
+        rows = packed_of(body).kernel.table
         if len(rows):
             away = float(np.abs(rows[:, OUTER_CENTER : OUTER_CENTER + 3]).max())
             yield name, doubt_about_size(float(rows[:, OUTER_RADIUS].max()), away)
@@ -208,7 +208,7 @@ def _union(parts: list[Body]) -> Body:
     if not known:
         return body
     return Body(
-        body._packed,
+        packed_of(body),
         Covering(
             kind=known[0].kind if len({c.kind for c in known}) == 1 else "decomposition",
             exact=all(c.exact for c in known),

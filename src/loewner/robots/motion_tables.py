@@ -34,7 +34,7 @@ def motion_tables(
     packed : Packed
         Pieces of all bodies, the moving ones first.
     link, balls, pairs
-        As in `CheckedPairs`.
+        As in `Problem`.
     standing : ndarray, shape (bodies, BOUNDS)
         Bounds of the static bodies.
     poses : ndarray, shape (bodies, 16)

@@ -16,7 +16,7 @@ from loewner._validate import Floats, Ints
 from loewner._workspaces import workspace
 from loewner.errors import InputError
 from loewner.queries import Verdict
-from loewner.robots.checked_pairs import CheckedPairs
+from loewner.robots.problem import Problem
 
 # Motions a thread takes at a time, at least: some 0.3 ms of work.
 LEAST_SHARE = 16
@@ -96,7 +96,7 @@ class Found(NamedTuple):
                 f"which goes {np.abs(b[k] - a[k]).max():g} rad or m in one joint; divide it"
             )
 
-    def of_shape(self, shape: tuple[int, ...], ready: CheckedPairs) -> CertifiedMotions:
+    def of_shape(self, shape: tuple[int, ...], ready: Problem) -> CertifiedMotions:
         """The same as users see it: of one motion, whose shape is (), no arrays."""
         if not shape:
             pair = int(self.pairs[0])
@@ -111,12 +111,12 @@ class Found(NamedTuple):
         )  # fmt: skip
 
 
-def settle(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+def settle(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
     """Have the kernel settle motions along courses.
 
     Parameters
     ----------
-    ready : CheckedPairs
+    ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
         See `courses`. In C order, writeable.
     tolerance : float
@@ -139,7 +139,7 @@ def settle(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats |
 
     def share(first: int, last: int) -> None:
         entries.certify_motions(
-            first, last, courses, strays, tolerance, ready.bodies._packed.handle, ready.handle, prepared.handle, *found,
+            first, last, courses, strays, tolerance, ready.packed.handle, ready.handle, prepared.handle, *found,
             workspace(prepared.memory),
         )  # fmt: skip
 

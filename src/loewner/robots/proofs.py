@@ -8,17 +8,17 @@ from loewner._kernels import codes
 from loewner._validate import Floats
 from loewner.queries import Verdict
 from loewner.robots import contacts, motions, verdicts
-from loewner.robots.checked_pairs import CheckedPairs
 from loewner.robots.courses import configurations, straight
 from loewner.robots.motions import Found
+from loewner.robots.problem import Problem
 
 
-def prove(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
+def prove(ready: Problem, courses: Floats, tolerance: float, off: Floats | None = None) -> Found:
     """Prove which courses are free; contact is never allowed.
 
     Parameters
     ----------
-    ready : CheckedPairs
+    ready : Problem
     courses : ndarray, shape (N, degree + 1, dof)
         See `courses`. In C order, writeable.
     tolerance : float
@@ -37,9 +37,7 @@ def prove(ready: CheckedPairs, courses: Floats, tolerance: float, off: Floats | 
     return found
 
 
-def prove_by_rules(
-    ready: CheckedPairs, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None
-) -> Found:
+def prove_by_rules(ready: Problem, a: Floats, b: Floats, tolerance: float, joint_error: Floats | None = None) -> Found:
     """Prove which straight motions between configurations a and b, shape (N, dof) each, are free.
 
     Pairs of `Scene.leave` and `Scene.reach` may be in contact at their ends, unless values may be off by a joint error.
@@ -51,14 +49,13 @@ def prove_by_rules(
     at = np.flatnonzero(found.verdicts != Verdict.FREE) if len(ready.ruled) else ready.ruled
     if len(at) == 0:
         return found
-    rest = prove(ready.unruled, straight(ready.robot, a[at], b[at]), tolerance)
+    rest = prove(ready.unruled, courses[at], tolerance)
     numbers = np.append(np.setdiff1d(np.arange(len(ready.pairs)), ready.ruled), -1)
     found.verdicts[at], found.fractions[at], found.pairs[at] = rest.verdicts, rest.fractions, numbers[rest.pairs]
     found.work[at] += rest.work
     for k in at[rest.verdicts == Verdict.FREE]:
-        end = ready.robot._on_the_way(a[k], b[k])
         for pair in ready.ruled.tolist():
-            verdict, fraction = contacts.settle(ready, pair, a[k], end, tolerance)
+            verdict, fraction = contacts.settle(ready, pair, a[k], courses[k, 1], tolerance)
             if verdict != Verdict.FREE:
                 found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, fraction, pair
                 if verdict == Verdict.COLLIDING:
@@ -66,7 +63,7 @@ def prove_by_rules(
     return found
 
 
-def _confirm(ready: CheckedPairs, courses: Floats, found: Found) -> None:
+def _confirm(ready: Problem, courses: Floats, found: Found) -> None:
     """Leave as COLLIDING only what collides at the configurations that users get for a fraction.
 
     Values that run straight are the same bit for bit, but polynomials and orientations, for which NumPy's sines are not
@@ -82,12 +79,12 @@ def _confirm(ready: CheckedPairs, courses: Floats, found: Found) -> None:
         found.verdicts[at] = np.where(hit, Verdict.COLLIDING, Verdict.AMBIGUOUS)
 
 
-def _refuse_starts(ready: CheckedPairs, a: Floats, found: Found) -> None:
+def _refuse_starts(ready: Problem, a: Floats, found: Found) -> None:
     """Leave as FREE only motions whose starts are free, where `motions.settle` supposes it."""
     free = np.flatnonzero(found.verdicts == Verdict.FREE) if ready.starts_matter else ready.ruled[:0]
     if len(free) == 0:
         return
     for k in free[~verdicts.free(ready, a[free])]:
-        of_pairs = verdicts.pair_verdicts(ready, ready.poses(a[k : k + 1])[0])
+        of_pairs = verdicts.verdicts_at(ready, a[k])
         verdict = Verdict.COLLIDING if (of_pairs == Verdict.COLLIDING).any() else Verdict.AMBIGUOUS
         found.verdicts[k], found.fractions[k], found.pairs[k] = verdict, 0.0, (of_pairs == verdict).argmax()

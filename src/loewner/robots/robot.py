@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike
 from loewner import _validate
 from loewner._guard import guarded
 from loewner._kept import kept
-from loewner._kernels import columns
 from loewner._kernels.records import Tree
 from loewner._native import entries
-from loewner._plausible import FARTHEST_LIMIT, LARGEST_VALUE, Watch
+from loewner._plausible import FARTHEST_LIMIT
 from loewner._threads import in_shares
-from loewner._validate import Bools, Floats, Named, OneOrMany, Pair, Progress
+from loewner._validate import Floats, Named, OneOrMany, Pair, Progress
 from loewner.bodies import Body
 from loewner.errors import InputError, UnknownNameError
 from loewner.fits import checked_tolerance
@@ -30,6 +29,7 @@ from loewner.robots.mjcf import description_of, semantics_of
 from loewner.robots.srdf import Semantics, State, read_srdf
 from loewner.robots.tree import adjacent_pairs, columns_of, placed_tree, tree_of
 from loewner.robots.urdf import VALUES, Description, read_urdf
+from loewner.robots.watch import LARGEST_VALUE, Watch
 
 # How far the norm of a quaternion in a configuration may be from 1: far above rounding, far below an interpolated one.
 QUATERNION_TOLERANCE = 1e-6
@@ -463,10 +463,7 @@ class Robot:
         batch, links = checked.shape[:-1], len(self.link_names)
         count = int(np.prod(batch))
         _validate.fits_memory(count * links * 128, f"{count} configurations of {links} links")
-        flat = checked.reshape(count, self.dof)
-        out = np.empty((count, links, 4, 4))
-        in_shares(lambda first, last: entries.link_poses(*self.tree, flat, first, last, out), count, LEAST_SHARE)
-        return out.reshape(*batch, links, 4, 4)
+        return link_poses(self, checked.reshape(count, self.dof)).reshape(*batch, links, 4, 4)
 
     def jacobian(self, Q: ArrayLike, link: str, point: ArrayLike | None = None) -> Floats:
         """How a point of a link moves with the configuration.
@@ -548,7 +545,7 @@ class Robot:
         if plain and isinstance(Q, np.ndarray) and Q.flags.carray and self._watch.passes_one(Q.tolist()):
             return Q
         array = _validate.float_array(Q, name)
-        self._expect_width(array.shape, name)
+        expect_width(self, array.shape, name)
         if not self._watch.passes(array):
             refused = self._watch.refused(array)
             if refused is not None:
@@ -564,13 +561,6 @@ class Robot:
                 worst = norm.flat[np.abs(norm - 1).argmax()]
                 raise InputError(f"{name}: expected quaternions (wxyz) of norm 1 for {joint}, found norm {worst:g}")
         return array if array.flags.carray else array.copy()  # read-only: to Numba another type
-
-    def _expect_width(self, shape: tuple[int, ...], name: str) -> None:
-        if not shape or shape[-1] != self.dof:
-            raise InputError(
-                f"{name}: expected shape (..., {self.dof}), one column each for {', '.join(self.configuration_names)}; "
-                f"found {_validate.shape_text(shape)}"
-            )
 
     def checked_one(self, q: ArrayLike, name: str = "q") -> Floats:
         """One configuration as kernels take it.
@@ -779,42 +769,7 @@ class Robot:
         a, b = self.checked(Q0, "Q0"), self.checked(Q1, "Q1")
         at = _validate.finite_array(t, "t", ("...",))[..., None]
         _validate.broadcast({"Q0": a.shape[:-1], "Q1": b.shape[:-1], "t": at.shape[:-1]})
-        Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
-        for quaternion in self._quaternions.values():
-            p = a[..., quaternion]
-            q, cosine = _nearer(p, b[..., quaternion])
-            angle = np.arccos(np.minimum(cosine, 1.0))
-            # For a small angle the chord is the arc.
-            sine = np.maximum(np.sin(angle), 1e-12)
-            straight = angle < 1e-6
-            of_p = np.where(straight, 1 - at, np.sin((1 - at) * angle) / sine)
-            of_q = np.where(straight, at, np.sin(at * angle) / sine)
-            mixed = of_p * p + of_q * q
-            Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
-        return np.ascontiguousarray(Q)
-
-    @kept
-    def _unlimited(self) -> tuple[Bools, Bools, Bools]:
-        """Columns without a lower limit, without an upper one, and columns of angles without any limit.
-
-        What some programs write for no limit, 1e16 or the largest number, counts as none.
-        """
-        below, above = self.lower <= -FARTHEST_LIMIT, self.upper >= FARTHEST_LIMIT
-        tree, turning = self.tree, np.zeros(self.dof, dtype=bool)
-        moved = tree.kind != columns.FIXED
-        turns = (tree.kind == columns.REVOLUTE) & (tree.multiplier == np.rint(tree.multiplier))
-        turning[tree.column[moved]] = True
-        turning[tree.column[moved & ~turns]] = False  # by all that follow the joint
-        return below, above, turning & below & above
-
-    def _on_the_way(self, Q0: Floats, Q1: Floats) -> Floats:
-        """Q1, its quaternions with the sign with which `between` goes to them: at half a turn, rounding chooses."""
-        if self.runs_straight:
-            return Q1
-        ends = Q1.copy()
-        for quaternion in self._quaternions.values():
-            ends[..., quaternion], _ = _nearer(Q0[..., quaternion], Q1[..., quaternion])
-        return ends
+        return interpolated(self, a, b, at)
 
     @kept
     def _quaternions(self) -> dict[str, slice]:
@@ -823,6 +778,55 @@ class Robot:
         return {
             joint: slice(at.stop - 4, at.stop) for joint, at in self._columns.items() if at.stop - at.start in widths
         }
+
+
+def expect_width(robot: Robot, shape: tuple[int, ...], name: str) -> None:
+    """Refuse configurations of another width, shape (..., dof)."""
+    if not shape or shape[-1] != robot.dof:
+        raise InputError(
+            f"{name}: expected shape (..., {robot.dof}), one column each for {', '.join(robot.configuration_names)}; "
+            f"found {_validate.shape_text(shape)}"
+        )
+
+
+def source_of(robot: Robot) -> tuple[str, str | None]:
+    """Format of the description from which a robot was made, and its text if that was not in a file."""
+    return robot._format, robot._text
+
+
+def link_poses(robot: Robot, Q: Floats) -> Floats:
+    """Poses of all links at checked configurations, shape (N, links, 4, 4)."""
+    total, links = len(Q), len(robot.link_names)
+    out = np.empty((total, links, 4, 4))
+    in_shares(lambda first, last: entries.link_poses(*robot.tree, Q, first, last, out), total, LEAST_SHARE)
+    return out
+
+
+def interpolated(robot: Robot, a: Floats, b: Floats, at: Floats) -> Floats:
+    """Configurations between checked ones, see `Robot.between`; fractions have one axis more, of length 1."""
+    Q = np.where(at == 1, b, a + at * (b - a))  # the sum may miss b by a rounding of a
+    for quaternion in robot._quaternions.values():
+        p = a[..., quaternion]
+        q, cosine = _nearer(p, b[..., quaternion])
+        angle = np.arccos(np.minimum(cosine, 1.0))
+        # For a small angle the chord is the arc.
+        sine = np.maximum(np.sin(angle), 1e-12)
+        straight = angle < 1e-6
+        of_p = np.where(straight, 1 - at, np.sin((1 - at) * angle) / sine)
+        of_q = np.where(straight, at, np.sin(at * angle) / sine)
+        mixed = of_p * p + of_q * q
+        Q[..., quaternion] = mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+    return np.ascontiguousarray(Q)
+
+
+def on_the_way(robot: Robot, a: Floats, b: Floats) -> Floats:
+    """The ends b, with the sign of quaternions with which `between` goes to them: at half a turn, rounding chooses."""
+    if robot.runs_straight:
+        return b
+    ends = b.copy()
+    for quaternion in robot._quaternions.values():
+        ends[..., quaternion], _ = _nearer(a[..., quaternion], b[..., quaternion])
+    return ends
 
 
 def _velocities(robot: Description, columns: Mapping[str, slice], dof: int) -> Floats:

@@ -18,7 +18,8 @@ from loewner._workspaces import workspace
 from loewner.errors import ConvergenceError
 from loewner.queries import Verdict
 from loewner.robots import edges
-from loewner.robots.checked_pairs import LEAST_SHARE, CheckedPairs
+from loewner.robots.problem import LEAST_SHARE, Problem
+from loewner.robots.robot import interpolated
 from loewner.scenes import Contact
 
 
@@ -94,7 +95,7 @@ class Verdicts(NamedTuple):
         )
 
 
-def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
+def classified(ready: Problem, mode: int, Q: Floats) -> Verdicts:
     """Verdicts of configurations, shape (N, dof), in mode `codes.CERTIFY` or `codes.EXACT`."""
     total = len(Q)
     if total > LEAST_SHARE:
@@ -103,7 +104,7 @@ def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
 
     def run(first: int, last: int, hits: Ints) -> None:
         entries.check_configurations(
-            mode, first, last, Q, ready.bodies._packed.handle, ready.handle, out, tiers, hits, workspace(ready.memory)
+            mode, first, last, Q, ready.packed.handle, ready.handle, out, tiers, hits, workspace(ready.memory)
         )
 
     def share(first: int, last: int) -> None:
@@ -118,22 +119,22 @@ def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
         in_shares(share, total, LEAST_SHARE)
     if mode == codes.EXACT:
         for k in _ambiguous(out):
-            out[k], tiers[k] = _worst(pair_verdicts(ready, ready.poses(Q[k : k + 1])[0])), codes.BY_SEARCH
+            out[k], tiers[k] = _worst(verdicts_at(ready, Q[k])), codes.BY_SEARCH
     return Verdicts(out, tiers)
 
 
-def free(ready: CheckedPairs, Q: Floats) -> Bools:
+def free(ready: Problem, Q: Floats) -> Bools:
     """Which configurations, shape (N, dof), are proven free; unsettled ones are not."""
     return np.asarray(classified(ready, codes.EXACT, Q).verdicts == Verdict.FREE)
 
 
-def is_free(ready: CheckedPairs, q: Floats) -> bool:
+def is_free(ready: Problem, q: Floats) -> bool:
     """Whether one configuration, shape (dof,), is proven free: the fastest way to find out."""
     collides = ready.single.collide(q)
     return bool(free(ready, q[None].copy())[0]) if collides is None else not collides
 
 
-def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> bool:
+def is_sampled_free(ready: Problem, a: Floats, b: Floats, step: float) -> bool:
     """Whether one motion is proven free at samples no farther apart than `step`; an unsettled motion is not."""
     settled = ready.single.motion(a, b, step, edges.coarse_first)
     if settled is None:
@@ -141,7 +142,7 @@ def is_sampled_free(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> b
     return bool(settled > 0)
 
 
-def expect_settled(ready: CheckedPairs, Q: Floats, verdicts: NDArray[np.int8]) -> None:
+def expect_settled(ready: Problem, Q: Floats, verdicts: NDArray[np.int8]) -> None:
     """Raise an error if one verdict is AMBIGUOUS.
 
     Raises
@@ -150,10 +151,10 @@ def expect_settled(ready: CheckedPairs, Q: Floats, verdicts: NDArray[np.int8]) -
         The message names the pair and the configuration.
     """
     for k in _ambiguous(verdicts)[:1]:
-        expect_pairs_settled(ready, Q[k], pair_verdicts(ready, ready.poses(Q[k : k + 1])[0]))
+        expect_pairs_settled(ready, Q[k], verdicts_at(ready, Q[k]))
 
 
-def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDArray[np.int8], Floats]:
+def sampled(ready: Problem, a: Floats, b: Floats, step: float) -> tuple[NDArray[np.int8], Floats]:
     """Verdicts of motions between configurations a and b, shape (N, dof) each, at samples no farther apart than `step`.
 
     Returns
@@ -172,7 +173,7 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
     verdicts, fractions = np.full(len(a), Verdict.FREE, dtype=np.int8), np.full(len(a), np.nan)
     free = np.ones(len(a), dtype=bool)
     for edge, at in edges.rounds(parts, free):
-        out = classified(ready, codes.EXACT, ready.robot.between(a[edge], b[edge], at)).verdicts
+        out = classified(ready, codes.EXACT, interpolated(ready.robot, a[edge], b[edge], at[:, None])).verdicts
         for verdict in (Verdict.AMBIGUOUS, Verdict.COLLIDING):  # what collides counts more
             found = np.flatnonzero(out == verdict)
             verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
@@ -180,9 +181,15 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
     return verdicts, fractions
 
 
-def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
+def verdicts_at(ready: Problem, q: Floats) -> NDArray[np.int8]:
+    """Verdict of every pair at a configuration, shape (dof,); see `pair_verdicts`."""
+    T = ready.poses(q[None])[0]
+    return pair_verdicts(ready, T)
+
+
+def pair_verdicts(ready: Problem, T: Floats) -> NDArray[np.int8]:
     """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
-    pack, verdicts = ready.bodies._packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
+    pack, verdicts = ready.packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
     for margin, at, plan, rows in ready.by_margin:
         found = np.empty(len(at), dtype=np.int8)
         if settle(codes.EXACT, margin, 0, len(at), (plan, rows, pack, T, pack, T), found) is not None:
@@ -190,7 +197,7 @@ def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
     return verdicts
 
 
-def collisions_by_pair(ready: CheckedPairs, Q: Floats) -> Bools:
+def collisions_by_pair(ready: Problem, Q: Floats) -> Bools:
     """Whether each pair collides at each configuration, shape (N, pairs); ConvergenceError if one is unsettled."""
     _validate.fits_memory(len(Q) * len(ready.pairs), f"{len(Q)} configurations of {len(ready.pairs)} pairs of bodies")
     out = np.empty((len(Q), len(ready.pairs)), dtype=bool)
@@ -202,7 +209,7 @@ def collisions_by_pair(ready: CheckedPairs, Q: Floats) -> Bools:
     return out
 
 
-def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.int8]) -> None:
+def expect_pairs_settled(ready: Problem, q: Floats, verdicts: NDArray[np.int8]) -> None:
     """Raise an error if one pair's verdict at a configuration is AMBIGUOUS.
 
     Raises
@@ -214,7 +221,7 @@ def expect_pairs_settled(ready: CheckedPairs, q: Floats, verdicts: NDArray[np.in
         raise ConvergenceError(unsettled(ready, int(pair), q))
 
 
-def unsettled(ready: CheckedPairs, pair: int, q: Floats) -> str:
+def unsettled(ready: Problem, pair: int, q: Floats) -> str:
     """Message about a pair that could not be settled at a configuration."""
     a, b = (ready.names[k] for k in ready.pairs[pair])
     return (
@@ -223,7 +230,7 @@ def unsettled(ready: CheckedPairs, pair: int, q: Floats) -> str:
     )
 
 
-def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
+def contacts(ready: Problem, q: Floats) -> tuple[tuple[Contact, ...], str]:
     """Return the pairs that collide at a configuration, and a message if a pair could not be settled."""
     T = ready.poses(q[None])[0]
     verdicts = pair_verdicts(ready, T)
@@ -234,7 +241,7 @@ def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
     return Contact.from_distances(names, found), doubt
 
 
-def lengths(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Floats:
+def lengths(ready: Problem, a: Floats, b: Floats, step: float) -> Floats:
     """Lengths of motions; where the last bit decides the number of steps, computed as if each motion were alone."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:

@@ -19,7 +19,7 @@ from loewner._kernels import columns
 from loewner._plausible import doubt_about_rpy, warn
 from loewner._rotations import from_quaternion, from_rpy
 from loewner._validate import Floats
-from loewner.bodies import ARRAYS, CURVED, Body
+from loewner.bodies import ARRAYS, CURVED, Body, packed_of
 from loewner.errors import FileError, InputError, MissingExtraError, installing
 from loewner.scene_files.mjcf_scenes import MJCF_SUFFIXES, mjcf_scene
 from loewner.scene_files.node import DEEPEST, Node, cut, some
@@ -459,13 +459,13 @@ def _shape_of(body: Body, name: str, file: Path, saved: dict[int, str]) -> dict[
 
 def _primitive_of(body: Body) -> dict[str, Any] | None:
     """The shape and sizes that make exactly this body, if there are any."""
-    number = int(body._packed.layout[0, columns.KIND])
-    if len(body._packed.layout) != 1 or body.covering is not None or number < columns.POLYTOPE:
+    number = int(packed_of(body).layout[0, columns.KIND])
+    if len(packed_of(body).layout) != 1 or body.covering is not None or number < columns.POLYTOPE:
         return None
     if number == columns.POLYTOPE:
-        shape, sizes = "box", (2 * body._packed.points.max(axis=0)).tolist()
+        shape, sizes = "box", (2 * packed_of(body).points.max(axis=0)).tolist()
     else:  # by the radius of a ball and the axes of the unit shape's image, unrounded
-        kind, frame = CURVED[number], body._packed.frames[0]
+        kind, frame = CURVED[number], packed_of(body).frames[0]
         shape, sizes = kind.name, list(kind.sizes(float(frame[0]), frame[4::4].tolist()))
     if not min(sizes) > 0:
         return None
@@ -477,7 +477,7 @@ def _primitive_of(body: Body) -> dict[str, Any] | None:
 
 def _same(a: Body, b: Body) -> bool:
     """Whether two bodies are the same to the last bit."""
-    return all(np.array_equal(getattr(a._packed, name), getattr(b._packed, name)) for name in ARRAYS)
+    return all(np.array_equal(getattr(packed_of(a), name), getattr(packed_of(b), name)) for name in ARRAYS)
 
 
 def _place_of(scene: Scene, name: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from loewner._kernels import columns
 from loewner._validate import Floats
-from loewner.bodies import CURVED, Body
+from loewner.bodies import CURVED, Body, packed_of
 from loewner.bodies.pack import Packed
 from loewner.bodies.triangulated import (
     MANY_PIECES,
@@ -280,7 +280,7 @@ def _box(points: Floats, around: Floats | float) -> Floats:
 
 def parts(body: Body) -> list[Part]:
     """Shapes that draw a body's pieces: all triangles as one, the points of each cloud, and large sets of balls."""
-    packed = body._packed
+    packed = packed_of(body)
     kinds = packed.layout[:, columns.KIND]
     clouds = [number for number in np.flatnonzero(kinds == columns.SURFACE).tolist() if _is_cloud(packed, number)]
     round_ones = np.isin(kinds, [number for number, kind in CURVED.items() if kind.is_ball])
@@ -309,7 +309,7 @@ def _is_cloud(packed: Packed, number: int) -> bool:
 
 def outlines(body: Body, which: str) -> list[Part]:
     """Shapes that draw all inner, or all outer, ellipsoids of a body; inner ones that are points are omitted."""
-    centers, factors = ellipsoids_of(body._packed, which)
+    centers, factors = ellipsoids_of(packed_of(body), which)
     if len(centers) > MANY_PIECES:
         drawn = factors.any(axis=(1, 2))
         return [Copies(centers[drawn], factors[drawn])] if drawn.any() else []
@@ -319,12 +319,12 @@ def outlines(body: Body, which: str) -> list[Part]:
 
 def pieces(body: Body) -> Mesh:
     """Surface triangles of all pieces of a body, in its frame."""
-    return joined(of_pieces(body._packed))
+    return joined(of_pieces(packed_of(body)))
 
 
 def ellipsoids(body: Body, which: str) -> Mesh:
     """Triangles of all inner, or all outer, ellipsoids of a body, in its frame; points are omitted."""
-    return joined(of_ellipsoids(body._packed, which).values())
+    return joined(of_ellipsoids(packed_of(body), which).values())
 
 
 def quaternions(rotations: Floats) -> Floats:

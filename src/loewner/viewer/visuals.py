@@ -6,6 +6,7 @@ from loewner.bodies.triangulated import Mesh, joined
 from loewner.errors import LoewnerError
 from loewner.robots import Robot
 from loewner.robots.link_bodies import mesh_file, placed_mesh, primitive
+from loewner.robots.robot import source_of
 from loewner.robots.urdf import Shape, read_visuals
 from loewner.viewer.drawing import pieces
 
@@ -24,10 +25,11 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     faults : list of str
         Why some are missing: a picture without them is still worth showing.
     """
-    if robot._format != "URDF":
+    format, text = source_of(robot)
+    if format != "URDF":
         return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
     try:
-        shapes, faults = read_visuals(robot.urdf, robot._text)
+        shapes, faults = read_visuals(robot.urdf, text)
     except LoewnerError as error:  # moved or overwritten since the robot was read
         return {}, [str(error)]
     meshes = {}

@@ -1,0 +1,122 @@
+"""The results of the experiment, and the files that they are written to."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loewner._files import replacing
+from loewner.bodies import Bodies
+from loewner.paper.dataset import DataSet
+from loewner.paper.detectors import Answers, Confusion, Pairs
+from loewner.paper.fitting import Fitting
+
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One detector's results over all pairs.
+
+    Attributes
+    ----------
+    id : int
+        1 to 4 as in the paper; 0 for the library's own estimate.
+    name : str
+    answers : Answers
+    all, ambiguous : Confusion
+        Over all pairs, and over the pairs ambiguous to this detector.
+    microseconds, ambiguous_microseconds : float
+        Time of one check, one thread, over all pairs and over the ambiguous ones; NaN if not timed
+        or if there are none.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> result = paper.run(50).detectors[2]
+    >>> result.id, result.name, result.all.total
+    (3, 'level-surface near points', 50)
+    """
+
+    id: int
+    name: str
+    answers: Answers
+    all: Confusion
+    ambiguous: Confusion
+    microseconds: float = float("nan")
+    ambiguous_microseconds: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The results of `run`.
+
+    Attributes
+    ----------
+    data : DataSet
+    bodies_1, bodies_2 : Bodies
+        Hulls and fits of the pairs.
+    pairs : Pairs
+        The pairs in the form that the detectors take.
+    truth : ndarray of bool, shape (pairs,)
+        Exact answers.
+    detectors : tuple of Result
+        Detectors 1 to 4.
+    estimate : Result
+        F_in F_out <= 1, ambiguous by the two exact overlap checks.
+    fittings : tuple of Fitting
+        Reliability of each kind of fit on these polyhedra, at most the first 2000.
+
+    Examples
+    --------
+    >>> from loewner import paper
+    >>> found = paper.run(50)
+    >>> len(found), len(found.detectors), found.estimate.all.total
+    (50, 4, 50)
+    """
+
+    data: DataSet
+    bodies_1: Bodies
+    bodies_2: Bodies
+    pairs: Pairs
+    truth: Bools
+    detectors: tuple[Result, ...]
+    estimate: Result
+    fittings: tuple[Fitting, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Counts and times (microseconds) as plain numbers, as written to JSON.
+
+        Returns
+        -------
+        dict
+        """
+        return {
+            "pairs": len(self),
+            "seed": self.data.seed,
+            "dataset": self.data.name,
+            "truth": {"colliding": int(self.truth.sum())},
+            "detectors": [
+                {
+                    "id": result.id,
+                    "all": asdict(result.all),
+                    "ambiguous": asdict(result.ambiguous),
+                    "microseconds_per_check": result.microseconds,
+                }
+                for result in self.detectors
+            ],
+            "estimate": {"all": asdict(self.estimate.all), "ambiguous": asdict(self.estimate.ambiguous)},
+        }
+
+
+def write_atomically(target: Path, content: bytes) -> None:
+    """Write a file whole or not at all; after a `FileError` an existing file is unchanged."""
+    with replacing(target) as temporary:
+        temporary.write_bytes(content)
