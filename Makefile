@@ -33,10 +33,12 @@ COMPILE := $(BIN)/python -m loewner compile
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | head -n 15
 
-# What compiling does not need is installed beside it.
+# $(call built_with,STAMP): build the library while the packages of a stamp are installed.
+built_with = @{ $(BUILD); } & building=$$!; \
+  $(MAKE) --no-print-directory $(1); installed=$$?; wait $$building; exit $$installed
+
 demo: $(VENV)/.compiler
-	@{ $(BUILD); } & building=$$!; \
-	  $(MAKE) --no-print-directory $(VENV)/.demo; installed=$$?; wait $$building; exit $$installed
+	$(call built_with,$(VENV)/.demo)
 	$(COMPILE) --only verdicts robots fits distances paper
 	$(BIN)/python examples/demo.py
 
@@ -44,8 +46,8 @@ demo: $(VENV)/.compiler
 # several times as long.
 test fuzz bounds test-wheel: export OPENBLAS_NUM_THREADS := 1
 
-test: $(VENV)/.dev
-	$(BUILD)
+test: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
 	$(COMPILE)
 	$(PYTEST) -n $(THREADS) --dist loadfile -m "not verify and not fuzz" tests
 
@@ -62,12 +64,12 @@ test-models: $(VENV)/.models
 	$(BUILD)
 	$(PYTEST) -s tests/test_models.py
 
-verify: $(VENV)/.dev
-	$(BUILD)
+verify: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
 	$(PYTEST) -s -m verify tests
 
-fuzz: $(VENV)/.dev
-	$(BUILD)
+fuzz: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
 	$(COMPILE)
 	$(PYTEST) -s -n $(THREADS) -m fuzz tests/fuzz
 
@@ -77,8 +79,8 @@ fuzz-bytes: $(VENV)/.bytes
 	$(BIN)/python tests/fuzz/fuzz_bytes.py --seconds $(SECONDS)
 
 # The extension alone is compiled anew, into build/sanitize; the kernels are those that were built.
-sanitize: $(VENV)/.dev
-	$(BUILD)
+sanitize: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
 	$(BIN)/python native/sanitize.py
 
 # Compiled code of its own: Numba puts a check before every access to an array.
@@ -93,12 +95,12 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/fits.py
 	$(BIN)/python benchmarks/run.py
 
-check: $(VENV)/.dev
+check: $(VENV)/.compiler
+	$(call built_with,$(VENV)/.dev)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BUILD)
 	$(COMPILE)
 	$(PYTEST) -q src
 

@@ -37,7 +37,7 @@ def main() -> None:
 
     console.rule("1. Two meshes of the Panda arm become bodies")
     with ProcessPoolExecutor(2) as pool:  # decomposing keeps one processor busy
-        parts = [pool.submit(fitted, name, out, not chosen.hull, at) for name, at in (("link5", 0.1), ("hand", 0.2))]
+        parts = [pool.submit(fitted, name, out, not chosen.hull) for name in ("link5", "hand")]
         for part in parts:
             console.print("\n".join(part.result()), markup=False)
     link, hand = (loewner.Body.load(out / f"{name}.npz") for name in ("link5", "hand"))
@@ -78,19 +78,21 @@ def main() -> None:
     )
 
 
-def fitted(name: str, out: Path, decompose: bool, threshold: float) -> list[str]:
-    """Decompose a link into convex pieces (fewer with a higher threshold), fit them, save the body; tell about it."""
+def fitted(name: str, out: Path, decompose: bool) -> list[str]:
+    """Decompose a link into convex pieces, fit them and save the body; return the lines to print."""
     mesh = panda(f"visual/{name}.dae")
     started = time.perf_counter()
     with warnings.catch_warnings(record=True) as told:
         warnings.filterwarnings("always", "mesh: has holes")
-        body = loewner.Body.from_mesh(mesh, decompose=decompose, threshold=threshold)
+        body = loewner.Body.from_mesh(mesh, decompose=decompose, tolerance=0.015 if decompose else None)
     seconds = time.perf_counter() - started
     body.save(out / f"{name}.npz")
     vertices = sum(len(p.vertices) for p in body.pieces if p.vertices is not None)
     covering = body.covering
     assert covering is not None  # the body was made of a mesh
     holds = "hold the whole mesh" if covering.exact else f"miss up to {covering.max_uncovered:.2g} m of it"
+    if decompose:
+        holds += f" and stick out of it by at most {1e3 * covering.max_protrusion:.0f} mm"
     holes = "the mesh has holes (it was made to be looked at); what is checked are its convex pieces"
     return [
         f"{name}: {len(body.pieces)} convex pieces, {vertices:,} vertices, {holds}; "

@@ -8,8 +8,26 @@ public interface; `tests/test_kernel_cache.py` holds what they rely on.
 from typing import Any
 
 from llvmlite.binding import parse_bitcode
+from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult, compile_result
+from numba.core.compiler_machinery import PassManager
+
+# Numba's passes for features that kernels do not use: `with` blocks, closures, functions inlined before they are typed,
+# literals as types. A kernel that needed one would not compile.
+NOT_NEEDED = {
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.AnnotateTypes,
+    typed_passes.NoPythonSupportedFeatureValidation,
+}
 
 
 class _PartLibrary(JITCodeLibrary):
@@ -54,6 +72,16 @@ class PartCompiler(Compiler):
     """Numba's compiler, for parts."""
 
     library_class: type[_PartLibrary] = _PartLibrary
+
+    def define_pipelines(self) -> list[Any]:
+        """Return Numba's pipeline without the passes that kernels do not need."""
+        (pipeline,) = super().define_pipelines()
+        needed = PassManager(pipeline.pipeline_name)
+        for compiler_pass, description in pipeline.passes:
+            if compiler_pass not in NOT_NEEDED:
+                needed.add_pass(compiler_pass, description)
+        needed.finalize()
+        return [needed]
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function whose library and key are those of a part."""
