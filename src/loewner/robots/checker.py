@@ -630,8 +630,8 @@ class CollisionChecker:
 
     def _ready(self) -> Problem:
         """What the kernel takes, made anew if the scene has changed."""
-        version, _, ready = self._prepared
-        if version == self._scene.version:
+        ready: Problem | None = self._prepared[2]
+        if ready is not None and ready.version == self._scene.version:
             return ready
         # Of one moment: what another thread changes meanwhile is noticed the next time.
         scene = self._scene.snapshot()
