@@ -1288,7 +1288,7 @@ def test_a_screenshot_without_a_window(browser, tmp_path, capsys) -> None:
         viewer.save_screenshot("page", tmp_path / "a.png")
 
 
-@pytest.mark.parametrize("name", ["arm", "viewer", "cloud"])
+@pytest.mark.parametrize("name", ["arm", *(pytest.param(k, marks=pytest.mark.verify) for k in ("viewer", "cloud"))])
 def test_the_pictures_of_the_docs_are_what_the_page_shows(browser, name) -> None:
     """Made again by their script: at a twentieth of the size hardly any pixel differs, whatever the fonts."""
     robots_folder()
