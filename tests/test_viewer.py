@@ -957,7 +957,7 @@ def test_dragging_a_body_in_the_browser(tab, tmp_path):
             eventually(lambda: says_what_the_library_says(tab, a, b, page.T_world_b), PATIENCE / 1000)
             assert (panel(tab)["verdict"], panel(tab)["exact"]) == (verdict, exact)
             np.testing.assert_allclose(page.T_world_b, translation(page.T_world_b[0, 3], y), atol=1e-9)
-            np.testing.assert_allclose(position(tab, "/B"), page.T_world_b[:3, 3], atol=1e-9)
+            eventually(lambda: np.allclose(position(tab, "/B"), page.T_world_b[:3, 3], atol=1e-9), PATIENCE / 1000)
             assert set(colours(tab)) == {drawing.VERDICT_COLOURS[Verdict[verdict]]}
         picture = tab.screenshot(path=tmp_path / "page.png", timeout=PATIENCE)
         assert len(picture) > 10_000
