@@ -1,5 +1,6 @@
 """Shared set-up: the oracles and families beside this file are importable, Hypothesis is repeatable."""
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -31,6 +32,20 @@ if os.environ.get("LOEWNER_INSTALLED") == "required":  # by `make test-wheel`
     SOURCES = Path(__file__).parents[1] / "src"
     if SOURCES in Path(loewner.__file__).parents:
         raise pytest.UsageError(f"expected an installed loewner, found {loewner.__file__}")
+
+
+# Garbage is collected less often, and what thousands of collected tests are made of is not looked through every time: a
+# tenth of the time of all tests.
+gc.set_threshold(10_000, 10, 10)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where the long proofs are not run, they are not imported either: all in their folder are marked."""
+    return True if collection_path.name == "verify" and "not verify" in config.option.markexpr else None
 
 
 @pytest.fixture

@@ -21,7 +21,9 @@ distance`              maximised over the sphere                curved ones too;
 Signed distance: positive when apart, minus the penetration depth when overlapping.
 """
 
+import os
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -105,10 +107,13 @@ def pack(hulls: Iterable[Hull]) -> HullPool:
 
 
 # -- separating axes --------------------------------------------------------------------------
+#
+# Compiled code below works number by number: Numba takes seconds to compile an assignment of one array to another.
 
 # An edge pair is taken for a face of the Minkowski difference when its Gauss arcs cross to within
 # this angle. Being generous costs time only: every axis is checked against the full supports.
 ARC_SLACK = 1e-7
+SHARE = 10_000  # pairs that one thread takes at a time
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -128,13 +133,19 @@ def _unit_edges(V, N, edges):
     """Unit direction of each edge, oriented along n0 x n1."""
     out = np.empty((edges.shape[0], 3))
     for k in range(edges.shape[0]):
-        d = V[edges[k, 1]] - V[edges[k, 0]]
-        d /= np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        p, q, d = V[edges[k, 0]], V[edges[k, 1]], out[k]
+        for c in range(3):
+            d[c] = q[c] - p[c]
+        length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        for c in range(3):
+            d[c] /= length
         a, b = N[edges[k, 2]], N[edges[k, 3]]
         turn = (
             d[0] * (a[1] * b[2] - a[2] * b[1]) + d[1] * (a[2] * b[0] - a[0] * b[2]) + d[2] * (a[0] * b[1] - a[1] * b[0])
         )
-        out[k] = d if turn >= 0 else -d
+        if turn < 0:
+            for c in range(3):
+                d[c] = -d[c]
     return out
 
 
@@ -147,12 +158,10 @@ def _axes(A, NA, EA, B, NB, EB, out):
     """
     count = 0
     for k in range(NA.shape[0]):
-        out[count, :3] = NA[k]
-        out[count, 3] = np.inf
+        out[count, 0], out[count, 1], out[count, 2], out[count, 3] = NA[k, 0], NA[k, 1], NA[k, 2], np.inf
         count += 1
     for k in range(NB.shape[0]):
-        out[count, :3] = -NB[k]
-        out[count, 3] = np.inf
+        out[count, 0], out[count, 1], out[count, 2], out[count, 3] = -NB[k, 0], -NB[k, 1], -NB[k, 2], np.inf
         count += 1
 
     DA = _unit_edges(A, NA, EA)
@@ -207,7 +216,7 @@ def _separating_axis(A, NA, EA, B, NB, EB, best_n):
             gap = _gap(axes[k, 0], axes[k, 1], axes[k, 2], A, B)
             if gap > best:
                 best = gap
-                best_n[:] = axes[k, :3]
+                best_n[0], best_n[1], best_n[2] = axes[k, 0], axes[k, 1], axes[k, 2]
     return best
 
 
@@ -220,14 +229,15 @@ def _placed(R, x, shift):
     return out
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _signed_distances(va, vas, na, nas, ea, eas, ia, Ta, vb, vbs, nb, nbs, eb, ebs, ib, Tb, gap, axis):
-    for p in numba.prange(ia.shape[0]):
+    zero, shift = np.zeros(3), np.empty(3)
+    for p in range(ia.shape[0]):
         i, j = ia[p], ib[p]
-        Ra, Rb = Ta[p, :3, :3], Tb[p, :3, :3]
-        zero = np.zeros(3)
+        Ra, Rb = Ta[p], Tb[p]
         # Work about the origin of A: an offset of 1e6 common to both must cost no digits.
-        shift = Tb[p, :3, 3] - Ta[p, :3, 3]
+        for k in range(3):
+            shift[k] = Tb[p, k, 3] - Ta[p, k, 3]
         A = _placed(Ra, va[vas[i] : vas[i + 1]], zero)
         B = _placed(Rb, vb[vbs[j] : vbs[j + 1]], shift)
         NA = _placed(Ra, na[nas[i] : nas[i + 1]], zero)
@@ -258,7 +268,16 @@ def signed_distances(
     ia, ib = np.ascontiguousarray(ia, np.int64), np.ascontiguousarray(ib, np.int64)
     Ta, Tb = np.ascontiguousarray(Ta, float), np.ascontiguousarray(Tb, float)
     gap, axis = np.empty(len(ia)), np.empty((len(ia), 3))
-    _signed_distances(*a[:6], ia, Ta, *b[:6], ib, Tb, gap, axis)
+
+    def some(rows: slice) -> None:
+        _signed_distances(*a[:6], ia[rows], Ta[rows], *b[:6], ib[rows], Tb[rows], gap[rows], axis[rows])
+
+    shares = [slice(k, k + SHARE) for k in range(0, len(ia), SHARE)]
+    if len(shares) < 2:
+        some(slice(None))
+    else:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(some, shares))
     return gap, axis
 
 
@@ -356,38 +375,55 @@ def posed_gaps(faces: Differences, pair: np.ndarray, Ta: np.ndarray, Tb: np.ndar
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _dot3(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _difference_of(a, b, out):
+    for k in range(3):
+        out[k] = a[k] - b[k]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _near_points(A, tA, B, tB, pa, pb):
     """Closest pair over vertices x triangles, triangles x vertices and edges x edges."""
     best = np.inf
+    work = np.empty((5, 3))
+    u, w, r, x, y = work[0], work[1], work[2], work[3], work[4]
     for side in range(2):
         P, X, tX = (A, B, tB) if side == 0 else (B, A, tA)
         for k in range(tX.shape[0]):
-            o, u, w = X[tX[k, 0]], X[tX[k, 1]] - X[tX[k, 0]], X[tX[k, 2]] - X[tX[k, 0]]
-            uu, uw, ww = np.dot(u, u), np.dot(u, w), np.dot(w, w)
+            o = X[tX[k, 0]]
+            _difference_of(X[tX[k, 1]], o, u)
+            _difference_of(X[tX[k, 2]], o, w)
+            uu, uw, ww = _dot3(u, u), _dot3(u, w), _dot3(w, w)
             det = uu * ww - uw * uw
             if det <= 1e-14 * uu * ww:
                 continue  # a sliver: its edges say it all
             for i in range(P.shape[0]):
-                r = P[i] - o
-                ru, rw = np.dot(r, u), np.dot(r, w)
+                _difference_of(P[i], o, r)
+                ru, rw = _dot3(r, u), _dot3(r, w)
                 s, t = (ru * ww - rw * uw) / det, (rw * uu - ru * uw) / det
                 if s >= 0 and t >= 0 and s + t <= 1:
-                    q = o + s * u + t * w
-                    d = np.sqrt(np.sum((P[i] - q) ** 2))
+                    for c in range(3):
+                        y[c] = o[c] + s * u[c] + t * w[c]
+                    _difference_of(P[i], y, r)
+                    d = np.sqrt(_dot3(r, r))
                     if d < best:
                         best = d
-                        if side == 0:
-                            pa[:], pb[:] = P[i], q
-                        else:
-                            pa[:], pb[:] = q, P[i]
+                        for c in range(3):
+                            pa[c], pb[c] = (P[i, c], y[c]) if side == 0 else (y[c], P[i, c])
     for k in range(tA.shape[0]):
         for c in range(3):
-            p, u = A[tA[k, c]], A[tA[k, (c + 1) % 3]] - A[tA[k, c]]
+            p = A[tA[k, c]]
+            _difference_of(A[tA[k, (c + 1) % 3]], p, u)
             for m in range(tB.shape[0]):
                 for e in range(3):
-                    q, w = B[tB[m, e]], B[tB[m, (e + 1) % 3]] - B[tB[m, e]]
-                    r = p - q
-                    uu, uw, ww, ru, rw = np.dot(u, u), np.dot(u, w), np.dot(w, w), np.dot(r, u), np.dot(r, w)
+                    q = B[tB[m, e]]
+                    _difference_of(B[tB[m, (e + 1) % 3]], q, w)
+                    _difference_of(p, q, r)
+                    uu, uw, ww, ru, rw = _dot3(u, u), _dot3(u, w), _dot3(w, w), _dot3(r, u), _dot3(r, w)
                     det = uu * ww - uw * uw
                     # Candidates: inside both, and each end of one against the other. All are real
                     # points of both segments, so each is an honest upper bound.
@@ -404,11 +440,15 @@ def _near_points(A, tA, B, tB, pa, pb):
                         else:
                             t = float(candidate - 3)
                             s = min(1.0, max(0.0, (t * uw - ru) / uu))
-                        x, y = p + s * u, q + t * w
-                        d = np.sqrt(np.sum((x - y) ** 2))
+                        square = 0.0
+                        for i in range(3):
+                            x[i], y[i] = p[i] + s * u[i], q[i] + t * w[i]
+                            square += (x[i] - y[i]) ** 2
+                        d = np.sqrt(square)
                         if d < best:
                             best = d
-                            pa[:], pb[:] = x, y
+                            for i in range(3):
+                                pa[i], pb[i] = x[i], y[i]
     return best
 
 

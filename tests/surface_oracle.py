@@ -396,9 +396,25 @@ def _place3(T, p, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _inverse(T):
+    """Of the upper left three by three: by cofactors, which Numba compiles in a tenth of the time of LAPACK's."""
+    M = np.empty((3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for c in range(3):
+            d, e = (c + 1) % 3, (c + 2) % 3
+            M[c, i] = T[j, d] * T[k, e] - T[j, e] * T[k, d]
+    det = T[0, 0] * M[0, 0] + T[0, 1] * M[1, 0] + T[0, 2] * M[2, 0]
+    for i in range(3):
+        for c in range(3):
+            M[i, c] /= det
+    return M
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _relative(Ta, Tb, X):
     """X = the map from b's frame to that of a."""
-    M = np.linalg.inv(Ta[:3, :3])
+    M = _inverse(Ta)
     for i in range(3):
         for j in range(3):
             X[i, j] = M[i, 0] * Tb[0, j] + M[i, 1] * Tb[1, j] + M[i, 2] * Tb[2, j]
@@ -534,7 +550,7 @@ def _crossings(mesh, x, err, d, found, work, stack):
 @numba.njit(cache=True, error_model="numpy")
 def _own_frame(T, x, mesh, out):
     """A point of the world in a mesh's own frame; returns a bound on its error."""
-    M = np.linalg.inv(T[:3, :3])
+    M = _inverse(T)
     most = 2 * _largest(mesh)
     for k in range(3):
         most += abs(x[k]) + abs(T[k, 3])
@@ -775,7 +791,9 @@ def _squares(A, B, out):
             if apart > best * (1 + 1e-6):
                 continue
             out[i, j] = _near_triangles(A[i], B[j], work)
-            P[:], Q[:] = A[i], B[j]
+            for c in range(3):
+                for k in range(3):
+                    P[c, k], Q[c, k] = A[i, c, k], B[j, c, k]
             if apart == 0 and _judge(P, Q, 0.0, work) == MEET:
                 out[i, j] = 0.0
             best = min(best, out[i, j])

@@ -4,6 +4,7 @@ And functions stay small enough to be read.
 """
 
 import ast
+import functools
 import re
 import tomllib
 from pathlib import Path
@@ -15,6 +16,7 @@ PACKAGE = ROOT / "src" / "loewner"
 TEXT = (ROOT / "ARCHITECTURE.md").read_text()
 
 
+@functools.cache
 def imports() -> dict[str, set[str]]:
     """The modules that each module imports, wherever in its files."""
     found: dict[str, set[str]] = {}
@@ -34,10 +36,11 @@ def imports() -> dict[str, set[str]]:
 def without_detours(arrows: dict[str, set[str]]) -> dict[str, set[str]]:
     """Leave out each arrow that other arrows lead along as well."""
 
-    def below(modules: set[str]) -> set[str]:
-        return modules | {deeper for module in modules for deeper in below(arrows[module])}
+    @functools.cache
+    def below(module: str) -> set[str]:
+        return arrows[module].union(*map(below, arrows[module]))
 
-    return {module: {name for name in names if name not in below(names - {name})} for module, names in arrows.items()}
+    return {module: names.difference(*map(below, names)) for module, names in arrows.items()}
 
 
 def layers(container: str = "loewner") -> list[set[str]]:

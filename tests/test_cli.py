@@ -283,8 +283,10 @@ def test_fit_refuses_options_once(saved, capsys):
 
 
 def test_parts_of_every_kind_are_fitted(saved, capsys):
-    """Of twelve parts, one of them open and one cut short, all that can be are fitted, and the other one is listed."""
-    meshes, damaged = made_parts.write(saved / "parts", 12)
+    """Of six parts, one of them open and one cut short, all that can be are fitted, and the other one is listed."""
+    meshes, damaged = made_parts.write(saved / "parts", 11)
+    meshes = [*meshes[:5], meshes[10]]
+    assert damaged == meshes[5:]
     status, out, err = run(capsys, "fit", *meshes, "-o", "out", "-j", "2", "--tolerance", "0.002")
     assert status == 2
     assert f"{len(meshes) - len(damaged)} done, {len(damaged)} failed" in out
@@ -1093,17 +1095,17 @@ def test_an_empty_setting_is_none():
 
 
 @pytest.mark.parametrize("arguments", [["check", "a.npz", "b.npz"], ["check", "cube.stl", "a.npz"], ["--help"]])
-def test_what_prints_no_table_needs_no_rich(saved, arguments):
+def test_what_prints_no_table_needs_no_rich(saved, arguments, capsys):
     """Status and output are those with Rich."""
-    blocked = "import sys; sys.modules['rich'] = None; "
-    found = []
-    for before in ("import sys; ", blocked):
-        code = f"{before}from loewner import cli; sys.exit(cli.main({arguments}))"
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        found.append((done.returncode, done.stdout))
-    assert found[0] == found[1]
-    assert found[0][0] in (0, 1)
-    assert found[0][1]
+    code = f"import sys; sys.modules['rich'] = None; from loewner import cli; sys.exit(cli.main({arguments}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    try:
+        status = cli.main(arguments)
+    except SystemExit as ended:  # after the help
+        status = ended.code
+    assert (done.returncode, done.stdout) == (status or 0, capsys.readouterr().out)
+    assert done.returncode in (0, 1)
+    assert done.stdout
 
 
 def test_an_interrupt_is_told_in_a_line(monkeypatch, capsys):

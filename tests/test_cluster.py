@@ -177,7 +177,7 @@ def kill_one(client) -> None:
 
 def test_a_worker_that_dies_loses_nothing(client, tmp_path):
     """All bodies are there and right; none that was reported by then is made anew; none is reported twice."""
-    meshes, made, seen, counts = corpus(tmp_path, 60), tmp_path / "made", {}, []
+    meshes, made, seen, counts = corpus(tmp_path, 30), tmp_path / "made", {}, []
 
     def progress(done: int, total: int) -> None:
         counts.append((done, total))
@@ -188,7 +188,7 @@ def test_a_worker_that_dies_loses_nothing(client, tmp_path):
     found = cluster.fit(meshes, client, made, progress=progress)
     assert len(seen) >= 10
     assert inodes(seen) == seen
-    assert counts == [(k, 60) for k in range(1, 61)]
+    assert counts == [(k, 30) for k in range(1, 31)]
     assert list(found.done) == meshes
     assert not found.failed
     assert_serial(found.done)

@@ -64,7 +64,7 @@ def arm(tmp_path):
 
 # -- long chains --------------------------------------------------------------------------------
 
-LONG = 10_000
+LONG = 4_000  # far more than Python has calls inside each other
 
 
 def seconds(task):
@@ -93,7 +93,7 @@ def test_long_chains_of_mimics_are_resolved(forward, tmp_path):
 
 
 def test_long_chains_of_links_stand_where_they_should(tmp_path):
-    """Ten thousand links of half a metre, straight."""
+    """Thousands of links of half a metre, straight."""
     robot = read(tmp_path, chain(LONG))
     T = robot.forward_kinematics(np.zeros(robot.dof))
     np.testing.assert_array_equal(T[:, 0, 3], 0.5 * np.arange(LONG))
@@ -133,7 +133,7 @@ def test_reading_takes_time_in_proportion(tmp_path):
         return lambda: read(tmp_path, text)
 
     task(100)()
-    short, long = (min(seconds(task(count)) for _ in range(2)) for count in (1000, 8000))
+    short, long = (min(seconds(task(count)) for _ in range(2)) for count in (500, 4000))
     assert long < 30 * short
 
 
@@ -155,8 +155,8 @@ def test_more_pairs_than_can_be_checked_are_refused(tmp_path):
         ),
         (chain(2100), "".join(f'<disable_default_collisions link="l{k}"/>' for k in range(2100)), "at most .* pairs"),
         (
-            chain(3000),
-            "".join(f'<group name="g{k}"><chain base_link="l0" tip_link="l2999"/></group>' for k in range(3000)),
+            chain(2100),
+            "".join(f'<group name="g{k}"><chain base_link="l0" tip_link="l2099"/></group>' for k in range(2100)),
             "groups of at most .* joints",
         ),
     ],

@@ -45,7 +45,7 @@ def folder_with_robot(folder_with_meshes):
 
 
 @pytest.mark.parametrize(
-    "name", ["README.md", "docs/meshes.md", "docs/scenes.md", "docs/robots.md", "docs/motions.md", "docs/viewer.md"]
+    "name", ["docs/meshes.md", "docs/scenes.md", "docs/robots.md", "docs/motions.md", "docs/viewer.md"]
 )
 def test_code_blocks_run(name, folder_with_robot, capsys):
     """Every Python block of the document runs, in order, from a fresh start."""
@@ -55,7 +55,7 @@ def test_code_blocks_run(name, folder_with_robot, capsys):
 
 
 def test_readme_prints_what_it_says(folder_with_meshes, capsys):
-    """The answers in the comments of the README are those that it prints."""
+    """All of its Python blocks run, in order, from a fresh start, and print the answers in their comments."""
     exec(compile(blocks(ROOT / "README.md"), "README.md", "exec"), {})
     out = capsys.readouterr().out.splitlines()
     assert out[:2] == ["<Verdict.FREE: 0>", "False"]

@@ -1,5 +1,6 @@
 """What `import loewner` brings in, and what it must not."""
 
+import functools
 import json
 import subprocess
 import sys
@@ -18,11 +19,17 @@ OPTIONAL = (
 )  # fmt: skip
 
 
-def modules_after(code: str) -> set[str]:
-    """Top-level modules loaded by a fresh interpreter after running `code`."""
-    ask = f"import json, sys; {code}; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+@functools.cache
+def all_after(code: str) -> frozenset[str]:
+    """Modules loaded by a fresh interpreter after running `code`."""
+    ask = f"import json, sys; {code}; print(json.dumps(list(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    return set(json.loads(done.stdout.splitlines()[-1]))
+    return frozenset(json.loads(done.stdout.splitlines()[-1]))
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules among them."""
+    return {name.split(".")[0] for name in all_after(code)}
 
 
 def test_import_is_light():
@@ -30,12 +37,27 @@ def test_import_is_light():
     assert modules_after("import loewner").isdisjoint(OPTIONAL)
 
 
-@pytest.mark.parametrize("name", loewner._AT_FIRST_USE)
-def test_modules_are_there_at_first_use(name):
+# Each in a fork of its own, so that no other one has loaded it.
+FIRST_USE = """
+import os, sys, loewner
+for name in sys.argv[1:]:
+    if not os.fork():
+        assert 'loewner.' + name not in sys.modules
+        getattr(loewner, name)
+        try:
+            getattr(loewner, name + 's')
+        except AttributeError as error:
+            print(error, flush=True)
+        os._exit(0)
+    os.wait()
+"""
+
+
+def test_modules_are_there_at_first_use():
     """After a plain `import loewner`, which does not load them; and what is misspelt is an AttributeError as ever."""
-    code = f"import sys, loewner; assert 'loewner.{name}' not in sys.modules; loewner.{name}; loewner.{name}s"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert f"module 'loewner' has no attribute '{name}s'" in done.stderr
+    names = list(loewner._AT_FIRST_USE)
+    done = subprocess.run([sys.executable, "-c", FIRST_USE, *names], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [f"module 'loewner' has no attribute '{name}s'" for name in names], done.stderr
 
 
 def test_import_needs_no_yaml():
@@ -87,14 +109,14 @@ def test_the_first_example_loads_qhull_alone():
     before, hull, _ = example.partition("a = loewner.Body.from_points")
     assert hull
 
-    def of_scipy(code: str) -> set[str]:
-        ask = f"{code}\nimport sys\nprint(*(name for name in sys.modules if name.split('.')[0] == 'scipy'))"
-        done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-        return set(done.stdout.splitlines()[-1].split())
-
-    started = of_scipy(before)
+    ask = "import sys\nprint(*(name for name in sys.modules if name.split('.')[0] == 'scipy'))\n"
+    code = f"{before}\n{ask}\n{example.removeprefix(before)}\n{ask}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    started, ended = set(lines[0].split()), set(lines[-1].split())
     assert not started or "numba" in modules_after("import loewner")  # which imports it by itself
-    assert of_scipy(example) - started <= of_scipy("import numpy, scipy.spatial")
+    assert ended
+    assert ended - started <= all_after("import numpy, scipy.spatial")
 
 
 # Of loewner itself: for one purpose each, or for files only.
@@ -119,9 +141,7 @@ LATE = (
 
 def test_import_leaves_modules_of_one_purpose():
     """They wait for their use, with what they need of the standard library."""
-    ask = "import sys, loewner; print(*(name for name in sys.modules if name.startswith('loewner.')))"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    loaded = {name.removeprefix("loewner.") for name in done.stdout.split()}
+    loaded = {name.removeprefix("loewner.") for name in all_after("import loewner")}
     assert {"bodies", "robots", "mesh_files"} <= loaded
     assert loaded.isdisjoint(LATE)
 

@@ -85,13 +85,13 @@ WATCHED = {
         lambda progress: loewner.mvie(POINTS[:100, :3], progress=progress),
     ],
     "Body.from_mesh": [
-        lambda progress: loewner.Body.from_mesh(several(), tolerance=0.1, progress=progress),
+        lambda progress: loewner.Body.from_mesh(several(), tolerance=0.2, progress=progress),
         lambda progress: loewner.Body.from_mesh(several(), threshold=0.5, progress=progress),
-        lambda progress: loewner.Body.from_mesh(several(), tolerance=0.1, max_pieces=2, progress=progress),
+        lambda progress: loewner.Body.from_mesh(several(), tolerance=0.2, max_pieces=2, progress=progress),
         lambda progress: loewner.Body.from_mesh(several(), decompose=False, progress=progress),
     ],
     "meshes.convex_pieces": [
-        lambda progress: meshes.convex_pieces(several(), tolerance=0.1, progress=progress),
+        lambda progress: meshes.convex_pieces(several(), tolerance=0.2, progress=progress),
         lambda progress: meshes.convex_pieces(several(), threshold=0.5, progress=progress),
         lambda progress: meshes.convex_pieces(with_a_hole(), progress=progress),
     ],

@@ -7,6 +7,7 @@ direction has a meaning.
 """
 
 import ast
+import functools
 import io
 import json
 import re
@@ -79,6 +80,7 @@ def source_text(text: str) -> str:
     return re.sub(r"`[^`]*`", blanked, "\n".join(lines), flags=re.S)
 
 
+@functools.cache
 def matches(path: Path) -> list[tuple[int, str, str]]:
     """Line, kind and words of each pattern in a file."""
     text = (page_text if path.suffix == ".md" else source_text)(path.read_text())
@@ -95,6 +97,7 @@ def counts() -> dict[str, int]:
     return {name: count for name, count in found.items() if count}
 
 
+@functools.cache
 def committed() -> dict[str, int]:
     """The table."""
     return json.loads(TABLE.read_text())

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -354,6 +354,7 @@ def test_decompose_is_passed_on(folder):
     assert (len(scene["parts"].pieces), len(scene["hull"].pieces)) == (2, 1)
 
 
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1))
 def test_scaled_mesh_is_the_mesh_of_scaled_vertices(seed):
     """`scale` of from_mesh, mirrors included, against trimesh's own."""

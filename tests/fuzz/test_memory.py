@@ -162,7 +162,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not enforce the limit")
 def test_calls_with_little_memory(folder: Path):
     """A right answer or a `MemoryLimitError`; and a right answer once there is memory."""
-    assert not driver.faults(campaign(folder, 12, seed=1, every=3))
+    assert not driver.faults(campaign(folder, 8, seed=1, every=5))
 
 
 @pytest.mark.fuzz
