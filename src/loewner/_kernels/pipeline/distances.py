@@ -56,9 +56,9 @@ from loewner._kernels.pipeline.bounds import (
 )
 from loewner._kernels.pipeline.verdicts import rows_of
 from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, integers_at, raw
-from loewner._kernels.simd.support import LINE, ask_line
+from loewner._kernels.simd.support import LINE
 from loewner._kernels.simd.vectors import LANES as EIGHT
-from loewner._kernels.simd.vectors import broadcast, gather_transpose, load, mask_of, select, sqrt, store
+from loewner._kernels.simd.vectors import broadcast, gather_transpose, load, mask_of, prefetch_far, select, sqrt, store
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
@@ -458,10 +458,10 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
 def _ask(pieces, piece, poses, row):
     """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
     for at in range(0, COLUMNS, LINE):
-        ask_line(pieces.table, piece * COLUMNS + at)
-    ask_line(pieces.table, piece * COLUMNS + COLUMNS - 1)
+        prefetch_far(pieces.table, piece * COLUMNS + at)
+    prefetch_far(pieces.table, piece * COLUMNS + COLUMNS - 1)
     for at in range(0, POSE_ENTRIES, LINE):
-        ask_line(poses, row * POSE_ENTRIES + at)
+        prefetch_far(poses, row * POSE_ENTRIES + at)
 
 
 @njit()

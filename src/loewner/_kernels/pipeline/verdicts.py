@@ -51,8 +51,7 @@ from loewner._kernels.pipeline.workspace import (
     unsure_of,
     walk_of,
 )
-from loewner._kernels.simd.support import prefetch
-from loewner._kernels.simd.vectors import SINGLE_LANES
+from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
