@@ -500,7 +500,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
-                if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
+                if _flush(query, DISTINCT | BEST, waiting, work, out, tally) == FAULTY:
                     return False
         if carried[N_HELD] + carried[N_WALKING] > 0:
             _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)

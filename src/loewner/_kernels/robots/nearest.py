@@ -10,29 +10,19 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BOUNDS
 from loewner._kernels.linalg3 import dot, minus
+from loewner._kernels.narrow import pair_list
 from loewner._kernels.pieces.pack import pieces_of, problem_of
 from loewner._kernels.pipeline import distances
-from loewner._kernels.pipeline.bounds import (
-    ABOVE,
-    BELOW,
-    LANES,
-    LATE,
-    PAIR,
-    Operands,
-    enqueue,
-    next_pieces,
-    write_bounds,
-)
+from loewner._kernels.pipeline.bounds import QUEUED, Operands, next_pieces, queue_of, write_bounds
 from loewner._kernels.pipeline.distances import (
     NOT_SETTLED,
     SETTLED,
     SETTLED_DISTANCE,
     Exact,
+    late_of,
     measure_late,
     measure_near,
-    queue_of,
-    scratch_of,
-    searches_of,
+    queued_at,
 )
 from loewner._kernels.robots.placement import (
     MOST,
@@ -47,8 +37,8 @@ from loewner._kernels.robots.placement import (
     stand,
 )
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, small_integers
-from loewner._kernels.simd.vectors import LANES as EIGHT
 from loewner._kernels.simd.vectors import (
+    LANES,
     SINGLE_LANES,
     absolute,
     broadcast,
@@ -65,14 +55,12 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # configurations of a block
 
-# The row of the queue that says which pair of bodies a lane is about, until the searches write to it.
-BODIES = LATE
-
 # What a lower bound in single precision loses to its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
+    bodies=integers(QUEUED),  # the pair of bodies that each queued piece pair belongs to
     seeds=floats(S),  # the pair that looks nearest at each configuration
     low=floats(S),
     high=floats(S),
@@ -85,8 +73,8 @@ MEMORY = Arena(
     least=floats(S * PAIRS),  # lower bounds of the pairs
     placement=PLACEMENT,
 )  # fmt: skip
-_distances_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
-    MEMORY.accessors("distances seeds low high exact steps numbers least placement")
+_distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
+    MEMORY.accessors("distances bodies seeds low high exact steps numbers least placement")
 )
 (_placement_at,), _size = MEMORY.addresses("placement"), MEMORY.sizing()
 
@@ -127,42 +115,41 @@ def _pose_row(body, s, moving):
 
 
 @njit()
-def _bound(count, queue, operands, work, least, lower, upper):
+def _bound(count, operands, work, least, lower, upper):
     """Bounds of queued piece pairs, merged into those of their configurations.
 
     Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
     of pairs, for it is farther than `upper`, then lowers nothing here either.
     """
-    W = scratch_of(_distances_of(work))
-    write_bounds(count, queue, operands, W)
-    for lane in range(count):
-        s = queue[PAIR, lane]
-        lower[s] = min(lower[s], max(W[BELOW * LANES + lane], least[queue[BODIES, lane] * S + s]))
-        upper[s] = min(upper[s], W[ABOVE * LANES + lane])
+    write_bounds(count, operands, queued_at(_distances_of(work)))
+    queue, bodies = queue_of(queued_at(_distances_of(work))), _bodies_of(work)
+    for k in range(count):
+        s = queue.pairs.pair[k]
+        lower[s] = min(lower[s], max(queue.below[k], least[bodies[k] * S + s]))
+        upper[s] = min(upper[s], queue.above[k])
 
 
 @njit()
-def _measure(count, queue, operands, searches, work, exact):
+def _measure(count, operands, work, exact):
     """Exact distances of queued piece pairs, merged into those of their configurations."""
-    W = scratch_of(_distances_of(work))
-    write_bounds(count, queue, operands, W)
-    late = measure_near(count, queue, operands, W, searches, exact)
+    write_bounds(count, operands, queued_at(work))
+    late = measure_near(count, operands, work, exact)
     if late > 0:
-        measure_late(late, queue, operands, W, exact)
+        measure_late(late, operands, queued_at(work), late_of(work), exact)
 
 
 @njit()
-def _take(turn, count, queue, operands, searches, work, least, lower, upper, exact):
+def _take(turn, count, operands, work, least, lower, upper, exact):
     """Measure queued piece pairs: bounds in the first turn, exact distances in the second."""
     if count > 0:
         if turn == 1:
-            _measure(count, queue, operands, searches, work, exact)
+            _measure(count, operands, _distances_of(work), exact)
         else:
-            _bound(count, queue, operands, work, least, lower, upper)
+            _bound(count, operands, work, least, lower, upper)
 
 
 @njit()
-def _walk(turn, p, s, body_a, row_a, body_b, row_b, queue, operands, searches, work, least, lower, upper, exact):
+def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, work, least, lower, upper, exact):
     """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
     pieces = pieces_of(operands.a)
     steps, numbers = _steps_of(work), _numbers_of(work)
@@ -172,11 +159,13 @@ def _walk(turn, p, s, body_a, row_a, body_b, row_b, queue, operands, searches, w
         cut = upper[s] + SETTLED * numbers[piece_tree.SIZE]
         if turn == 1:
             cut = min(cut, exact.distance[s] + SETTLED * numbers[piece_tree.SIZE])
-        found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queue)
+        found = next_pieces(
+            s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queued_at(_distances_of(work))
+        )
         if found == 0:
             return
-        queue[BODIES, :found] = p
-        _take(turn, found, queue, operands, searches, work, least, lower, upper, exact)
+        _bodies_of(work)[:found] = p
+        _take(turn, found, operands, work, least, lower, upper, exact)
 
 
 @njit()
@@ -207,7 +196,7 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
     place = Place(memory, counts)
     least, to, at_placement = _least_of(place), _placement_of(place), _placement_at(place)
     operands = Operands(pack, to.poses, pack, to.poses)
-    queue, searches = queue_of(_distances_of(memory)), searches_of(_distances_of(memory))
+    queued, bodies = queue_of(queued_at(_distances_of(memory))).pairs, _bodies_of(memory)
     seeds, low, high, exact = _seeds_of(memory), _low_of(memory), _high_of(memory), _exact_of(memory)
     stand(problem, counts, to)
     for first in range(start, stop, S):
@@ -222,9 +211,9 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
             p = np.int64(seeds[s])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
-            enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
-            queue[BODIES, s] = p
-        _bound(here, queue, operands, memory, least, low, high)
+            pair_list.put(queued, s, s, piece_start[one], piece_start[other], row_a, row_b)
+            bodies[s] = p
+        _bound(here, operands, memory, least, low, high)
         live = (1 << here) - 1
         for turn in range(2 if wanted else 1):
             count = 0
@@ -236,35 +225,19 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, lower, u
                     near &= near - 1
                     row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
                     if roots[one] >= 0 or roots[other] >= 0:
-                        _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+                        _take(turn, count, operands, memory, least, low, high, exact)
                         count = 0
-                        _walk(
-                            turn,
-                            p,
-                            s,
-                            one,
-                            row_a,
-                            other,
-                            row_b,
-                            queue,
-                            operands,
-                            searches,
-                            memory,
-                            least,
-                            low,
-                            high,
-                            exact,
-                        )
+                        _walk(turn, p, s, one, row_a, other, row_b, operands, memory, least, low, high, exact)
                         continue
                     for i in range(piece_start[one], piece_start[one + 1]):
                         for j in range(piece_start[other], piece_start[other + 1]):
-                            enqueue(queue, count, s, i, j, row_a, row_b)
-                            queue[BODIES, count] = p
+                            pair_list.put(queued, count, s, i, j, row_a, row_b)
+                            bodies[count] = p
                             count += 1
-                            if count == LANES:
-                                _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+                            if count == QUEUED:
+                                _take(turn, count, operands, memory, least, low, high, exact)
                                 count = 0
-            _take(turn, count, queue, operands, searches, memory, least, low, high, exact)
+            _take(turn, count, operands, memory, least, low, high, exact)
         for s in range(here):
             k = first + s
             lower[k], upper[k] = low[s], high[s]
@@ -315,10 +288,10 @@ def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, cou
 def _place(pack, problem_handle, at_placement, counts, Q, first, last):
     """Place what moves at the configurations first .. last, sixteen at most."""
     problem, to = problem_of(problem_handle), placement_of(Place(at_placement, counts))
-    for lane in range(0, last + 1 - first, EIGHT):
+    for lane in range(0, last + 1 - first, LANES):
         place_joints(problem, Q, first + lane, last, to)
         for body in range(counts.moving):
-            place_body(pack, problem_handle, at_placement, counts, body, S, np.int64(lane))
+            place_body(pack, problem_handle, at_placement, counts, body, S, lane)
 
 
 @inline

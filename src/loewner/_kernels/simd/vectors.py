@@ -289,7 +289,7 @@ lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">",
 
 @intrinsic
 def entry_at_highest(typingctx, x, y):
-    """Entry of y in the lane where x, a vector without NaN, is largest. Of equal lanes the same one wins every time."""
+    """Entry of y in the lane where x, a vector without NaN, is largest. Ties go the same way every time."""
 
     def generate(context, builder, sig, args):
         x, y = args
@@ -301,6 +301,16 @@ def entry_at_highest(typingctx, x, y):
         return builder.extract_element(y, ir.Constant(ir.IntType(32), 0))
 
     return signature(types.float64, vector, vector), generate
+
+
+@intrinsic
+def halves_swapped(typingctx, x):
+    """The last four lanes of a vector, then its first four."""
+
+    def generate(context, builder, sig, args):
+        return builder.shuffle_vector(args[0], args[0], _indices([lane ^ 4 for lane in range(LANES)]))
+
+    return signature(vector, vector), generate
 
 
 @intrinsic
@@ -480,6 +490,19 @@ def gather_transpose(typingctx, table, width, rows, at, column):
 
 
 @intrinsic
+def spread_row(typingctx, table, width, rows, at, column):
+    """The vectors of `gather_transpose` if all eight rows are the one at `at`."""
+
+    def generate(context, builder, sig, args):
+        (row,) = _load_rows(context, builder, sig, args, 1)
+        lanes = [builder.shuffle_vector(row, row, _indices([lane] * LANES)) for lane in range(LANES)]
+        return context.make_tuple(builder, sig.return_type, lanes)
+
+    integer = types.int64
+    return signature(types.UniTuple(vector, 8), table, integer, rows, integer, integer), generate
+
+
+@intrinsic
 def scatter_transpose(typingctx, table, width, rows, at, column, eight):
     """Write eight vectors to eight consecutive columns of eight rows: the reverse of `columns`."""
 
@@ -518,7 +541,7 @@ _FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
 
 def _prefetch(builder, address, level):
-    """Ask for a cache line; never faults, never waits."""
+    """Prefetch a cache line: never faults, never waits."""
     byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
     function = builder.module.declare_intrinsic(
         "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
@@ -527,10 +550,10 @@ def _prefetch(builder, address, level):
     builder.call(function, [builder.bitcast(address, byte), read, near, data])
 
 
-def _asking_for_line(level):
+def _prefetching_line(level):
     @intrinsic
     def prefetch(typingctx, array, index):
-        """Ask for the cache line of an entry of an array."""
+        """Prefetch the cache line of an entry of an array."""
 
         def generate(context, builder, sig, args):
             _prefetch(builder, _address(context, builder, sig.args[0], *args), level)
@@ -541,14 +564,14 @@ def _asking_for_line(level):
     return prefetch
 
 
-# For what is needed soon, and for what is needed some thousand instructions later.
-prefetch, prefetch_far = _asking_for_line(_FIRST_LEVEL), _asking_for_line(_SECOND_LEVEL)
+# For use soon, and for use some thousand instructions later.
+prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
 
 
-def _asking_for_rows(count):
+def _prefetching_rows(count):
     @intrinsic
     def prefetch_rows(typingctx, table, width, rows, at):
-        """Ask for the first two cache lines of as many rows as a vector has lanes, some thousand instructions ahead.
+        """Prefetch the first two cache lines of as many rows as a vector has lanes, some thousand instructions ahead.
 
         The first-level cache can wait for less than a pair's rows and poses at the pace of the certificate.
         """
@@ -570,7 +593,7 @@ def _asking_for_rows(count):
     return prefetch_rows
 
 
-prefetch_rows, prefetch_rows_single = _asking_for_rows(LANES), _asking_for_rows(SINGLE_LANES)
+prefetch_rows, prefetch_rows_single = _prefetching_rows(LANES), _prefetching_rows(SINGLE_LANES)
 
 
 @intrinsic
