@@ -160,8 +160,7 @@ class _Kernel(CPUDispatcher):
     optimisation and machine code were two fifths of the work.
     """
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool, by_value: bool) -> None:
-        self._by_value = by_value
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], apart: bool) -> None:
         quiet = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         compiler = _parts.ApartCompiler if apart else _parts.PartCompiler
         super().__init__(function, targetoptions=options | quiet, pipeline_class=compiler)
@@ -173,7 +172,7 @@ class _Kernel(CPUDispatcher):
 
         Numba would compile the function once for each whole number that a caller writes out.
         """
-        return super().get_call_template(args if self._by_value else [_any_integer(kind) for kind in args], kws)
+        return super().get_call_template([_any_integer(kind) for kind in args], kws)
 
     def add_overload(self, cres: Any) -> None:
         """Keep a part for the kernels, which look here; Python could not call it."""
@@ -206,14 +205,14 @@ class _Callable(CPUDispatcher):
         super().add_overload(cres)
 
 
-def _compiled(function: Callable[..., Any], apart: bool = False, by_value: bool = False, **options: Any) -> Any:
+def _compiled(function: Callable[..., Any], apart: bool = False, **options: Any) -> Any:
     if function.__closure__:
         # Functions of one factory share their name. Numba tells them apart by numbers that start anew in each process;
         # parts made by two processes must not be taken for each other.
         identity = hashlib.sha256(repr(_identity(function)).encode()).hexdigest()
         function.__qualname__ = f"{function.__qualname__}.{identity[:12]}"
     options |= {"nopython": True, "error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
-    return _Kernel(function, options, apart, by_value)
+    return _Kernel(function, options, apart)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -232,14 +231,6 @@ def apart(function: Callable[..., Any]) -> Any:
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a small pure function that LLVM is to inline into its callers."""
     return _compiled(function, forceinline=True)
-
-
-def inline_by_value(function: Callable[..., Any]) -> Any:
-    """Compile such a function once for each whole number that callers write out.
-
-    LLVM turns loops into vector code only if an index is known not to be negative.
-    """
-    return _compiled(function, by_value=True, forceinline=True)
 
 
 @intrinsic

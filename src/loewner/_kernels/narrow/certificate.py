@@ -49,6 +49,7 @@ from loewner._kernels.simd.vectors import (
     prefetch_rows_single,
     select,
     share_of_roots,
+    spread_row,
     store,
 )
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, SINGLE_ROUNDOFF, UNIT_ROUNDOFF
@@ -105,7 +106,7 @@ def turns(R):
 
 
 @inline
-def _bounds(columns):
+def bounds_of(columns):
     """The record of the columns OUTER_CENTER .. REACH."""
     return Bounds(
         (columns[OUTER_CENTER], columns[OUTER_CENTER + 1], columns[OUTER_CENTER + 2]),
@@ -116,7 +117,7 @@ def _bounds(columns):
 
 
 @inline
-def _shape(columns, R, rotated):
+def shape_of(columns, R, rotated):
     """The record of the columns from OUTER_SHAPE or INNER_SHAPE on."""
     Q = columns[0], columns[1], columns[2], columns[3], columns[4], columns[5]
     if rotated:
@@ -139,7 +140,7 @@ def _selected_shape(condition, a, b):
 
 
 @inline
-def _offset(a, rotated_a, center_a, b, rotated_b, center_b):
+def offset_between(a, rotated_a, center_a, b, rotated_b, center_b):
     """World vector from a's to b's point of their bodies; the translations are subtracted first."""
     if rotated_a:
         center_a = apply(a.R, center_a)
@@ -149,7 +150,7 @@ def _offset(a, rotated_a, center_a, b, rotated_b, center_b):
 
 
 @inline
-def _size(a, reach_a, b, reach_b):
+def size_between(a, reach_a, b, reach_b):
     """Sum of the lengths that go into the vector between two centers."""
     return one_norm(minus(b.t, a.t)) + reach_a + reach_b
 
@@ -330,9 +331,9 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
             b = pose(Tb, listed.pose_b, at, moved_b)
             if not (a.rigid and b.rigid):
                 return False
-            near_a = _bounds(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
-            near_b = _bounds(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
-            r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
+            near_a = bounds_of(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+            near_b = bounds_of(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
+            r = offset_between(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
             size = size_of(a, near_a.reach, b, near_b.reach)
             far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, unit)
             masked_store(tier, at, far, BY_SPHERE)
@@ -383,19 +384,19 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
                 return False
             rotated_a = moved_a and movemask(turns(a.R)) != 0
             rotated_b = moved_b and movemask(turns(b.R)) != 0
-            near_a = _bounds(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
-            near_b = _bounds(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
+            near_a = bounds_of(fetch(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+            near_b = bounds_of(fetch(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
             size = size_of(a, near_a.reach, b, near_b.reach)
 
-            r = _offset(a, rotated_a, near_a.outer_center, b, rotated_b, near_b.outer_center)
+            r = offset_between(a, rotated_a, near_a.outer_center, b, rotated_b, near_b.outer_center)
             far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, 0.0, unit)
             free = far
             inseparable = ~(far | ~far)
             if asking:
                 prefetch(hot_b, HOT, ahead.piece_b, at)
             if movemask(free) != everything:
-                p = _shape(fetch(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, rotated_a)
-                q = _shape(fetch(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, rotated_b)
+                p = shape_of(fetch(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, rotated_a)
+                q = shape_of(fetch(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, rotated_b)
                 s = _guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
                 separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
@@ -413,9 +414,9 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
             overlap = free
             distinct = free
             if movemask(free) != everything:
-                p = _shape(fetch(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, rotated_a)
-                q = _shape(fetch(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, rotated_b)
-                r = _offset(a, rotated_a, near_a.inner_center, b, rotated_b, near_b.inner_center)
+                p = shape_of(fetch(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, rotated_a)
+                q = shape_of(fetch(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, rotated_b)
+                r = offset_between(a, rotated_a, near_a.inner_center, b, rotated_b, near_b.inner_center)
                 s = _guess(p.Q, q.Q, r, tiny)
                 _, n = normal_at(p.Q, q.Q, r, s)
                 overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
@@ -438,9 +439,10 @@ def _stages(fetch, prefetch, lanes, pose, size_of, unit, tiny, sure):
 
 
 pose_of = _poses(gather_transpose, ALL, is_rigid, 1.0)
+pose_of_one = _poses(spread_row, ALL, is_rigid, 1.0)
 single_pose_of = _poses(gather_transpose_single, SINGLE_ALL, is_rigid_single, np.float32(1.0))
 
-spheres, certify = _stages(gather_transpose, prefetch_rows, LANES, pose_of, _size, UNIT_ROUNDOFF, 1e-300, SURE)
+spheres, certify = _stages(gather_transpose, prefetch_rows, LANES, pose_of, size_between, UNIT_ROUNDOFF, 1e-300, SURE)
 single_spheres, single_certify = _stages(
     gather_transpose_single,
     prefetch_rows_single,
@@ -474,15 +476,15 @@ def tier_of_one(a, row_a, b, row_b, more):
         BY_SPHERE, BY_OUTER, BY_INNER, OPEN or UNSURE.
     """
     unit, sure, tiny = SINGLE_ROUNDOFF, SINGLE_SURE, 1e-30
-    near_a, near_b = _bounds(eight_at(row_a, OUTER_CENTER)), _bounds(eight_at(row_b, OUTER_CENTER))
+    near_a, near_b = bounds_of(eight_at(row_a, OUTER_CENTER)), bounds_of(eight_at(row_b, OUTER_CENTER))
     size = rounded_size(a, near_a.reach, b, near_b.reach) + more
 
-    r = _offset(a, True, near_a.outer_center, b, True, near_b.outer_center)
+    r = offset_between(a, True, near_a.outer_center, b, True, near_b.outer_center)
     if holds(_clear(r, near_a.outer_radius + near_b.outer_radius, size, 0.0, unit)):
         return BY_SPHERE
 
-    p = _shape(eight_at(row_a, OUTER_SHAPE), a.R, True)
-    q = _shape(eight_at(row_b, OUTER_SHAPE), b.R, True)
+    p = shape_of(eight_at(row_a, OUTER_SHAPE), a.R, True)
+    q = shape_of(eight_at(row_b, OUTER_SHAPE), b.R, True)
     s = _guess(p.Q, q.Q, r, tiny)
     _, n = normal_at(p.Q, q.Q, r, s)
     separated, inseparable = _apart(p, q, r, n, s, size, unit, sure)
@@ -493,9 +495,9 @@ def tier_of_one(a, row_a, b, row_b, more):
     if holds(separated):
         return BY_OUTER
 
-    p = _shape(eight_at(row_a, INNER_SHAPE), a.R, True)
-    q = _shape(eight_at(row_b, INNER_SHAPE), b.R, True)
-    r = _offset(a, True, near_a.inner_center, b, True, near_b.inner_center)
+    p = shape_of(eight_at(row_a, INNER_SHAPE), a.R, True)
+    q = shape_of(eight_at(row_b, INNER_SHAPE), b.R, True)
+    r = offset_between(a, True, near_a.inner_center, b, True, near_b.inner_center)
     s = _guess(p.Q, q.Q, r, tiny)
     _, n = normal_at(p.Q, q.Q, r, s)
     overlap, distinct = _common(p, q, r, n, s, size, unit, sure)
@@ -530,13 +532,13 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         b = pose_of(Tb, listed.pose_b, at, moved_b)
         if not (a.rigid and b.rigid):
             return False
-        near_a = _bounds(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
-        near_b = _bounds(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
-        size = _size(a, near_a.reach, b, near_b.reach)
-        r = _offset(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
+        near_a = bounds_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_CENTER))
+        near_b = bounds_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_CENTER))
+        size = size_between(a, near_a.reach, b, near_b.reach)
+        r = offset_between(a, moved_a, near_a.outer_center, b, moved_b, near_b.outer_center)
         far = _clear(r, near_a.outer_radius + near_b.outer_radius, size, margin, UNIT_ROUNDOFF)
-        p = _shape(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
-        q = _shape(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
+        p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, OUTER_SHAPE), a.R, moved_a)
+        q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, OUTER_SHAPE), b.R, moved_b)
         # The larger second: s is then small, and keeps its digits where the sizes are far apart.
         swap = near_a.outer_radius > near_b.outer_radius
         p, q, r = _ordered(swap, p, q, r)
@@ -544,9 +546,9 @@ def certify_best(count, margin, hot_a, Ta, moved_a, hot_b, Tb, moved_b, listed, 
         _put_normal(V, at, selected(swap, _reversed(n), n))
         free = far | (separation(p.Q, q.Q, r, n, size) > margin)
 
-        p = _shape(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
-        q = _shape(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
-        r = _offset(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
+        p = shape_of(gather_transpose(hot_a, HOT, listed.piece_a, at, INNER_SHAPE), a.R, moved_a)
+        q = shape_of(gather_transpose(hot_b, HOT, listed.piece_b, at, INNER_SHAPE), b.R, moved_b)
+        r = offset_between(a, moved_a, near_a.inner_center, b, moved_b, near_b.inner_center)
         p, q, r = _ordered(swap, p, q, r)
         s, n = _best(p.Q, q.Q, r)
         level, distance, _ = nearness(p.Q, q.Q, r, n, s, 1.0 / p.inverse_sigma, 1.0 / q.inverse_sigma, size)

@@ -20,14 +20,13 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.codes import APART, TOUCHING, UNSETTLED
-from loewner._kernels.columns import HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
+from loewner._kernels.columns import BLOCK, HOT, KIND, POINTS_FROM, POINTS_TO, POLYTOPE, REACH
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.linalg3 import apply, apply_transposed, cross, dot, minus, negated, plus, selected
 from loewner._kernels.narrow import pair_list
 from loewner._kernels.narrow.certificate import rounded_size, single_pose_of, turns
 from loewner._kernels.narrow.gjk_fast import KEPT
 from loewner._kernels.narrow.pair_list import fill
-from loewner._kernels.simd import support
 from loewner._kernels.simd.memory import Arena, floats, integers, singles, small_integers
 from loewner._kernels.simd.support import extent
 from loewner._kernels.simd.vectors import (
@@ -133,7 +132,7 @@ def _blocks(layout, pieces, first, last):
     most = 0
     for lane in range(SINGLE_LANES):
         piece = pieces[lane]
-        begin, end = layout[piece, POINTS_FROM] // support.BLOCK, layout[piece, POINTS_TO] // support.BLOCK - 1
+        begin, end = layout[piece, POINTS_FROM] // BLOCK, layout[piece, POINTS_TO] // BLOCK - 1
         first[lane] = begin
         last[lane] = end
         most = max(most, end - begin + 1)
@@ -145,11 +144,11 @@ def _block(points, first, last, here, b):
     """The b-th block of vertices of each piece: eight x, eight y and eight z. The last one stands for those beyond."""
     for lane in range(SINGLE_LANES):
         here[lane] = min(first[lane] + b, last[lane])
-    width = 3 * support.BLOCK
+    width = 3 * BLOCK
     return (
         gather_transpose_single(points, width, here, 0, 0),
-        gather_transpose_single(points, width, here, 0, support.BLOCK),
-        gather_transpose_single(points, width, here, 0, 2 * support.BLOCK),
+        gather_transpose_single(points, width, here, 0, BLOCK),
+        gather_transpose_single(points, width, here, 0, 2 * BLOCK),
     )
 
 
@@ -161,7 +160,7 @@ def _lay(points, first, last, here, most, W, at):
         store_strided(W, at, VERTEX, px)
         store_strided(W, at + SINGLE_LANES, VERTEX, py)
         store_strided(W, at + 2 * SINGLE_LANES, VERTEX, pz)
-        at += support.BLOCK * VERTEX
+        at += BLOCK * VERTEX
     return at
 
 
@@ -207,18 +206,18 @@ def plane(sa, la, xa, i, Ta, r, sb, lb, xb, j, Tb, q, n):
     x, y, z = n
     i, r, j, q = np.uint64(i), np.uint64(r), np.uint64(j), np.uint64(q)  # not from the end
     tx, ty, tz = Tb[q, 0, 3] - Ta[r, 0, 3], Tb[q, 1, 3] - Ta[r, 1, 3], Tb[q, 2, 3] - Ta[r, 2, 3]
-    width_a = extent(
-        xa, la[i, POINTS_FROM], la[i, POINTS_TO],
+    along_a = (
         np.float32(Ta[r, 0, 0] * x + Ta[r, 1, 0] * y + Ta[r, 2, 0] * z),
         np.float32(Ta[r, 0, 1] * x + Ta[r, 1, 1] * y + Ta[r, 2, 1] * z),
         np.float32(Ta[r, 0, 2] * x + Ta[r, 1, 2] * y + Ta[r, 2, 2] * z),
-    )  # fmt: skip
-    width_b = extent(
-        xb, lb[j, POINTS_FROM], lb[j, POINTS_TO],
+    )
+    along_b = (
         np.float32(-(Tb[q, 0, 0] * x + Tb[q, 1, 0] * y + Tb[q, 2, 0] * z)),
         np.float32(-(Tb[q, 0, 1] * x + Tb[q, 1, 1] * y + Tb[q, 2, 1] * z)),
         np.float32(-(Tb[q, 0, 2] * x + Tb[q, 1, 2] * y + Tb[q, 2, 2] * z)),
-    )  # fmt: skip
+    )
+    width_a = extent(xa, la[i, POINTS_FROM], la[i, POINTS_TO], along_a)
+    width_b = extent(xb, lb[j, POINTS_FROM], lb[j, POINTS_TO], along_b)
     gap = x * tx + y * ty + z * tz - (np.float64(width_a) + np.float64(width_b))
     error = WIDTH_ERROR * SINGLE_ROUNDOFF * (np.float64(sa[i, REACH]) + np.float64(sb[j, REACH]))
     error += position_error(abs(tx) + abs(ty) + abs(tz), UNIT_ROUNDOFF)

@@ -17,7 +17,7 @@ from loewner._kernels.columns import BLOCK, KIND, LARGE, POINTS_FROM, POINTS_TO,
 from loewner._kernels.linalg3 import along, cross, dot, minus, negated, plus, scaled
 from loewner._kernels.narrow.gjk_robust import DISTANCE_TOLERANCE, ERROR_SHARE
 from loewner._kernels.narrow.simplex import segment_weight, triangle_weights
-from loewner._kernels.pieces.shapes import placed_support
+from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import Arena, floats
 from loewner._kernels.simd.support import entry_of, farthest, place_vertices
 from loewner._kernels.tolerances import LEAST_SQUARE, UNIT_ROUNDOFF
@@ -56,12 +56,7 @@ def place_piece(P, shift, W, at):
     if P.layout[P.piece, KIND] != POLYTOPE:
         return at
     start, stop = P.layout[P.piece, POINTS_FROM], P.layout[P.piece, POINTS_TO]
-    T, t = P.poses, P.row
-    place_vertices(
-        P.points, start, stop,
-        T[t, 0, 0], T[t, 0, 1], T[t, 0, 2], T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 2, 0], T[t, 2, 1], T[t, 2, 2],
-        shift[0], shift[1], shift[2], W, at,
-    )  # fmt: skip
+    place_vertices(P.points, start, stop, rotation_of(P), shift, W, at)
     return at + (stop - start)
 
 
@@ -77,12 +72,12 @@ def _supports(A, B, shift, W, ends, n):
     """Points of A and of B whose difference lies least far along n."""
     end_a, end_b = ends
     if end_a > 0:
-        k = entry_of(farthest(W, 0, end_a, -n[0], -n[1], -n[2]))
+        k = entry_of(farthest(W, 0, end_a, negated(n)))
         a = W[k], W[k + BLOCK], W[k + 2 * BLOCK]
     else:
         a = placed_support(A, negated(n))
     if end_b > end_a:
-        k = entry_of(farthest(W, end_a, end_b, n[0], n[1], n[2]))
+        k = entry_of(farthest(W, end_a, end_b, n))
         b = W[k], W[k + BLOCK], W[k + 2 * BLOCK]
     else:
         b = plus(placed_support(B, n), shift)

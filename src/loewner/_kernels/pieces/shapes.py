@@ -53,16 +53,17 @@ from loewner._kernels.columns import (
 )
 from loewner._kernels.linalg3 import apply, apply_transposed
 from loewner._kernels.pieces.directions import candidates
-from loewner._kernels.simd.support import LINE, ask_line, entry_of, farthest, prefetch
+from loewner._kernels.simd.support import LINE, entry_of, farthest
+from loewner._kernels.simd.vectors import prefetch, prefetch_far
 
 
 @inline
-def farthest_vertex(layout, points, piece, x, y, z):
+def farthest_vertex(layout, points, piece, n):
     """Entry of `points` where the farthest vertex of a polytope along a direction is."""
     start, stop = layout[piece, POINTS_FROM], layout[piece, POINTS_TO]
     if layout[piece, KIND] == MAPPED:
-        start, stop = candidates(points, start, 3 * stop, x, y, z)
-    return entry_of(farthest(points, start, stop, x, y, z))
+        start, stop = candidates(points, start, 3 * stop, n[0], n[1], n[2])
+    return entry_of(farthest(points, start, stop, n))
 
 
 @inline
@@ -110,7 +111,7 @@ def _asking(prefetch):
 
 
 # Shortly before their use, or long ahead of it: into the second-level cache, which can wait for more.
-prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(ask_line)
+prefetch_vertices, prefetch_vertices_far = _asking(prefetch), _asking(prefetch_far)
 
 
 @inline
@@ -142,7 +143,7 @@ def core_support(P, n):
     """Farthest point of a piece's core along a direction, both in the body frame; the pose does not matter."""
     kind, p = P.layout[P.piece, KIND], P.piece
     if kind <= POLYTOPE:
-        i = farthest_vertex(P.layout, P.points, p, n[0], n[1], n[2])
+        i = farthest_vertex(P.layout, P.points, p, n)
         return P.points[i], P.points[i + BLOCK], P.points[i + 2 * BLOCK]
     table, c, f = P.table, FRAME_CENTER, FRAME_FACTOR
     if kind == POINT:

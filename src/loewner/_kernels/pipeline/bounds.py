@@ -1,15 +1,20 @@
-"""Certified bounds on the distance of two pieces, 32 pairs at a time, and what is read off them: estimates.
+"""Certified bounds on the distance of two pieces, eight pairs at a time, and the estimate that follows.
 
 All distances are signed: negative is the penetration depth.
+
+Each stage goes through the whole queue, and stages meet in memory only. A stage is a chain in which every step waits
+for the one before; eight pairs in registers from the first stage to the last took half as long again. And which
+products LLVM fuses with sums depends on the rest of the function: with less in each, a bound has the same bits however
+its pair was queued.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, inline_by_value, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import AMBIGUOUS, COLLIDING, FREE
-from loewner._kernels.columns import INNER_CENTER, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE, REACH
+from loewner._kernels.columns import COLUMNS, INNER_SHAPE, INNER_SIGMA, OUTER_CENTER, OUTER_SHAPE
 from loewner._kernels.ellipsoids.contact import (
     farther_normal,
     gap_bound,
@@ -19,41 +24,36 @@ from loewner._kernels.ellipsoids.contact import (
     outward_width,
     polynomials,
 )
-from loewner._kernels.linalg3 import apply, dot, rotated_shape
+from loewner._kernels.linalg3 import apply, dot, minus, plus, rotated_shape, selected, trace
+from loewner._kernels.narrow import pair_list
+from loewner._kernels.narrow.certificate import bounds_of, pose_of, pose_of_one, size_between
 from loewner._kernels.pieces.pack import pieces_of
 from loewner._kernels.pipeline.verdicts import rows_of
-from loewner._kernels.simd.vectors import broadcast, mask_of, select, store
+from loewner._kernels.simd.memory import Arena, floats, held
+from loewner._kernels.simd.vectors import (
+    LANES,
+    gather_transpose,
+    halves_swapped,
+    load,
+    mask_of,
+    maximum,
+    minimum,
+    movemask,
+    select,
+    spread_row,
+    sqrt,
+    store,
+)
 from loewner._kernels.tolerances import SHAPE_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
+QUEUED = 32  # piece pairs that are bounded one after the other
 WALKED = 16  # piece pairs taken from the trees at a time: the distance bound is no older than that
 
 BOUND_STEPS = 12  # Newton steps for the contact function of a single pair; an even number
 POLISH_ROUNDS = 3  # rounds that tighten a bound: Newton's method for the direction of the near points
 
-# Rows of the scratch array of the bounds: one per quantity, one column per piece pair (lane), see `certificate`. An
-# ellipsoid's nine rows are its center and its shape matrix.
-LANES = 32
-# Functions that take one are `inline_by_value`: otherwise loops over the lanes lose their vectors, and bounds take
-# twice as long.
-ROT_A, ROT_B, OUTER_A, OUTER_B, INNER_A, INNER_B = 0, 9, 18, 27, 36, 45
-SHIFT, SIZE, SIGMA_A, SIGMA_B = 54, 57, 58, 59
-BELOW, NORMAL, F_OUTER, WIDTH, ABOVE, F_INNER = 60, 61, 64, 65, 66, 67
-P, Q, R, POLYNOMIALS, TRIED, PN, QN, WIDTH_P, WIDTH_Q = 68, 74, 80, 83, 91, 94, 97, 100, 101
-CENTER_A, CENTER_B = TRIED, PN  # needed only before those are
-GAP, LENGTH = TRIED, TRIED + 1  # of the last direction that was tried, for the lower bound; needed only before TRIED is
-# What `distances` finds of pairs of ellipsoids, eight at a time: their distance, a bound on its error (infinite: not
-# found), and the normal and both witnesses.
-ROUND_DISTANCE, ROUND_GAP, ROUND_RESULT = 102, 103, 104
-ROWS = 113
-
-# A single pair has eight lanes for itself: the outer ellipsoids take the first four, the inner ones the others.
-SINGLE, INNER_LANE, INNER_LANES = 8, 4, 0xF0
-
-# Rows of the queue: which pair, pieces and poses each lane stands for. The last two have an entry for each lane that
-# the fast searches of `distances` could not settle: whether its cores overlap for sure, and which lane it is.
-PAIR, PIECE_A, PIECE_B, POSE_A, POSE_B, INSIDE, LATE = 0, 1, 2, 3, 4, 5, 6
-QUEUE = 7
+INNER_LANES = 0xF0  # those of a single pair's inner ellipsoids; its outer ones take the first four
 
 
 class Operands(NamedTuple):
@@ -65,387 +65,406 @@ class Operands(NamedTuple):
     poses_b: Any
 
 
-@inline
-def enqueue(queue, lane, pair, piece_a, piece_b, pose_a, pose_b):
-    """Let a lane stand for a piece pair."""
-    queue[PAIR, lane] = pair
-    queue[PIECE_A, lane] = piece_a
-    queue[PIECE_B, lane] = piece_b
-    queue[POSE_A, lane] = pose_a
-    queue[POSE_B, lane] = pose_b
+class Queue(NamedTuple):
+    """Piece pairs that are bounded together, and their bounds: an entry or a column for each pair.
+
+    Attributes
+    ----------
+    pairs : PairList
+    shift : ndarray, shape (3, QUEUED)
+        From the translation of a's pose to the translation of b's.
+    size : ndarray, shape (QUEUED,)
+        Sum of the lengths that went into positions.
+    below, above : ndarray, shape (QUEUED,)
+        Bounds on the signed distance.
+    normal : ndarray, shape (3, QUEUED)
+        The direction, from a to b, that proves the lower bound.
+    contact : ndarray, shape (QUEUED,)
+        Product of the two contact functions, of the outer and of the inner ellipsoids, at their maxima.
+    estimate : ndarray, shape (QUEUED,)
+        The distance that both suggest; negative exactly if their product is below 1.
+    """
+
+    pairs: Any
+    shift: Any
+    size: Any
+    below: Any
+    above: Any
+    normal: Any
+    contact: Any
+    estimate: Any
+
+
+QUEUE = Arena(
+    Queue, pairs=pair_list.arena(QUEUED), shift=floats(3, QUEUED), size=floats(QUEUED), below=floats(QUEUED),
+    above=floats(QUEUED), normal=floats(3, QUEUED), contact=floats(QUEUED), estimate=floats(QUEUED),
+)  # fmt: skip
+
+
+class Side(NamedTuple):
+    """One piece of every pair: an entry or a column for each pair.
+
+    Attributes
+    ----------
+    R : ndarray, shape (9, QUEUED)
+        The rotation of its pose.
+    outer, inner : ndarray, shape (9, QUEUED)
+        Centers and shape matrices of its ellipsoids.
+    sigma : ndarray, shape (QUEUED,)
+        Lower bound on the least semi-axis of the inner one.
+    center, shape : ndarray, shape (3, QUEUED) and (6, QUEUED)
+        One of them in the world's axes, its center relative to the translation of the pose.
+    """
+
+    R: Any
+    outer: Any
+    inner: Any
+    sigma: Any
+    center: Any
+    shape: Any
+
+
+class Search(NamedTuple):
+    """State of the search for bounds: an entry or a column for each pair.
+
+    Attributes
+    ----------
+    r
+        Vector from the first to the second center.
+    cubic, quadratic, s
+        The contact function as `polynomials` returns it, and where it is greatest.
+    F, offset
+        Its value for the outer ellipsoids, and the offset of the centers along their contact normal.
+    n, length, gap
+        The direction that was tried last, its length, and the bound by it.
+    Pn, Qn, width_p, width_q
+        The near points in that direction; for upper bounds, the error of the widths per length of n.
+    """
+
+    r: Any
+    cubic: Any
+    quadratic: Any
+    s: Any
+    F: Any
+    offset: Any
+    n: Any
+    length: Any
+    gap: Any
+    Pn: Any
+    Qn: Any
+    width_p: Any
+    width_q: Any
+
+
+SIDE = Arena(
+    Side, R=floats(9, QUEUED), outer=floats(9, QUEUED), inner=floats(9, QUEUED), sigma=floats(QUEUED),
+    center=floats(3, QUEUED), shape=floats(6, QUEUED),
+)  # fmt: skip
+SEARCH = Arena(
+    Search, r=floats(3, QUEUED), cubic=floats(4, QUEUED), quadratic=floats(3, QUEUED), s=floats(QUEUED),
+    F=floats(QUEUED), offset=floats(QUEUED), n=floats(3, QUEUED), length=floats(QUEUED), gap=floats(QUEUED),
+    Pn=floats(3, QUEUED), Qn=floats(3, QUEUED), width_p=floats(QUEUED), width_q=floats(QUEUED),
+)  # fmt: skip
+MEMORY = Arena(queue=QUEUE, a=SIDE, b=SIDE, search=SEARCH)
+_BYTES = MEMORY.size()
+queue_of, _a_of, _b_of, _search_of = MEMORY.accessors("queue a b search")
+_side_at, (_a_at, _b_at) = SIDE.whole(), MEMORY.addresses("a b")
 
 
 @njit()
-def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, queue):
+def next_pieces(pair, pose_a, pose_b, body_b, operands, reach, steps, numbers, work):
     """Fill the front of the queue with the next piece pairs that a walk leaves within `reach`; how many."""
-    a, b = pieces_of(operands.a), pieces_of(operands.b)
-    found = piece_tree.more(a, b, body_b, reach, steps, numbers, queue[PIECE_A, :WALKED], queue[PIECE_B, :WALKED])
-    queue[PAIR, :found] = pair
-    queue[POSE_A, :found] = pose_a
-    queue[POSE_B, :found] = pose_b
+    a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue_of(work).pairs
+    found = piece_tree.more(a, b, body_b, reach, steps, numbers, pairs.piece_a[:WALKED], pairs.piece_b[:WALKED])
+    pairs.pair[:found] = pair
+    pairs.pose_a[:found] = pose_a
+    pairs.pose_b[:found] = pose_b
     return found
 
 
-@inline_by_value
-def _put(S, row, lane, source, at, column, count):
-    for c in range(count):
-        S[(row + c) * LANES + lane] = source[at, column + c]
+@inline
+def load_three(rows, at):
+    """A vector of three rows, for eight pairs."""
+    return load(rows, at), load(rows, QUEUED + at), load(rows, 2 * QUEUED + at)
 
 
-@inline_by_value
-def three(S, row, lane):
-    """A vector of three consecutive rows."""
-    k = row * LANES + lane
-    return S[k], S[k + LANES], S[k + 2 * LANES]
+@inline
+def _load_six(rows, at):
+    return load_three(rows, at) + load_three(rows, 3 * QUEUED + at)
 
 
-@inline_by_value
-def _six(S, row, lane):
-    return three(S, row, lane) + three(S, row + 3, lane)
+@inline
+def _store_rows(rows, at, v):
+    for c in range(len(v)):
+        store(rows, c * QUEUED + at, v[c])
 
 
-@inline_by_value
-def _put_three(S, row, lane, v):
-    k = row * LANES + lane
-    S[k] = v[0]
-    S[k + LANES] = v[1]
-    S[k + 2 * LANES] = v[2]
+def _loading(fetch, pose_of, alone):
+    """The second function below, for many pairs or for a single one."""
+
+    @inline
+    def load_side(pieces, poses, pose_rows, piece_rows, at, side):
+        """Read eight pieces; returns their poses and reaches."""
+        pose = pose_of(borrowed(poses), pose_rows, at, True)
+        near = bounds_of(fetch(pieces.table, COLUMNS, piece_rows, at, OUTER_CENTER))
+        columns = fetch(pieces.table, COLUMNS, piece_rows, at, OUTER_SHAPE)
+        store(side.sigma, at, columns[INNER_SIGMA - OUTER_SHAPE])
+        outer = near.outer_center + columns[:6]
+        inner = near.inner_center + fetch(pieces.table, COLUMNS, piece_rows, at, INNER_SHAPE)[:6]
+        _store_rows(side.R, at, pose.R)
+        for c in range(9):
+            store(side.outer, c * QUEUED + at, select(mask_of(INNER_LANES), inner[c], outer[c]) if alone else outer[c])
+            store(side.inner, c * QUEUED + at, inner[c])
+        return pose, near.reach
+
+    @njit()
+    def load_pairs(count, operands, work):
+        """Read the queued pairs.
+
+        A single one has four lanes for its outer ellipsoids and four for its inner ones: both are worked on at once.
+        """
+        queue = queue_of(work)
+        a, b, pairs = pieces_of(operands.a), pieces_of(operands.b), queue.pairs
+        for at in range(0, count, LANES):
+            pose_a, reach_a = load_side(a, operands.poses_a, pairs.pose_a, pairs.piece_a, at, _a_of(work))
+            pose_b, reach_b = load_side(b, operands.poses_b, pairs.pose_b, pairs.piece_b, at, _b_of(work))
+            _store_rows(queue.shift, at, minus(pose_b.t, pose_a.t))
+            store(queue.size, at, size_between(pose_a, reach_a, pose_b, reach_b))
+
+    return load_pairs
 
 
-@inline_by_value
-def _put_six(S, row, lane, Q):
-    _put_three(S, row, lane, (Q[0], Q[1], Q[2]))
-    _put_three(S, row + 3, lane, (Q[3], Q[4], Q[5]))
-
-
-@inline_by_value
-def _world_lane(S, lane, rotation, ellipsoid, shape, center):
-    """Shape matrix and center of an ellipsoid in the world's axes, the center relative to its body's translation."""
-    R = _six(S, rotation, lane) + three(S, rotation + 6, lane)
-    _put_six(S, shape, lane, rotated_shape(R, _six(S, ellipsoid + 3, lane)))
-    _put_three(S, center, lane, apply(R, three(S, ellipsoid, lane)))
-
-
-# One loop each: the compiler vectorises loops with few stores.
-
-
-@njit()
-def _outer_a(S, count):
-    for lane in range(count):
-        _world_lane(S, lane, ROT_A, OUTER_A, P, CENTER_A)
-
-
-@njit()
-def _outer_b(S, count):
-    for lane in range(count):
-        _world_lane(S, lane, ROT_B, OUTER_B, Q, CENTER_B)
-
-
-@njit()
-def _inner_a(S, count):
-    for lane in range(count):
-        _world_lane(S, lane, ROT_A, INNER_A, P, CENTER_A)
+_load_many, _load_one = _loading(gather_transpose, pose_of, False), _loading(spread_row, pose_of_one, True)
 
 
 @njit()
-def _inner_b(S, count):
-    for lane in range(count):
-        _world_lane(S, lane, ROT_B, INNER_B, Q, CENTER_B)
+def _turn(count, inner, address):
+    """Turn the outer or the inner ellipsoids of one side into the world's axes."""
+    side = _side_at(address)
+    ellipsoids = side.inner if inner else side.outer
+    for at in range(0, count, LANES):
+        R = _load_six(side.R, at) + load_three(side.R, 6 * QUEUED + at)
+        _store_rows(side.shape, at, rotated_shape(R, _load_six(ellipsoids, 3 * QUEUED + at)))
+        _store_rows(side.center, at, apply(R, load_three(ellipsoids, at)))
 
 
 @njit()
-def _between(S, count):
-    """Vector between the centers."""
-    for lane in range(count):
-        ax, ay, az = three(S, CENTER_A, lane)
-        bx, by, bz = three(S, CENTER_B, lane)
-        x, y, z = three(S, SHIFT, lane)
-        _put_three(S, R, lane, (x + (bx - ax), y + (by - ay), z + (bz - az)))
+def _place(count, inner, work):
+    """Place the outer or the inner ellipsoids of the queued pairs."""
+    _turn(count, inner, _a_at(work))
+    _turn(count, inner, _b_at(work))
+    queue, a, b, search = queue_of(work), _a_of(work), _b_of(work), _search_of(work)
+    for at in range(0, count, LANES):
+        apart = minus(load_three(b.center, at), load_three(a.center, at))
+        _store_rows(search.r, at, plus(load_three(queue.shift, at), apart))
 
 
 @njit()
-def _polynomials(S, count):
-    for lane in range(count):
-        p, q, r = _six(S, P, lane), _six(S, Q, lane), three(S, R, lane)
-        cubic, quadratic, s = polynomials(p, q, r)
-        _put_three(S, POLYNOMIALS, lane, (cubic[0], cubic[1], cubic[2]))
-        S[(POLYNOMIALS + 3) * LANES + lane] = cubic[3]
-        _put_three(S, POLYNOMIALS + 4, lane, quadratic)
-        S[(POLYNOMIALS + 7) * LANES + lane] = s
-
-
-@njit()
-def _newton(S, count):
-    """All steps to the maximum of F. One loop over the lanes per two steps: unrolled ones would not be vectorised.
+def _find_best(count, work):
+    """Find where the contact functions are greatest, all pairs side by side, for each step waits for the one before.
 
     Where two steps lead back to where they began, as they do when all that is left to change are the last bits, so do
     all others: the rest is left out, and what comes out is the same to the bit.
     """
+    a, b, search = _a_of(work), _b_of(work), _search_of(work)
+    for at in range(0, count, LANES):
+        P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
+        cubic, quadratic, s = polynomials(P, Q, r)
+        _store_rows(search.cubic, at, cubic)
+        _store_rows(search.quadratic, at, quadratic)
+        store(search.s, at, s)
     for _ in range(BOUND_STEPS // 2):
         moved = 0
-        for lane in range(count):
-            k = POLYNOMIALS * LANES + lane
-            cubic = S[k], S[k + LANES], S[k + 2 * LANES], S[k + 3 * LANES]
-            quadratic = three(S, POLYNOMIALS + 4, lane)
-            s = S[k + 7 * LANES]
+        for at in range(0, count, LANES):
+            cubic = load_three(search.cubic, at) + (load(search.cubic, 3 * QUEUED + at),)
+            quadratic = load_three(search.quadratic, at)
+            s = load(search.s, at)
             t = newton_step(cubic, quadratic, newton_step(cubic, quadratic, s))
-            S[k + 7 * LANES] = t
-            moved += t != s
+            store(search.s, at, t)
+            moved |= movemask((t < s) | (t > s))
         if moved == 0:
             break
 
 
 @inline
-def _between_points(r, a, pn, b, qn):
+def _between_points(r, a, Pn, b, Qn):
     """From the point a P n of one ellipsoid to the point r - b Q n of the other."""
-    return r[0] - b * qn[0] - a * pn[0], r[1] - b * qn[1] - a * pn[1], r[2] - b * qn[2] - a * pn[2]
+    return r[0] - b * Qn[0] - a * Pn[0], r[1] - b * Qn[1] - a * Pn[1], r[2] - b * Qn[2] - a * Pn[2]
 
 
-@inline_by_value
-def _widths(S, lane, p, q, n, squared):
+@inline
+def _put_widths(search, at, P, Q, n, squared):
     """Outward widths along n; with P n and Q n they are kept for the next round."""
-    hp, pn = outward_width(p, n, squared)
-    hq, qn = outward_width(q, n, squared)
-    _put_three(S, PN, lane, pn)
-    _put_three(S, QN, lane, qn)
-    S[WIDTH_P * LANES + lane] = hp
-    S[WIDTH_Q * LANES + lane] = hq
+    hp, Pn = outward_width(P, n, squared)
+    hq, Qn = outward_width(Q, n, squared)
+    _store_rows(search.Pn, at, Pn)
+    _store_rows(search.Qn, at, Qn)
+    store(search.width_p, at, hp)
+    store(search.width_q, at, hq)
     return hp, hq
 
 
 @njit()
-def _first_lower_bounds(S, count):
-    """The bound by the contact normal, F, and the centers' offset along the normal."""
-    for lane in range(count):
-        p, q, r = _six(S, P, lane), _six(S, Q, lane), three(S, R, lane)
-        F, n = normal_at(p, q, r, S[(POLYNOMIALS + 7) * LANES + lane])
-        some = dot(n, n) > 0.0  # concentric: any direction gives a valid bound
-        n = n[0] if some else 1.0, n[1] if some else 0.0, n[2] if some else 0.0
+def _first_lower_bounds(count, work):
+    """The bound by the contact normal, F, and the centers' offset along the normal; whether a bound is positive."""
+    queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
+    for at in range(0, count, LANES):
+        P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
+        F, n = normal_at(P, Q, r, load(search.s, at))
+        n = selected(dot(n, n) > 0.0, n, (1.0, 0.0, 0.0))  # concentric: any direction gives a valid bound
         squared = dot(n, n)
-        hp, hq = _widths(S, lane, p, q, n, squared)
-        length = np.sqrt(squared)
+        hp, hq = _put_widths(search, at, P, Q, n, squared)
+        length = sqrt(squared)
         offset = dot(n, r)
-        bound = gap_bound(offset, hp, hq, length, S[SIZE * LANES + lane])
-        S[BELOW * LANES + lane] = bound
-        S[GAP * LANES + lane] = bound
-        S[LENGTH * LANES + lane] = length
-        S[F_OUTER * LANES + lane] = F
-        S[WIDTH * LANES + lane] = offset / length
-        _put_three(S, NORMAL, lane, n)
+        bound = gap_bound(offset, hp, hq, length, load(queue.size, at))
+        store(queue.below, at, bound)
+        store(search.gap, at, bound)
+        store(search.length, at, length)
+        store(search.F, at, F)
+        store(search.offset, at, offset / length)
+        _store_rows(queue.normal, at, n)
+        positive |= movemask(bound > 0.0)
+    return positive != 0
 
 
 @njit()
-def _polish_lower_bounds(S, count):
+def _polish_lower_bounds(count, work):
     """One round, kept where it tightens the bound."""
-    for lane in range(count):
-        r, p, q = three(S, R, lane), _six(S, P, lane), _six(S, Q, lane)
-        pn, qn, hp, hq = three(S, PN, lane), three(S, QN, lane), S[WIDTH_P * LANES + lane], S[WIDTH_Q * LANES + lane]
-        y = _between_points(r, 1.0 / hp, pn, 1.0 / hq, qn)
-        n = farther_normal(p, q, y, pn, qn, hp, hq, S[LENGTH * LANES + lane], S[GAP * LANES + lane])
+    queue, a, b, search = queue_of(work), _a_of(work), _b_of(work), _search_of(work)
+    for at in range(0, count, LANES):
+        r, P, Q = load_three(search.r, at), _load_six(a.shape, at), _load_six(b.shape, at)
+        Pn, Qn = load_three(search.Pn, at), load_three(search.Qn, at)
+        hp, hq = load(search.width_p, at), load(search.width_q, at)
+        y = _between_points(r, 1.0 / hp, Pn, 1.0 / hq, Qn)
+        n = farther_normal(P, Q, y, Pn, Qn, hp, hq, load(search.length, at), load(search.gap, at))
         squared = dot(n, n)
-        hp, hq = _widths(S, lane, p, q, n, squared)
-        length = np.sqrt(squared)
-        bound = gap_bound(dot(n, r), hp, hq, length, S[SIZE * LANES + lane])
-        S[GAP * LANES + lane] = bound
-        S[LENGTH * LANES + lane] = length
-        best = S[BELOW * LANES + lane]
-        better = bound > best and best > 0.0  # near points of ellipsoids that overlap say nothing
-        m = three(S, NORMAL, lane)
-        S[BELOW * LANES + lane] = bound if better else best
-        _put_three(S, NORMAL, lane, (n[0] if better else m[0], n[1] if better else m[1], n[2] if better else m[2]))
+        hp, hq = _put_widths(search, at, P, Q, n, squared)
+        length = sqrt(squared)
+        bound = gap_bound(dot(n, r), hp, hq, length, load(queue.size, at))
+        store(search.gap, at, bound)
+        store(search.length, at, length)
+        best = load(queue.below, at)
+        better = (bound > best) & (best > 0.0)  # near points of ellipsoids that overlap say nothing
+        store(queue.below, at, select(better, bound, best))
+        _store_rows(queue.normal, at, selected(better, n, load_three(queue.normal, at)))
 
 
 @njit()
-def _first_upper_bounds(S, count):
-    """The bound by the common point or the two near points, and F."""
-    for lane in range(count):
-        p, q, r = _six(S, P, lane), _six(S, Q, lane), three(S, R, lane)
-        s = S[(POLYNOMIALS + 7) * LANES + lane]
-        size = S[SIZE * LANES + lane]
-        sigma_a = S[SIGMA_A * LANES + lane]
-        sigma_b = S[SIGMA_B * LANES + lane]
-        F, n = normal_at(p, q, r, s)
-        level, best, depth = nearness(p, q, r, n, s, sigma_a, sigma_b, size)
+def _first_upper_bounds(count, work):
+    """The bound by the common point or the two near points, and the estimate; whether a bound is positive."""
+    queue, a, b, search, positive = queue_of(work), _a_of(work), _b_of(work), _search_of(work), 0
+    for at in range(0, count, LANES):
+        P, Q, r = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.r, at)
+        s, size = load(search.s, at), load(queue.size, at)
+        sigma_a, sigma_b = load(a.sigma, at), load(b.sigma, at)
+        F, n = normal_at(P, Q, r, s)
+        level, best, depth = nearness(P, Q, r, n, s, sigma_a, sigma_b, size)
         # NaN: the centers are points of the ellipsoids too.
-        centers = np.sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
-        best = best if best < np.inf else centers + SHAPE_ROUNDINGS * size
-        deep = -(depth if depth > 0.0 else 0.0)
-        S[ABOVE * LANES + lane] = deep if level <= 1.0 else best
-        S[F_INNER * LANES + lane] = F
+        centers = sqrt(dot(r, r)) * (1.0 + 8.0 * UNIT_ROUNDOFF)
+        best = select(best < np.inf, best, centers + SHAPE_ROUNDINGS * size)
+        best = select(level <= 1.0, -maximum(depth, 0.0), best)
+        store(queue.above, at, best)
         # What rounding of P n and Q n adds to their levels, per length of n.
-        S[WIDTH_P * LANES + lane] = SHAPE_ROUNDINGS * (p[0] + p[3] + p[5]) / sigma_a
-        S[WIDTH_Q * LANES + lane] = SHAPE_ROUNDINGS * (q[0] + q[3] + q[5]) / sigma_b
-        _put_three(S, TRIED, lane, n)
+        store(search.width_p, at, SHAPE_ROUNDINGS * trace(P) / sigma_a)
+        store(search.width_q, at, SHAPE_ROUNDINGS * trace(Q) / sigma_b)
+        _store_rows(search.n, at, n)
+        contact, estimate = _estimated(load(search.F, at), F, load(search.offset, at))
+        store(queue.contact, at, contact)
+        store(queue.estimate, at, estimate)
+        positive |= movemask(best > 0.0)
+    return positive != 0
 
 
 @njit()
-def _polish_upper_bounds(S, count):
+def _polish_upper_bounds(count, work):
     """One round of the same for the upper bound; a bound that is a depth already is not touched."""
-    for lane in range(count):
-        p, q = _six(S, P, lane), _six(S, Q, lane)
-        n = three(S, TRIED, lane)
-        size = S[SIZE * LANES + lane]
+    queue, a, b, search = queue_of(work), _a_of(work), _b_of(work), _search_of(work)
+    for at in range(0, count, LANES):
+        P, Q, n = _load_six(a.shape, at), _load_six(b.shape, at), load_three(search.n, at)
+        size = load(queue.size, at)
         squared = dot(n, n)
-        length = np.sqrt(squared)
-        hp, pn = outward_width(p, n, squared)
-        hq, qn = outward_width(q, n, squared)
+        length = sqrt(squared)
+        hp, Pn = outward_width(P, n, squared)
+        hq, Qn = outward_width(Q, n, squared)
         # Divide by a little more than the width, so that rounding cannot push the points outside: the slack, at least
         # 128 roundings, covers those of the quotient too.
-        a = 1.0 / (hp + S[WIDTH_P * LANES + lane] * length)
-        b = 1.0 / (hq + S[WIDTH_Q * LANES + lane] * length)
-        y = _between_points(three(S, R, lane), a, pn, b, qn)
-        distance = np.sqrt(dot(y, y)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
-        best = S[ABOVE * LANES + lane]
-        S[ABOVE * LANES + lane] = distance if distance < best else best
-        _put_three(S, TRIED, lane, farther_normal(p, q, y, pn, qn, hp, hq, length, dot(n, y) / length))
-
-
-@inline_by_value
-def _spread(S, row, value):
-    """Give the lanes of a single pair one value."""
-    store(S, row * LANES, broadcast(value))
-
-
-@inline_by_value
-def _halves(S, row, outer, inner):
-    """Give the lanes of a single pair two values: one for the outer ellipsoids, one for the inner ones."""
-    store(S, row * LANES, select(mask_of(INNER_LANES), broadcast(inner), broadcast(outer)))
-
-
-@njit()
-def _load_one(queue, operands, S):
-    """What the bounds take of a single piece pair: its outer and its inner ellipsoids are worked on at once."""
-    queue, S, Ta, Tb = borrowed(queue), borrowed(S), borrowed(operands.poses_a), borrowed(operands.poses_b)
-    ta, tb = pieces_of(operands.a).table, pieces_of(operands.b).table
-    i, j, ka, kb = queue[PIECE_A, 0], queue[PIECE_B, 0], queue[POSE_A, 0], queue[POSE_B, 0]
-    for r in range(3):
-        for c in range(3):
-            _spread(S, ROT_A + 3 * r + c, Ta[ka, r, c])
-            _spread(S, ROT_B + 3 * r + c, Tb[kb, r, c])
-    apart = 0.0
-    for c in range(3):
-        shift = Tb[kb, c, 3] - Ta[ka, c, 3]
-        _spread(S, SHIFT + c, shift)
-        apart += abs(shift)
-    _spread(S, SIZE, apart + ta[i, REACH] + tb[j, REACH])
-    for c in range(3):
-        _halves(S, OUTER_A + c, ta[i, OUTER_CENTER + c], ta[i, INNER_CENTER + c])
-        _halves(S, OUTER_B + c, tb[j, OUTER_CENTER + c], tb[j, INNER_CENTER + c])
-    for c in range(6):
-        _halves(S, OUTER_A + 3 + c, ta[i, OUTER_SHAPE + c], ta[i, INNER_SHAPE + c])
-        _halves(S, OUTER_B + 3 + c, tb[j, OUTER_SHAPE + c], tb[j, INNER_SHAPE + c])
-    _spread(S, SIGMA_A, ta[i, INNER_SIGMA])
-    _spread(S, SIGMA_B, tb[j, INNER_SIGMA])
-
-
-@njit()
-def _take_inner(S):
-    """Let a single pair's inner ellipsoids, and where F is greatest for them, take the place of the outer ones."""
-    for row in range(P, R + 3):
-        _spread(S, row, S[row * LANES + INNER_LANE])
-    _spread(S, POLYNOMIALS + 7, S[(POLYNOMIALS + 7) * LANES + INNER_LANE])
-
-
-@njit()
-def _load(count, padded, queue, operands, S):
-    """What the bounds take of the queued piece pairs."""
-    queue, S, Ta, Tb = borrowed(queue), borrowed(S), borrowed(operands.poses_a), borrowed(operands.poses_b)
-    ta, tb = pieces_of(operands.a).table, pieces_of(operands.b).table
-    for lane in range(padded):
-        # Whole vectors: what is left over is filled up with the last pair.
-        k = min(lane, count - 1)
-        i, j, ka, kb = queue[PIECE_A, k], queue[PIECE_B, k], queue[POSE_A, k], queue[POSE_B, k]
-        for r in range(3):
-            for c in range(3):
-                S[(ROT_A + 3 * r + c) * LANES + lane] = Ta[ka, r, c]
-                S[(ROT_B + 3 * r + c) * LANES + lane] = Tb[kb, r, c]
-        apart = 0.0
-        for c in range(3):
-            shift = Tb[kb, c, 3] - Ta[ka, c, 3]
-            S[(SHIFT + c) * LANES + lane] = shift
-            apart += abs(shift)
-        S[SIZE * LANES + lane] = apart + ta[i, REACH] + tb[j, REACH]
-        _put(S, OUTER_A, lane, ta, i, OUTER_CENTER, 3)
-        _put(S, OUTER_B, lane, tb, j, OUTER_CENTER, 3)
-        _put(S, INNER_A, lane, ta, i, INNER_CENTER, 3)
-        _put(S, INNER_B, lane, tb, j, INNER_CENTER, 3)
-        _put(S, OUTER_A + 3, lane, ta, i, OUTER_SHAPE, 6)
-        _put(S, OUTER_B + 3, lane, tb, j, OUTER_SHAPE, 6)
-        _put(S, INNER_A + 3, lane, ta, i, INNER_SHAPE, 6)
-        _put(S, INNER_B + 3, lane, tb, j, INNER_SHAPE, 6)
-        S[SIGMA_A * LANES + lane] = ta[i, INNER_SIGMA]
-        S[SIGMA_B * LANES + lane] = tb[j, INNER_SIGMA]
-
-
-@inline_by_value
-def _some_positive(S, row, count):
-    """Whether a quantity is positive for one of the first lanes."""
-    found = False
-    for lane in range(count):
-        found |= S[row * LANES + lane] > 0.0
-    return found
-
-
-@njit()
-def write_bounds(count, queue, operands, S):
-    """Both bounds for the queued piece pairs, to the scratch array."""
-    S = borrowed(S)
-    if count == 1:
-        padded = SINGLE
-        _load_one(queue, operands, S)
-    else:
-        padded = (count + 7) // 8 * 8
-        _load(count, padded, queue, operands, S)
-    _outer_a(S, padded)
-    _outer_b(S, padded)
-    _between(S, padded)
-    _polynomials(S, padded)
-    _newton(S, padded)
-    _first_lower_bounds(S, padded)
-    # Where no bound is positive, no round changes one: they are of overlapping ellipsoids, or depths.
-    if _some_positive(S, BELOW, count):
-        for _ in range(POLISH_ROUNDS):
-            _polish_lower_bounds(S, padded)
-    if count == 1:
-        _take_inner(S)
-    else:
-        _inner_a(S, padded)
-        _inner_b(S, padded)
-        _between(S, padded)
-        _polynomials(S, padded)
-        _newton(S, padded)
-    _first_upper_bounds(S, padded)
-    if _some_positive(S, ABOVE, count):
-        for _ in range(POLISH_ROUNDS):
-            _polish_upper_bounds(S, padded)
-    for lane in range(count):
-        if not S[BELOW * LANES + lane] > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
-            S[BELOW * LANES + lane] = -2.0 * S[SIZE * LANES + lane]
+        level_p = 1.0 / (hp + load(search.width_p, at) * length)
+        level_q = 1.0 / (hq + load(search.width_q, at) * length)
+        y = _between_points(load_three(search.r, at), level_p, Pn, level_q, Qn)
+        distance = sqrt(dot(y, y)) * (1.0 + 8.0 * UNIT_ROUNDOFF) + SHAPE_ROUNDINGS * size
+        store(queue.above, at, minimum(distance, load(queue.above, at)))
+        _store_rows(search.n, at, farther_normal(P, Q, y, Pn, Qn, hp, hq, length, dot(n, y) / length))
 
 
 @inline
-def estimated_distance(S, lane):
-    """Distance that a lane's two contact functions suggest; negative exactly if their product is below 1.
+def _estimated(F_outer, F_inner, offset):
+    """Product of two contact functions, and the distance that they suggest; negative exactly if it is below 1.
 
     √F is the factor by which both ellipsoids must grow to touch. The geometric mean g of the outer
     and the inner factor is taken for the pieces' own; pieces whose width along the normal times g
     equals the centers' offset along it are apart by offset (1 - 1/g).
     """
-    F_outer, F_inner, width = S[F_OUTER * LANES + lane], S[F_INNER * LANES + lane], S[WIDTH * LANES + lane]
-    g = np.sqrt(np.sqrt(max(F_outer * F_inner, 0.0)))
-    return width * (1.0 - 1.0 / g) if g > 0.0 else -np.inf
+    contact = F_outer * F_inner
+    g = sqrt(sqrt(maximum(contact, 0.0)))
+    return contact, select(g > 0.0, offset * (1.0 - 1.0 / g), -np.inf)
 
 
 @njit()
-def _decide(margin, count, queue, operands, S, out):
+def _take_inner(work):
+    """Let a single pair's inner ellipsoids, and where F is greatest for them, take the place of the outer ones."""
+    a, b, search = _a_of(work), _b_of(work), _search_of(work)
+    for c in range(6):
+        _swap_halves(a.shape, c * QUEUED)
+        _swap_halves(b.shape, c * QUEUED)
+    for c in range(3):
+        _swap_halves(search.r, c * QUEUED)
+    _swap_halves(search.s, 0)
+
+
+@inline
+def _swap_halves(rows, at):
+    store(rows, at, halves_swapped(load(rows, at)))
+
+
+@njit()
+def write_bounds(count, operands, work):
+    """Both bounds for the queued piece pairs. Whole vectors: the last pair fills up what is left over."""
+    queue = queue_of(work)
+    if count == 1:
+        _load_one(count, operands, work)
+    else:
+        pair_list.fill(queue.pairs, count)
+        _load_many(count, operands, work)
+    _place(count, False, work)
+    _find_best(count, work)
+    # Where no bound is positive, no round changes one: they are of overlapping ellipsoids, or depths.
+    if _first_lower_bounds(count, work):
+        for _ in range(POLISH_ROUNDS):
+            _polish_lower_bounds(count, work)
+    if count == 1:
+        _take_inner(work)
+    else:
+        _place(count, True, work)
+        _find_best(count, work)
+    if _first_upper_bounds(count, work):
+        for _ in range(POLISH_ROUNDS):
+            _polish_upper_bounds(count, work)
+    for k in range(count):
+        if not queue.below[k] > -np.inf:  # NaN from an overflow: the weakest bound is still a bound
+            queue.below[k] = -2.0 * queue.size[k]
+
+
+@njit()
+def _decide(margin, count, operands, work, out):
     """Decide the queued piece pairs by the estimate."""
-    write_bounds(count, queue, operands, S)
+    write_bounds(count, operands, work)
+    queue = queue_of(work)
     for lane in range(count):
-        k = queue[PAIR, lane]
-        if S[BELOW * LANES + lane] > margin or out[k] == COLLIDING:
+        k = queue.pairs.pair[lane]
+        if queue.below[lane] > margin or out[k] == COLLIDING:
             continue
         # NaN counts as colliding, as it should never arise and must not free anybody.
-        if not estimated_distance(S, lane) > margin:
+        if not queue.estimate[lane] > margin:
             out[k] = COLLIDING
 
 
@@ -458,8 +477,8 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S = np.empty(ROWS * LANES)
-    queue = np.empty((QUEUE, LANES), np.int64)
+    memory = np.empty(_BYTES // 8)
+    work = np.int64(memory.ctypes.data)
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     count = 0
@@ -470,21 +489,22 @@ def estimate_range(margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, out)
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
             if count > 0:
-                _decide(margin, count, queue, operands, S, out)
+                _decide(margin, count, operands, work, out)
                 count = 0
             piece_tree.begin(a, ia, Ta, ka, b, ib, Tb, kb, steps, numbers)
             while out[k] != COLLIDING:
-                found = next_pieces(k, ka, kb, ib, operands, margin, steps, numbers, queue)
+                found = next_pieces(k, ka, kb, ib, operands, margin, steps, numbers, work)
                 if found == 0:
                     break
-                _decide(margin, found, queue, operands, S, out)
+                _decide(margin, found, operands, work, out)
             continue
         for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
             for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
-                enqueue(queue, count, k, i, j, ka, kb)
+                pair_list.put(queue_of(work).pairs, count, k, i, j, ka, kb)
                 count += 1
-                if count == LANES:
-                    _decide(margin, count, queue, operands, S, out)
+                if count == QUEUED:
+                    _decide(margin, count, operands, work, out)
                     count = 0
     if count > 0:
-        _decide(margin, count, queue, operands, S, out)
+        _decide(margin, count, operands, work, out)
+    held(memory)

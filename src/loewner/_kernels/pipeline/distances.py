@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import borrowed, inline, inline_by_value, njit
+from loewner._kernels._jit import borrowed, inline, njit
 from loewner._kernels.codes import DEPTH_FOUND, NEAREST, OVERLAPPING, TOUCHING, UNSETTLED
 from loewner._kernels.columns import COLUMNS, ELLIPSOID, FRAME_CENTER, FRAME_FACTOR, KIND, POLYTOPE
 from loewner._kernels.ellipsoids.contact import position_error
 from loewner._kernels.ellipsoids.signed_distance import descend_eight, is_round, round_distance, support
 from loewner._kernels.linalg3 import apply, dot, minus, plus, product, scaled, selected
-from loewner._kernels.narrow import epa_fast
+from loewner._kernels.narrow import epa_fast, pair_list
+from loewner._kernels.narrow.certificate import pose_of
 from loewner._kernels.narrow.epa_fast import overlap_depth
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY, NO_VOLUME, penetration, workspace
 from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, measure
@@ -24,47 +25,26 @@ from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surface_distance import surface_distance
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import prefetch_points, radius
-from loewner._kernels.pipeline.bounds import (
-    ABOVE,
-    BELOW,
-    F_INNER,
-    F_OUTER,
-    INSIDE,
-    LANES,
-    LATE,
-    NORMAL,
-    PAIR,
-    PIECE_A,
-    PIECE_B,
-    POSE_A,
-    POSE_B,
-    QUEUE,
-    ROT_A,
-    ROT_B,
-    ROUND_DISTANCE,
-    ROUND_GAP,
-    ROUND_RESULT,
-    ROWS,
-    SHIFT,
-    SIZE,
-    Operands,
-    enqueue,
-    estimated_distance,
-    next_pieces,
-    three,
-    write_bounds,
-)
+from loewner._kernels.pipeline.bounds import MEMORY as QUEUE_MEMORY
+from loewner._kernels.pipeline.bounds import QUEUED, Operands, load_three, next_pieces, queue_of, write_bounds
 from loewner._kernels.pipeline.verdicts import rows_of
-from loewner._kernels.simd.memory import Arena, floats, floats_at, integers, integers_at, raw
-from loewner._kernels.simd.support import LINE, ask_line
-from loewner._kernels.simd.vectors import LANES as EIGHT
-from loewner._kernels.simd.vectors import broadcast, gather_transpose, load, mask_of, select, sqrt, store
+from loewner._kernels.simd.memory import Arena, floats, floats_at, held, integers, integers_at, raw
+from loewner._kernels.simd.support import LINE
+from loewner._kernels.simd.vectors import (
+    LANES,
+    broadcast,
+    gather_transpose,
+    load,
+    mask_of,
+    prefetch_far,
+    select,
+    sqrt,
+    store,
+)
 from loewner._kernels.tolerances import POSITION_ROUNDINGS, UNIT_ROUNDOFF
 from loewner._kernels.trees import piece_tree
 
 SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
-
-KEPT = 4  # rows of the scratch array from SHIFT on, and from BELOW on, that are kept of a lane that is left
 
 POSE_ENTRIES = 16  # of a pose
 
@@ -82,6 +62,8 @@ SETTLED_CURVED = 1e-3
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
+
+LEFT_INTEGERS, LEFT_FLOATS = 6, 8  # columns of a `Left`
 
 
 class Bounds(NamedTuple):
@@ -129,16 +111,35 @@ class Searches(NamedTuple):
     surfaces: Any
 
 
+class Round(NamedTuple):
+    """What is found of pairs of ellipsoids, eight at a time: an entry or a column for each pair of the queue.
+
+    Their distance, a bound on its error (infinite: not found), and the normal and both witnesses.
+    """
+
+    distance: Any
+    gap: Any
+    result: Any
+
+
+class Late(NamedTuple):
+    """Places in the queue of the pairs that the fast searches leave, and whether their cores overlap for sure."""
+
+    place: Any
+    inside: Any
+
+
 MEMORY = Arena(
-    scratch=floats(ROWS * LANES),  # of the bounds
-    queue=integers(QUEUE, LANES),  # of piece pairs
+    queued=QUEUE_MEMORY,
+    round=Arena(Round, distance=floats(QUEUED), gap=floats(QUEUED), result=floats(9, QUEUED)),
+    late=Arena(Late, place=integers(QUEUED), inside=integers(QUEUED)),
     searches=Arena(
         Searches, vertices=floats(ENTRIES), faces=floats(epa_fast.FLOATS), edges=integers(epa_fast.INTEGERS),
         result=floats(9), surfaces=raw(SURFACE_SIZE),
     ),
 )  # fmt: skip
-_BYTES = MEMORY.size()
-scratch_of, queue_of, searches_of = MEMORY.accessors("scratch queue searches")
+_BYTES, _QUEUE_BYTES = MEMORY.size(), QUEUE_MEMORY.size()
+queued_at, (round_of, late_of, searches_of) = *MEMORY.addresses("queued"), MEMORY.accessors("round late searches")
 
 
 class Left(NamedTuple):
@@ -146,10 +147,10 @@ class Left(NamedTuple):
 
     Attributes
     ----------
-    pieces : ndarray of int64, shape (m, LATE)
-        The rows of the queue from PAIR to INSIDE.
-    values : ndarray, shape (m, 2 * KEPT)
-        What is kept of the scratch array.
+    pieces : ndarray of int64, shape (m, LEFT_INTEGERS)
+        The entries of the pair list, and whether the cores overlap for sure.
+    values : ndarray, shape (m, LEFT_FLOATS)
+        From the queue: the shift, the size, the lower bound and the normal.
     """
 
     pieces: Any
@@ -218,87 +219,81 @@ def _is_curved(P):
     return P.layout[P.piece, KIND] > POLYTOPE
 
 
-@inline_by_value
-def _eight(S, row, lane):
-    """A vector of three consecutive rows, for eight lanes."""
-    k = row * LANES + lane
-    return load(S, k), load(S, k + LANES), load(S, k + 2 * LANES)
+@inline
+def _column(rows, k):
+    """A vector of the queue, for one pair."""
+    return rows[0, k], rows[1, k], rows[2, k]
 
 
-@inline_by_value
-def _put_eight(S, row, lane, v):
-    for c in range(3):
-        store(S, (row + c) * LANES + lane, v[c])
-
-
-@inline_by_value
-def _placed_eight(S, rotation, pieces, queue, side, lane):
+@inline
+def _placed_eight(R, pieces, rows, at):
     """Factors of eight ellipsoids in the world's axes, and their centers less their bodies' translations."""
-    table, at = pieces.table, side * LANES + lane
-    R = _eight(S, rotation, lane) + _eight(S, rotation + 3, lane) + _eight(S, rotation + 6, lane)
-    first = gather_transpose(table, COLUMNS, queue, at, FRAME_CENTER)
-    last = gather_transpose(table, COLUMNS, queue, at, FRAME_FACTOR + 1)
+    first = gather_transpose(pieces.table, COLUMNS, rows, at, FRAME_CENTER)
+    last = gather_transpose(pieces.table, COLUMNS, rows, at, FRAME_FACTOR + 1)
     return product(R, (first[3], *last)), apply(R, (first[0], first[1], first[2]))
 
 
 @njit()
-def _measure_round(count, queue, a, b, S, distance):
+def _measure_round(count, operands, work, distance):
     """Measure the queued pairs of ellipsoids, eight at a time; those that take more care have an infinite gap."""
-    for lane in range(count, (count + EIGHT - 1) // EIGHT * EIGHT):  # whole vectors, as in `write_bounds`
-        queue[PIECE_A, lane], queue[PIECE_B, lane] = queue[PIECE_A, count - 1], queue[PIECE_B, count - 1]
-    for first in range(0, count, EIGHT):
+    a, b, queue, found = pieces_of(operands.a), pieces_of(operands.b), queue_of(queued_at(work)), round_of(work)
+    pairs = queue.pairs
+    pair_list.fill(pairs, count)
+    for first in range(0, count, LANES):
         bits = 0
-        for lane in range(first, min(first + EIGHT, count)):
-            wide_a = a.layout[queue[PIECE_A, lane], KIND] == ELLIPSOID
-            wide_b = b.layout[queue[PIECE_B, lane], KIND] == ELLIPSOID
-            if wide_a and wide_b and S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
-                bits |= 1 << (lane - first)
+        for k in range(first, min(first + LANES, count)):
+            wide_a = a.layout[pairs.piece_a[k], KIND] == ELLIPSOID
+            wide_b = b.layout[pairs.piece_b[k], KIND] == ELLIPSOID
+            if wide_a and wide_b and queue.below[k] < distance[pairs.pair[k]]:
+                bits |= 1 << (k - first)
         if bits == 0:
-            store(S, ROUND_GAP * LANES + first, broadcast(np.inf))
+            store(found.gap, first, broadcast(np.inf))
             continue
-        FA, one = _placed_eight(S, ROT_A, a, queue, PIECE_A, first)
-        FB, two = _placed_eight(S, ROT_B, b, queue, PIECE_B, first)
-        two = plus(two, _eight(S, SHIFT, first))
-        n = _eight(S, NORMAL, first)
+        pose_a = pose_of(borrowed(operands.poses_a), pairs.pose_a, first, True)
+        pose_b = pose_of(borrowed(operands.poses_b), pairs.pose_b, first, True)
+        FA, one = _placed_eight(pose_a.R, a, pairs.piece_a, first)
+        FB, two = _placed_eight(pose_b.R, b, pairs.piece_b, first)
+        two = plus(two, load_three(queue.shift, first))
+        n = load_three(queue.normal, first)
         length = sqrt(dot(n, n))
         n = selected((length > 0.0) & (length < np.inf), scaled(1.0 / length, n), (0.0, 0.0, 1.0))
-        size = load(S, SIZE * LANES + first)
+        size = load(queue.size, first)
         n, h, slope, proven = descend_eight(FA, FB, minus(two, one), n, size, mask_of(bits))
-        store(S, ROUND_DISTANCE * LANES + first, -h)
-        store(S, ROUND_GAP * LANES + first, select(proven, slope, np.inf))
-        _put_eight(S, ROUND_RESULT, first, n)
-        _put_eight(S, ROUND_RESULT + 3, first, plus(one, support(FA, n)))
-        _put_eight(S, ROUND_RESULT + 6, first, minus(two, support(FB, n)))
+        store(found.distance, first, -h)
+        store(found.gap, first, select(proven, slope, np.inf))
+        result = n + plus(one, support(FA, n)) + minus(two, support(FB, n))
+        for c in range(9):
+            store(found.result, c * QUEUED + first, result[c])
 
 
 @njit()
-def measure_near(count, queue, operands, S, searches, exact):
-    """Exact distances by the fast searches; the lanes that they leave go to the front of the queue's last two rows."""
+def measure_near(count, operands, work, exact):
+    """Exact distances of the queued pairs by the fast searches; returns how many they leave, which are listed."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
-    queue, S, distance, result = borrowed(queue), borrowed(S), borrowed(exact.distance), borrowed(searches.result)
-    vertices, faces, edges = borrowed(searches.vertices), borrowed(searches.faces), borrowed(searches.edges)
-    _measure_round(count, queue, a, b, S, distance)
+    queue, found, left, searches = queue_of(queued_at(work)), round_of(work), late_of(work), searches_of(work)
+    pairs, distance, result = queue.pairs, borrowed(exact.distance), searches.result
+    vertices, faces, edges = searches.vertices, searches.faces, searches.edges
+    _measure_round(count, operands, work, distance)
     late = 0
     for lane in range(count):
         if lane + AHEAD < count:
-            prefetch_points(a.layout, a.points, queue[PIECE_A, lane + AHEAD])
-            prefetch_points(b.layout, b.points, queue[PIECE_B, lane + AHEAD])
-        if not S[BELOW * LANES + lane] < distance[queue[PAIR, lane]]:
+            prefetch_points(a.layout, a.points, pairs.piece_a[lane + AHEAD])
+            prefetch_points(b.layout, b.points, pairs.piece_b[lane + AHEAD])
+        if not queue.below[lane] < distance[pairs.pair[lane]]:
             continue
-        if S[ROUND_GAP * LANES + lane] < np.inf:
+        if found.gap[lane] < np.inf:
             for c in range(9):
-                result[c] = S[(ROUND_RESULT + c) * LANES + lane]
-            value, gap = S[ROUND_DISTANCE * LANES + lane], S[ROUND_GAP * LANES + lane]
-            _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, exact)
+                result[c] = found.result[c, lane]
+            _record(lane, queue, Ta, found.distance[lane], found.gap[lane], SETTLED, 0.0, 0.0, result, exact)
             continue
-        A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
-        B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
-        shift, n = three(S, SHIFT, lane), three(S, NORMAL, lane)
-        size = S[SIZE * LANES + lane]
+        A = placed(a, pairs.piece_a[lane], Ta, pairs.pose_a[lane])
+        B = placed(b, pairs.piece_b[lane], Tb, pairs.pose_b[lane])
+        shift, n = _column(queue.shift, lane), _column(queue.normal, lane)
+        size = queue.size[lane]
         if is_surface(A) or is_surface(B):
             ra, rb = radius(A), radius(B)
-            k, above = queue[PAIR, lane], S[ABOVE * LANES + lane]
+            k, above = pairs.pair[lane], queue.above[lane]
             limit = above if above < distance[k] else distance[k]
             # A little more than the ellipsoids promise, for what their bounds round; they stretch with poses, and radii
             # do not.
@@ -310,69 +305,72 @@ def measure_near(count, queue, operands, S, searches, exact):
             value = value - ra - rb
             if value < 0.0:  # a depth is a lower bound, whatever rounding did
                 value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
-            _record(lane, queue, Ta, S, value, gap, SETTLED, ra, rb, result, exact)
+            _record(lane, queue, Ta, value, gap, SETTLED, ra, rb, result, exact)
             continue
         if is_round(A) and is_round(B):
             value, gap = round_distance(A, B, n, size, result)
-            _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, exact)
+            _record(lane, queue, Ta, value, gap, SETTLED, 0.0, 0.0, result, exact)
             continue
         plain = not (_is_curved(A) or _is_curved(B))
-        if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
+        if plain and queue.contact[lane] < 1.0:  # they overlap, by the look of it
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
             if searched == DEPTH_FOUND:
-                _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
+                _record(lane, queue, Ta, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         error = position_error(size, UNIT_ROUNDOFF)
         ends = begin(A, B, shift, vertices)
         status, below, above = measure(A, B, shift, vertices, ends, n, error, -np.inf, np.inf, result)
         ra, rb = radius(A), radius(B)
         # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
-        if status == NEAREST and above - ra - rb <= S[ABOVE * LANES + lane] + SETTLED * size:
-            _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
+        if status == NEAREST and above - ra - rb <= queue.above[lane] + SETTLED * size:
+            _record(lane, queue, Ta, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
         else:
-            queue[LATE, late], queue[INSIDE, late] = lane, status == OVERLAPPING
+            left.place[late], left.inside[late] = lane, status == OVERLAPPING
             late += 1
     return late
 
 
 @njit()
-def measure_late(late, queue, operands, S, exact):
-    """Exact distances of the lanes that the fast search left; only they need the large work space."""
+def measure_late(late, operands, queued, left, exact):
+    """Exact distances of the pairs that the fast search left; only they need the large work space."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
+    queue = queue_of(queued)
+    pairs = queue.pairs
     faces, edges = epa_fast.workspace()
     result, work = np.empty(9), workspace(True)
     for m in range(late):
-        lane, inside = queue[LATE, m], queue[INSIDE, m] == 1
-        if not S[BELOW * LANES + lane] < exact.distance[queue[PAIR, lane]]:
+        lane, inside = left.place[m], left.inside[m] == 1
+        if not queue.below[lane] < exact.distance[pairs.pair[lane]]:
             continue
-        A = placed(a, queue[PIECE_A, lane], Ta, queue[POSE_A, lane])
-        B = placed(b, queue[PIECE_B, lane], Tb, queue[POSE_B, lane])
-        shift, n = three(S, SHIFT, lane), three(S, NORMAL, lane)
-        error = position_error(S[SIZE * LANES + lane], UNIT_ROUNDOFF)
+        A = placed(a, pairs.piece_a[lane], Ta, pairs.pose_a[lane])
+        B = placed(b, pairs.piece_b[lane], Tb, pairs.pose_b[lane])
+        shift, n = _column(queue.shift, lane), _column(queue.normal, lane)
+        error = position_error(queue.size[lane], UNIT_ROUNDOFF)
         curved = _is_curved(A) or _is_curved(B)
         if inside and not curved:
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
             if searched == DEPTH_FOUND:
-                _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
+                _record(lane, queue, Ta, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
                 continue
         value, gap = _distance_with_care(A, B, shift, n, error, inside, work, result)
         tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
         ra, rb = radius(A), radius(B)
-        if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * S[SIZE * LANES + lane]:
+        if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * queue.size[lane]:
             tolerance = -1.0  # a depth whose witnesses do not bear it out
-        _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact)
+        _record(lane, queue, Ta, value, gap, tolerance, ra, rb, result, exact)
 
 
 @inline
-def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact):
+def _record(lane, queue, Ta, value, gap, tolerance, ra, rb, result, exact):
     """Merge the exact distance of two pieces, and how far the bounds on it are apart, into the result of their pair.
 
     `result` holds the normal and the witnesses, relative to a's translation and without the rounding radii ra and rb.
     """
-    k, ka = queue[PAIR, lane], queue[POSE_A, lane]
+    pairs = queue.pairs
+    k, ka = pairs.pair[lane], pairs.pose_a[lane]
     # The ellipsoids' own bound may be the better one. A value far below it is none, whatever its own bounds say.
-    gap = min(gap, abs(value - S[BELOW * LANES + lane]))
-    if not gap <= tolerance * S[SIZE * LANES + lane]:
+    gap = min(gap, abs(value - queue.below[lane]))
+    if not gap <= tolerance * queue.size[lane]:
         exact.status[k] = NOT_SETTLED
     if value < exact.distance[k]:
         exact.distance[k] = value
@@ -381,20 +379,21 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact):
             exact.witness_a[k, c] = result[3 + c] + ra * result[c] + Ta[ka, c, 3]
             exact.witness_b[k, c] = result[6 + c] - rb * result[c] + Ta[ka, c, 3]
         if len(exact.pieces) > 0:
-            exact.pieces[k, 0], exact.pieces[k, 1] = queue[PIECE_A, lane], queue[PIECE_B, lane]
+            exact.pieces[k, 0], exact.pieces[k, 1] = pairs.piece_a[lane], pairs.piece_b[lane]
 
 
 @njit()
-def _leave(late, queue, S, kept, left):
-    """Note the lanes that the fast search left for `measure_left`, from row `kept` of the lists on; where they end."""
+def _leave(late, work, kept, left):
+    """Note the pairs that the fast search left for `measure_left`, from row `kept` of the lists on; where they end."""
+    queue, which = queue_of(queued_at(work)), late_of(work)
     for m in range(late):
-        lane = queue[LATE, m]
-        for row in range(PAIR, INSIDE):
-            left.pieces[kept, row] = queue[row, lane]
-        left.pieces[kept, INSIDE] = queue[INSIDE, m]
-        for row in range(KEPT):
-            left.values[kept, row] = S[(SHIFT + row) * LANES + lane]
-            left.values[kept, KEPT + row] = S[(BELOW + row) * LANES + lane]
+        lane = which.place[m]
+        for c in range(len(queue.pairs)):
+            left.pieces[kept, c] = queue.pairs[c][lane]
+        left.pieces[kept, len(queue.pairs)] = which.inside[m]
+        for c in range(3):
+            left.values[kept, c], left.values[kept, 5 + c] = queue.shift[c, lane], queue.normal[c, lane]
+        left.values[kept, 3], left.values[kept, 4] = queue.size[lane], queue.below[lane]
         kept += 1
     return kept
 
@@ -402,40 +401,38 @@ def _leave(late, queue, S, kept, left):
 @njit()
 def _room(kept, left):
     """Lists of what is left with room for a queue more."""
-    if kept + LANES <= len(left.pieces):
+    if kept + QUEUED <= len(left.pieces):
         return left
-    more = Left(np.empty((2 * kept + LANES, LATE), np.int64), np.empty((2 * kept + LANES, 2 * KEPT)))
+    more = Left(np.empty((2 * kept + QUEUED, LEFT_INTEGERS), np.int64), np.empty((2 * kept + QUEUED, LEFT_FLOATS)))
     # By loops, here and elsewhere: should the shapes of two arrays differ, Numba would raise an error of Python's.
     for n in range(kept):
-        for c in range(LATE):
+        for c in range(LEFT_INTEGERS):
             more.pieces[n, c] = left.pieces[n, c]
-        for c in range(2 * KEPT):
+        for c in range(LEFT_FLOATS):
             more.values[n, c] = left.values[n, c]
     return more
 
 
 @njit()
-def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact):
+def _measure(wanted, count, operands, work, kept, left, bounds, exact):
     """Measure the queued piece pairs and merge them into the results of their pairs; what is left by now."""
-    write_bounds(count, queue, operands, S)
-    lower, upper, estimate = bounds.lower, bounds.upper, bounds.estimate
+    write_bounds(count, operands, queued_at(work))
+    queue, lower, upper, estimate = queue_of(queued_at(work)), bounds.lower, bounds.upper, bounds.estimate
     for lane in range(count):
-        k = queue[PAIR, lane]
-        below = S[BELOW * LANES + lane]
-        above = S[ABOVE * LANES + lane]
+        k, below, above = queue.pairs.pair[lane], queue.below[lane], queue.above[lane]
         lower[k] = min(lower[k], below)
         upper[k] = min(upper[k], above)
-        estimate[k] = min(estimate[k], max(below, min(above, estimated_distance(S, lane))))
+        estimate[k] = min(estimate[k], max(below, min(above, queue.estimate[lane])))
     if wanted:
-        late = measure_near(count, queue, operands, S, searches, exact)
+        late = measure_near(count, operands, work, exact)
         if late > 0:
             left = _room(kept, left)
-            kept = _leave(late, queue, S, kept, left)
+            kept = _leave(late, work, kept, left)
     return kept, left
 
 
 @njit()
-def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept, left, bounds, exact):
+def _measure_many(wanted, k, ia, ka, ib, kb, operands, work, kept, left, bounds, exact):
     """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     steps = np.empty(piece_tree.STEPS, np.int64)
@@ -443,14 +440,14 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
     # A first bound on the distance spares the walk most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
-    enqueue(queue, 0, k, i, j, ka, kb)
+    pair_list.put(queue_of(queued_at(work)).pairs, 0, k, i, j, ka, kb)
     found = 1
     while found > 0:
-        kept, left = _measure(wanted, found, queue, operands, S, searches, kept, left, bounds, exact)
+        kept, left = _measure(wanted, found, operands, work, kept, left, bounds, exact)
         cut = bounds.upper[k]
         if wanted:
             cut = min(cut, exact.distance[k] + SETTLED * numbers[piece_tree.SIZE])
-        found = next_pieces(k, ka, kb, ib, operands, max(cut, 0.0), steps, numbers, queue)
+        found = next_pieces(k, ka, kb, ib, operands, max(cut, 0.0), steps, numbers, queued_at(work))
     return kept, left
 
 
@@ -458,10 +455,10 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
 def _ask(pieces, piece, poses, row):
     """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
     for at in range(0, COLUMNS, LINE):
-        ask_line(pieces.table, piece * COLUMNS + at)
-    ask_line(pieces.table, piece * COLUMNS + COLUMNS - 1)
+        prefetch_far(pieces.table, piece * COLUMNS + at)
+    prefetch_far(pieces.table, piece * COLUMNS + COLUMNS - 1)
     for at in range(0, POSE_ENTRIES, LINE):
-        ask_line(poses, row * POSE_ENTRIES + at)
+        prefetch_far(poses, row * POSE_ENTRIES + at)
 
 
 @njit()
@@ -501,9 +498,8 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     operands = Operands(pack_a, Ta, pack_b, Tb)
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
-    S, queue, searches = scratch_of(memory), queue_of(memory), searches_of(memory)
     # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
-    left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
+    left = Left(integers_at(memory, (0, LEFT_INTEGERS)), floats_at(memory, (0, LEFT_FLOATS)))
     count, kept = 0, 0
     for k in range(start, stop):
         ia, ib, ka, kb = rows_of(k, shape, rows, body_a, body_b, pose_a, pose_b)
@@ -514,23 +510,21 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
             distance[k] = np.inf
             status[k] = SETTLED_DISTANCE
         if a.roots[ia] >= 0 or b.roots[ib] >= 0:
-            kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+            kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
             count = 0
-            kept, left = _measure_many(
-                wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept, left, bounds, exact
-            )
+            kept, left = _measure_many(wanted, k, ia, ka, ib, kb, operands, memory, kept, left, bounds, exact)
             continue
         for i in range(a.piece_start[ia], a.piece_start[ia + 1]):
             for j in range(b.piece_start[ib], b.piece_start[ib + 1]):
-                enqueue(queue, count, k, i, j, ka, kb)
+                pair_list.put(queue_of(queued_at(memory)).pairs, count, k, i, j, ka, kb)
                 count += 1
                 if rows.shape[1] > 0:
                     _ask(a, i, Ta, ka)
                     _ask(b, j, Tb, kb)
-                if count == LANES:
-                    kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+                if count == QUEUED:
+                    kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
                     count = 0
-    kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
+    kept, left = _measure(wanted, count, operands, memory, kept, left, bounds, exact)
     return left.pieces[:kept], left.values[:kept]  # no record: Python would make it by a slow call
 
 
@@ -539,15 +533,17 @@ def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, numbers, vectors, statu
     """Exact distances of the piece pairs in a `Left`; compiled only when there is one."""
     operands = Operands(pack_a, Ta, pack_b, Tb)
     exact = Exact(numbers[3], vectors[0], vectors[1], vectors[2], status, np.empty((0, 2), np.int64))
-    S = np.empty(ROWS * LANES)
-    queue = np.empty((QUEUE, LANES), np.int64)
-    for first in range(0, len(pieces), LANES):
-        count = min(LANES, len(pieces) - first)
-        for lane in range(count):
-            for row in range(PAIR, LATE):
-                queue[row, lane] = pieces[first + lane, row]
-            queue[LATE, lane] = lane
-            for row in range(KEPT):
-                S[(SHIFT + row) * LANES + lane] = values[first + lane, row]
-                S[(BELOW + row) * LANES + lane] = values[first + lane, KEPT + row]
-        measure_late(count, queue, operands, S, exact)
+    memory = np.empty(_QUEUE_BYTES // 8)
+    queue = queue_of(memory.ctypes.data)
+    late = Late(np.empty(QUEUED, np.int64), np.empty(QUEUED, np.int64))
+    for first in range(0, len(pieces), QUEUED):
+        count = min(QUEUED, len(pieces) - first)
+        for k in range(count):
+            row, kept = pieces[first + k], values[first + k]
+            pair_list.put(queue.pairs, k, row[0], row[1], row[2], row[3], row[4])
+            late.place[k], late.inside[k] = k, row[5]
+            for c in range(3):
+                queue.shift[c, k], queue.normal[c, k] = kept[c], kept[5 + c]
+            queue.size[k], queue.below[k] = kept[3], kept[4]
+        measure_late(count, operands, memory.ctypes.data, late, exact)
+    held(memory)

@@ -51,8 +51,7 @@ from loewner._kernels.pipeline.workspace import (
     unsure_of,
     walk_of,
 )
-from loewner._kernels.simd.support import prefetch
-from loewner._kernels.simd.vectors import SINGLE_LANES
+from loewner._kernels.simd.vectors import SINGLE_LANES, prefetch
 from loewner._kernels.trees import piece_tree
 
 # What `_flush` found in a block, from which the next one may start otherwise: mostly pairs far apart; mostly pairs
@@ -501,7 +500,7 @@ def settle_range(mode, margin, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, 
                 carried[N_UNSURE] = 0
                 for lane in range(waiting):
                     pair_list.copy(listed, lane, unsure_of(work), lane)
-                if _flush(query, np.int64(DISTINCT | BEST), waiting, work, out, tally) == FAULTY:
+                if _flush(query, DISTINCT | BEST, waiting, work, out, tally) == FAULTY:
                     return False
         if carried[N_HELD] + carried[N_WALKING] > 0:
             _search(query, carried[HALF], carried[N_HELD], 0, 1, work, out, tally)

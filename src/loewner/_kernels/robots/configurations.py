@@ -370,7 +370,7 @@ def _settle_block(query, Q, first, last, S):
     _tiers_of(work)[:] = BY_SPHERE
     groups = (last - first) // SINGLE_LANES + 1
     count, held, keep = 0, 0, 0.0
-    start, together, total = 0, np.int64(FIRST if few else TOGETHER), len(problem.order)
+    start, together, total = 0, FIRST if few else TOGETHER, len(problem.order)
     while start < total:
         stop = min(start + together, total)
         if few:
@@ -470,7 +470,7 @@ def check_configurations(mode, start, stop, Q, pack, problem_handle, out, tiers_
     counts = counts_of(pieces, problem, Q.shape[1])
     query = Query(mode, 0, pack, problem_handle, counts, hits, memory)
     verdicts, tiers = _verdicts_of(memory), _tiers_of(memory)
-    S = np.int64(SINGLE_LANES if stop - start <= SINGLE_LANES else MOST)
+    S = SINGLE_LANES if stop - start <= SINGLE_LANES else MOST
     stand(problem, counts, _placement_of(query))
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
@@ -515,7 +515,7 @@ def check_motion(start, end, fractions, pack, problem_handle, out, hits, memory)
             for c in range(dof):
                 straight = start[c] + fractions[k] * (end[c] - start[c])
                 way[k - first, c] = straight if fractions[k] != 1.0 else end[c]
-        S = np.int64(SINGLE_LANES if last - first < SINGLE_LANES else MOST)
+        S = SINGLE_LANES if last - first < SINGLE_LANES else MOST
         _settle_block(query, way, 0, last - first, S)
         for s in range(last + 1 - first):
             if verdicts[s] == COLLIDING:

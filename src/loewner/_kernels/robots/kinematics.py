@@ -193,7 +193,7 @@ def link_poses(parent, kind, column, multiplier, offset, constants, Q, start, st
     links = parent.size
     W = np.empty(workspace_size(links, Q.shape[1]))
     rows = np.empty(LANES, dtype=np.int64)
-    last = np.int64(stop - 1)
+    last = stop - 1
     zero, one = broadcast(0.0), broadcast(1.0)
     for first in range(start, stop, LANES):
         for lane in range(LANES):

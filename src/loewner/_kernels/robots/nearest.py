@@ -10,29 +10,19 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import BOUNDS
 from loewner._kernels.linalg3 import dot, minus
+from loewner._kernels.narrow import pair_list
 from loewner._kernels.pieces.pack import pieces_of, problem_of
 from loewner._kernels.pipeline import distances
-from loewner._kernels.pipeline.bounds import (
-    ABOVE,
-    BELOW,
-    LANES,
-    LATE,
-    PAIR,
-    Operands,
-    enqueue,
-    next_pieces,
-    write_bounds,
-)
+from loewner._kernels.pipeline.bounds import QUEUED, Operands, next_pieces, queue_of, write_bounds
 from loewner._kernels.pipeline.distances import (
     NOT_SETTLED,
     SETTLED,
     SETTLED_DISTANCE,
     Exact,
+    late_of,
     measure_late,
     measure_near,
-    queue_of,
-    scratch_of,
-    searches_of,
+    queued_at,
 )
 from loewner._kernels.robots.placement import (
     MOST,
@@ -47,8 +37,8 @@ from loewner._kernels.robots.placement import (
     stand,
 )
 from loewner._kernels.simd.memory import Arena, Place, floats, integers, small_integers
-from loewner._kernels.simd.vectors import LANES as EIGHT
 from loewner._kernels.simd.vectors import (
+    LANES,
     SINGLE_LANES,
     absolute,
     broadcast,
@@ -65,14 +55,12 @@ from loewner._kernels.trees import piece_tree
 
 S = SINGLE_LANES  # configurations of a block
 
-# The row of the queue that says which pair of bodies a lane is about, until the searches write to it.
-BODIES = LATE
-
 # What a lower bound in single precision loses to its roundings.
 DOWN = 1.0 - 16.0 * SINGLE_ROUNDOFF  # derived 6, certified.md B43
 
 MEMORY = Arena(
     distances=distances.MEMORY,
+    bodies=integers(QUEUED),  # the pair of bodies that each queued piece pair belongs to
     seeds=floats(S),  # the pair that looks nearest at each configuration
     low=floats(S),
     high=floats(S),
@@ -85,8 +73,8 @@ MEMORY = Arena(
     least=floats(S * PAIRS),  # lower bounds of the pairs
     placement=PLACEMENT,
 )  # fmt: skip
-_distances_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
-    MEMORY.accessors("distances seeds low high exact steps numbers least placement")
+_distances_of, _bodies_of, _seeds_of, _low_of, _high_of, _exact_of, _steps_of, _numbers_of, _least_of, _placement_of = (
+    MEMORY.accessors("distances bodies seeds low high exact steps numbers least placement")
 )
 (_placement_at,), _size = MEMORY.addresses("placement"), MEMORY.sizing()
 
@@ -133,23 +121,23 @@ def _bound(count, operands, place):
     Balls and boxes may say more than ellipsoids. Where they do they count: a pair that was left out in another order
     of pairs, for it is farther than `upper`, then lowers nothing here either.
     """
-    W, queue = scratch_of(_distances_of(place)), queue_of(_distances_of(place))
+    write_bounds(count, operands, queued_at(_distances_of(place)))
+    queue, bodies = queue_of(queued_at(_distances_of(place))), _bodies_of(place)
     least, lower, upper = _least_of(place), _low_of(place), _high_of(place)
-    write_bounds(count, queue, operands, W)
-    for lane in range(count):
-        s = queue[PAIR, lane]
-        lower[s] = min(lower[s], max(W[BELOW * LANES + lane], least[queue[BODIES, lane] * S + s]))
-        upper[s] = min(upper[s], W[ABOVE * LANES + lane])
+    for k in range(count):
+        s = queue.pairs.pair[k]
+        lower[s] = min(lower[s], max(queue.below[k], least[bodies[k] * S + s]))
+        upper[s] = min(upper[s], queue.above[k])
 
 
 @njit()
 def _measure(count, operands, place):
     """Exact distances of queued piece pairs, merged into those of their configurations."""
-    W, queue, exact = scratch_of(_distances_of(place)), queue_of(_distances_of(place)), _exact_of(place)
-    write_bounds(count, queue, operands, W)
-    late = measure_near(count, queue, operands, W, searches_of(_distances_of(place)), exact)
+    work, exact = _distances_of(place), _exact_of(place)
+    write_bounds(count, operands, queued_at(work))
+    late = measure_near(count, operands, work, exact)
     if late > 0:
-        measure_late(late, queue, operands, W, exact)
+        measure_late(late, operands, queued_at(work), late_of(work), exact)
 
 
 @njit()
@@ -166,7 +154,7 @@ def _take(turn, count, operands, place):
 def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
     """The piece pairs of two bodies, one of many pieces, that may be the nearest at a configuration."""
     pieces = pieces_of(operands.a)
-    queue, steps, numbers = queue_of(_distances_of(place)), _steps_of(place), _numbers_of(place)
+    queued, steps, numbers = queued_at(_distances_of(place)), _steps_of(place), _numbers_of(place)
     upper, distance = _high_of(place), _exact_of(place).distance
     poses = operands.poses_a
     piece_tree.begin(pieces, body_a, poses, row_a, pieces, body_b, poses, row_b, steps, numbers)
@@ -174,10 +162,10 @@ def _walk(turn, p, s, body_a, row_a, body_b, row_b, operands, place):
         cut = upper[s] + SETTLED * numbers[piece_tree.SIZE]
         if turn == 1:
             cut = min(cut, distance[s] + SETTLED * numbers[piece_tree.SIZE])
-        found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queue)
+        found = next_pieces(s, row_a, row_b, body_b, operands, max(cut, 0.0), steps, numbers, queued)
         if found == 0:
             return
-        queue[BODIES, :found] = p
+        _bodies_of(place)[:found] = p
         _take(turn, found, operands, place)
 
 
@@ -210,8 +198,8 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers,
     place = Place(memory, counts)
     least, to, at_placement = _least_of(place), _placement_of(place), _placement_at(place)
     operands = Operands(pack, to.poses, pack, to.poses)
-    queue, seeds = queue_of(_distances_of(memory)), _seeds_of(memory)
-    low, high, exact = _low_of(memory), _high_of(memory), _exact_of(memory)
+    queued, bodies = queue_of(queued_at(_distances_of(memory))).pairs, _bodies_of(memory)
+    seeds, low, high, exact = _seeds_of(memory), _low_of(memory), _high_of(memory), _exact_of(memory)
     stand(problem, counts, to)
     for first in range(start, stop, S):
         last = min(first + S, stop) - 1
@@ -225,8 +213,8 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers,
             p = np.int64(seeds[s])
             one, other = problem.pairs[p, 0], problem.pairs[p, 1]
             row_a, row_b = _pose_row(one, s, moving), _pose_row(other, s, moving)
-            enqueue(queue, s, s, piece_start[one], piece_start[other], row_a, row_b)
-            queue[BODIES, s] = p
+            pair_list.put(queued, s, s, piece_start[one], piece_start[other], row_a, row_b)
+            bodies[s] = p
         _bound(here, operands, place)
         live = (1 << here) - 1
         for turn in range(2 if wanted else 1):
@@ -245,10 +233,10 @@ def nearest_pairs(wanted, start, stop, Q, pack, problem_handle, memory, numbers,
                         continue
                     for i in range(piece_start[one], piece_start[one + 1]):
                         for j in range(piece_start[other], piece_start[other + 1]):
-                            enqueue(queue, count, s, i, j, row_a, row_b)
-                            queue[BODIES, count] = p
+                            pair_list.put(queued, count, s, i, j, row_a, row_b)
+                            bodies[count] = p
                             count += 1
-                            if count == LANES:
+                            if count == QUEUED:
                                 _take(turn, count, operands, place)
                                 count = 0
             _take(turn, count, operands, place)
@@ -303,10 +291,10 @@ def near_pairs(within, start, stop, Q, pack, problem_handle, memory, listed, cou
 def _place(pack, problem_handle, at_placement, counts, Q, first, last):
     """Place what moves at the configurations first .. last, sixteen at most."""
     problem, to = problem_of(problem_handle), placement_of(Place(at_placement, counts))
-    for lane in range(0, last + 1 - first, EIGHT):
+    for lane in range(0, last + 1 - first, LANES):
         place_joints(problem, Q, first + lane, last, to)
         for body in range(counts.moving):
-            place_body(pack, problem_handle, at_placement, counts, body, S, np.int64(lane))
+            place_body(pack, problem_handle, at_placement, counts, body, S, lane)
 
 
 @inline

@@ -1,4 +1,4 @@
-"""Eight doubles, sixteen floats or one as one number: Numba types whose arithmetic is vector instructions.
+"""Eight doubles, eight or sixteen floats or one as one number: Numba types whose arithmetic is vector instructions.
 
 A formula written once on scalars runs unchanged on many piece pairs: +, -, *, / and the functions
 below take floats and vectors alike, a float standing for as many copies as needed. LLVM maps ``<8 x double>`` and
@@ -39,11 +39,12 @@ vector = _Lanes("Vector8", ir.DoubleType(), LANES)
 single = _Lanes("Single16", ir.FloatType(), SINGLE_LANES)
 mask = _Lanes("Mask8", ir.IntType(1), LANES)
 single_mask = _Lanes("Mask16", ir.IntType(1), SINGLE_LANES)
+eight_singles = _Lanes("Single8", ir.FloatType(), LANES)
 scalar = _Lanes("Single1", ir.FloatType(), 1)
 scalar_mask = _Lanes("Mask1", ir.IntType(1), 1)
 
-_MASK_OF = {vector: mask, single: single_mask, scalar: scalar_mask}
-_VECTORS, _MASKS = tuple(_MASK_OF), tuple(_MASK_OF.values())
+_MASK_OF = {vector: mask, eight_singles: mask, single: single_mask, scalar: scalar_mask}
+_VECTORS, _MASKS = tuple(_MASK_OF), tuple(dict.fromkeys(_MASK_OF.values()))
 
 
 @register_model(_Lanes)
@@ -67,7 +68,7 @@ def _spread(builder, value, kind, wanted):
     """A float as copies; a vector as it is."""
     if kind == wanted:
         return value
-    if wanted in (single, scalar) and value.type == ir.DoubleType():
+    if wanted != vector and value.type == ir.DoubleType():
         value = builder.fptrunc(value, ir.FloatType())
     return _repeat(builder, value, wanted.count) if wanted.count > 1 else value
 
@@ -287,6 +288,42 @@ lowest, highest = _reduction("lowest", "<", "least"), _reduction("highest", ">",
 
 
 @intrinsic
+def entry_at_highest(typingctx, x, y):
+    """Entry of y in the lane where x, a vector without NaN, is largest. Ties go the same way every time."""
+
+    def generate(context, builder, sig, args):
+        x, y = args
+        for half in (4, 2, 1):
+            first, other = (_indices(list(range(at, at + half))) for at in (0, half))
+            (x, more), (y, at_more) = ([builder.shuffle_vector(v, v, part) for part in (first, other)] for v in (x, y))
+            larger = builder.fcmp_ordered(">", more, x)
+            x, y = builder.select(larger, more, x), builder.select(larger, at_more, y)
+        return builder.extract_element(y, ir.Constant(ir.IntType(32), 0))
+
+    return signature(types.float64, vector, vector), generate
+
+
+@intrinsic
+def halves_swapped(typingctx, x):
+    """The last four lanes of a vector, then its first four."""
+
+    def generate(context, builder, sig, args):
+        return builder.shuffle_vector(args[0], args[0], _indices([lane ^ 4 for lane in range(LANES)]))
+
+    return signature(vector, vector), generate
+
+
+@intrinsic
+def lane_numbers(typingctx):
+    """The numbers of the lanes of a vector, 0 to 7."""
+
+    def generate(context, builder, sig, args):
+        return ir.Constant(vector.llvm, [float(lane) for lane in range(LANES)])
+
+    return signature(vector), generate
+
+
+@intrinsic
 def select(typingctx, condition, x, y):
     """x where the condition holds, else y."""
 
@@ -389,13 +426,14 @@ def store(typingctx, array, offset, x):
 
 @intrinsic
 def load(typingctx, array, offset):
-    """Read eight doubles from a flat array from `offset` on."""
+    """Read eight numbers from a flat array of float64 or float32 from `offset` on."""
+    kind = eight_singles if array.dtype == types.float32 else vector
 
     def generate(context, builder, sig, args):
         address = _address(context, builder, sig.args[0], args[0], args[1])
-        return builder.load(builder.bitcast(address, vector.llvm.as_pointer()), align=8)
+        return builder.load(builder.bitcast(address, kind.llvm.as_pointer()), align=4 if kind == eight_singles else 8)
 
-    return signature(vector, array, types.int64), generate
+    return signature(kind, array, types.int64), generate
 
 
 def _columns_of(builder, rows):
@@ -452,6 +490,19 @@ def gather_transpose(typingctx, table, width, rows, at, column):
 
 
 @intrinsic
+def spread_row(typingctx, table, width, rows, at, column):
+    """The vectors of `gather_transpose` if all eight rows are the one at `at`."""
+
+    def generate(context, builder, sig, args):
+        (row,) = _load_rows(context, builder, sig, args, 1)
+        lanes = [builder.shuffle_vector(row, row, _indices([lane] * LANES)) for lane in range(LANES)]
+        return context.make_tuple(builder, sig.return_type, lanes)
+
+    integer = types.int64
+    return signature(types.UniTuple(vector, 8), table, integer, rows, integer, integer), generate
+
+
+@intrinsic
 def scatter_transpose(typingctx, table, width, rows, at, column, eight):
     """Write eight vectors to eight consecutive columns of eight rows: the reverse of `columns`."""
 
@@ -484,32 +535,56 @@ def gather_transpose_single(typingctx, table, width, rows, at, column):
     return signature(types.UniTuple(single, 8), table, integer, rows, integer, integer), generate
 
 
-def _asking(count):
-    """The function below, for as many rows as a vector has lanes."""
+# LLVM calls the first-level cache 3 and the second 2. The first can wait for two dozen lines at a time only, the
+# second for more.
+_FIRST_LEVEL, _SECOND_LEVEL = 3, 2
 
+
+def _prefetch(builder, address, level):
+    """Prefetch a cache line: never faults, never waits."""
+    byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
+    function = builder.module.declare_intrinsic(
+        "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
+    )
+    read, near, data = (ir.Constant(half, code) for code in (0, level, 1))
+    builder.call(function, [builder.bitcast(address, byte), read, near, data])
+
+
+def _prefetching_line(level):
+    @intrinsic
+    def prefetch(typingctx, array, index):
+        """Prefetch the cache line of an entry of an array."""
+
+        def generate(context, builder, sig, args):
+            _prefetch(builder, _address(context, builder, sig.args[0], *args), level)
+            return context.get_dummy_value()
+
+        return signature(types.void, array, types.int64), generate
+
+    return prefetch
+
+
+# For use soon, and for use some thousand instructions later.
+prefetch, prefetch_far = _prefetching_line(_FIRST_LEVEL), _prefetching_line(_SECOND_LEVEL)
+
+
+def _prefetching_rows(count):
     @intrinsic
     def prefetch_rows(typingctx, table, width, rows, at):
-        """Ask for the first two cache lines of rows that are needed some thousand instructions later.
+        """Prefetch the first two cache lines of as many rows as a vector has lanes, some thousand instructions ahead.
 
-        Into the second-level cache: the first can wait for two dozen lines at a time only, less than a pair's rows and
-        poses at the pace of the certificate. Never faults, never waits.
+        The first-level cache can wait for less than a pair's rows and poses at the pace of the certificate.
         """
 
         def generate(context, builder, sig, args):
             array, wide, numbers, at = args
-            byte, half = ir.IntType(8).as_pointer(), ir.IntType(32)
-            function = builder.module.declare_intrinsic(
-                "llvm.prefetch", [byte], ir.FunctionType(ir.VoidType(), [byte, half, half, half])
-            )
-            read, second_level, data = (ir.Constant(half, code) for code in (0, 2, 1))
             for lane in range(count):
                 place = builder.add(at, ir.Constant(at.type, lane))
                 row = builder.load(_address(context, builder, sig.args[2], numbers, place))
                 address = _address(context, builder, sig.args[0], array, builder.mul(row, wide))
-                first = builder.bitcast(address, byte)
+                first = builder.bitcast(address, ir.IntType(8).as_pointer())
                 for offset in (0, CACHE_LINE):
-                    line = builder.gep(first, [ir.Constant(ir.IntType(64), offset)])
-                    builder.call(function, [line, read, second_level, data])
+                    _prefetch(builder, builder.gep(first, [ir.Constant(ir.IntType(64), offset)]), _SECOND_LEVEL)
             return context.get_dummy_value()
 
         integer = types.int64
@@ -518,7 +593,7 @@ def _asking(count):
     return prefetch_rows
 
 
-prefetch_rows, prefetch_rows_single = _asking(LANES), _asking(SINGLE_LANES)
+prefetch_rows, prefetch_rows_single = _prefetching_rows(LANES), _prefetching_rows(SINGLE_LANES)
 
 
 @intrinsic
