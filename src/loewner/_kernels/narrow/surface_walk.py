@@ -38,15 +38,15 @@ _layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
 
 MEMORY = Arena(
     stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
+    placed=floats(2 * BLOCK),  # the corners of two leaves
+    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
+    planes=floats(PLANES * PLANE),
     bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
     lanes=floats(2 * WIDE),
-    placed=floats(2 * BLOCK),  # the corners of two leaves
-    planes=floats(PLANES * PLANE),
-    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
     first=TRIANGLE, second=TRIANGLE,
 )  # fmt: skip
-stack_of, bounds_of, lanes_of, placed_of, planes_of, vertices_of, result_of = MEMORY.accessors(
-    "stack bounds lanes placed planes vertices result"
+stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of = MEMORY.accessors(
+    "stack placed vertices result planes bounds lanes"
 )
 first_of, second_of = MEMORY.addresses("first second")
 SIZE = MEMORY.size()  # bytes
