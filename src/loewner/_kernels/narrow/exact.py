@@ -17,8 +17,8 @@ from loewner._kernels.linalg3 import dot
 from loewner._kernels.narrow.gjk_fast import MEMORY, begin, decide, measure, result_of, vertices_of
 from loewner._kernels.narrow.gjk_robust import rounding_error, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface
-from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
-from loewner._kernels.narrow.surfaces import surface_pair
+from loewner._kernels.narrow.surface_meets import surface_pair
+from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
 from loewner._kernels.pieces.pack import shift_between
 from loewner._kernels.pieces.shapes import radius
 

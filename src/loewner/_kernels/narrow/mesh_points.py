@@ -9,24 +9,18 @@ import numpy as np
 
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.linalg3 import along, dot, minus, plus, scaled
-from loewner._kernels.narrow.surface_boxes import ROUNDINGS, boxes_of, squared_gap, tree_at
-from loewner._kernels.narrow.surface_distance import BELIEVED, push_near, rounded_up
-from loewner._kernels.narrow.surfaces import STACK, winding_number
+from loewner._kernels.narrow import surface_walk as walk
+from loewner._kernels.narrow.surface_boxes import ROUNDINGS, boxes_of, singles, squared_gap, tree_at
+from loewner._kernels.narrow.surface_points import winding_number
 from loewner._kernels.narrow.triangles import nearest_on
-from loewner._kernels.simd.memory import floats_at, integers_at
-from loewner._kernels.simd.vectors import load, lowest_bit, movemask, store
-from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, WIDE, leaf_of, size_of
-
-# Memory: a stack, a lower bound for each of its entries, and bounds of a node.
-_BOUNDS = 8 * STACK
-_LANES = _BOUNDS + 8 * STACK
-SIZE = _LANES + 8 * 2 * WIDE  # bytes
+from loewner._kernels.simd.vectors import movemask, next_lane, store
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of
 
 
 @njit()
 def points_memory():
     """How many bytes the functions below need."""
-    return SIZE
+    return walk.SIZE
 
 
 @njit()
@@ -42,11 +36,7 @@ def squared_distances_of(points, triangles, squared):
     """
     for n in range(len(points)):
         x, t = _point(points, n), triangles[n]
-        p = nearest_on(
-            ((t[0, 0], t[0, 1], t[0, 2]), (t[1, 0], t[1, 1], t[1, 2]), (t[2, 0], t[2, 1], t[2, 2])),
-            x,
-        )
-        d = minus(p, x)
+        d = minus(nearest_on((_point(t, 0), _point(t, 1), _point(t, 2)), x), x)
         squared[n] = dot(d, d)
 
 
@@ -68,36 +58,24 @@ def nearest_triangles(table, size, points, distances, places, memory):
     memory : int
         Address of `points_memory` bytes.
     """
-    tree = tree_at(table)
+    tree, lanes = tree_at(table), walk.lanes_of(memory)
     slack = np.float32(ROUNDINGS * size)
-    stack, bounds = integers_at(memory, (STACK,)), floats_at(memory + _BOUNDS, (STACK,))
-    lanes = floats_at(memory + _LANES, (2 * WIDE,))
     for n in range(len(points)):
         x = _point(points, n)
-        single = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
-        best, place = np.inf, 0
-        stack[0], stack[1], bounds[0] = 0, 0, 0.0
-        height = 1
-        while height > 0:
-            height -= 1
-            if bounds[2 * height] * BELIEVED > best:
-                continue
-            child = tree.children[stack[2 * height]]
+        single = singles(x)
+        best, place, height = np.inf, 0, walk.begun(memory)
+        while True:
+            child, height = walk.next_nearest(tree, single, (slack, slack, slack), 0, best, memory, height)
             if child >= 0:
-                middles, halves = boxes_of(tree.boxes, child)
-                t = minus(middles, single)
-                gaps, none = squared_gap(t, halves, (slack, slack, slack)), 0
-                height = push_near(stack, bounds, lanes, height, gaps, t, halves, best, child, none, True)
-                continue
+                break
             leaf = leaf_of(child)
             squared = _squared_distances(tree.blocks, leaf, x)
-            bits = movemask(squared < best) & ((1 << size_of(child)) - 1)
+            bits = walk.lanes_in(child, squared < best)
             if bits == 0:
                 continue
             store(lanes, 0, squared)
             while bits != 0:
-                lane = lowest_bit(bits)
-                bits &= bits - 1
+                lane, bits = next_lane(bits)
                 if lanes[lane] < best:
                     best, place = lanes[lane], leaf * LEAF + lane
         distances[n], places[n] = np.sqrt(best), place
@@ -112,6 +90,18 @@ def winding_numbers(table, size, points, numbers, memory):
     tree = tree_at(table)
     for n in range(len(points)):
         numbers[n] = winding_number(tree, _point(points, n), size, memory)
+
+
+@inline
+def _in_ball(boxes, node, ball):
+    """Bits of the boxes of a node that come near a point."""
+    middle, slack, far = ball
+    middles, halves = boxes_of(boxes, node)
+    gaps = squared_gap(minus(middles, middle), halves, (slack, slack, slack))
+    return movemask((gaps <= far) & (halves[0] >= np.float32(0.0)))
+
+
+_next_in_ball = walk.walking(_in_ball)
 
 
 @njit()
@@ -138,29 +128,17 @@ def facing_one_way(table, size, points, reach, normals, two_sided, least, steps,
     """
     tree = tree_at(table)
     slack = np.float32(ROUNDINGS * size)
-    stack = integers_at(memory, (STACK,))
     for n in range(len(points)):
-        x, far = _point(points, n), reach[n] * reach[n]
-        single, far_single = (np.float32(x[0]), np.float32(x[1]), np.float32(x[2])), rounded_up(far)
-        found, height = 0, 1
-        stack[0] = 0
-        while height > 0:
-            height -= 1
-            child = tree.children[stack[height]]
+        x, far, found, height = _point(points, n), reach[n] * reach[n], 0, walk.begun(memory)
+        ball = singles(x), slack, walk.rounded_up(far)
+        while True:
+            child, height = _next_in_ball(tree, memory, height, ball)
             if child >= 0:
-                middles, halves = boxes_of(tree.boxes, child)
-                gaps = squared_gap(minus(middles, single), halves, (slack, slack, slack))
-                bits = movemask((gaps <= far_single) & (halves[0] >= np.float32(0.0)))
-                while bits != 0:
-                    stack[height] = child * WIDE + lowest_bit(bits)
-                    height += 1
-                    bits &= bits - 1
-                continue
+                break
             leaf = leaf_of(child)
-            bits = movemask(_squared_distances(tree.blocks, leaf, x) <= far) & ((1 << size_of(child)) - 1)
+            bits = walk.lanes_in(child, _squared_distances(tree.blocks, leaf, x) <= far)
             while bits != 0:
-                lane = lowest_bit(bits)
-                bits &= bits - 1
+                lane, bits = next_lane(bits)
                 normal = _point(normals, leaf * LEAF + lane)
                 if not dot(normal, normal) > 0.0:
                     continue
@@ -201,14 +179,5 @@ def _point(points, n):
 @inline
 def _squared_distances(blocks, leaf, x):
     """Squared distances of a point from the eight triangles of a leaf."""
-    at = leaf * BLOCK
-    p = nearest_on(
-        (
-            (load(blocks, at), load(blocks, at + LEAF), load(blocks, at + 2 * LEAF)),
-            (load(blocks, at + 3 * LEAF), load(blocks, at + 4 * LEAF), load(blocks, at + 5 * LEAF)),
-            (load(blocks, at + 6 * LEAF), load(blocks, at + 7 * LEAF), load(blocks, at + 8 * LEAF)),
-        ),
-        x,
-    )
-    d = minus(p, x)
+    d = minus(nearest_on(walk.corners_of(blocks, leaf), x), x)
     return dot(d, d)

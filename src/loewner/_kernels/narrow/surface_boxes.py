@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loewner._kernels._jit import inline
-from loewner._kernels.columns import KIND, SOLID, SURFACE, SURFACE_AT
-from loewner._kernels.linalg3 import apply_transposed, product
+from loewner._kernels._jit import inline, njit
+from loewner._kernels.columns import KIND, OUTER_CENTER, OUTER_SHAPE, SOLID, SURFACE, SURFACE_AT
+from loewner._kernels.ellipsoids.contact import outward_width
+from loewner._kernels.linalg3 import apply, apply_transposed, dot, negated, plus, product
 from loewner._kernels.narrow.gjk_robust import off_orthonormal
-from loewner._kernels.pieces.shapes import rotation_of
+from loewner._kernels.pieces.shapes import placed_support, rotation_of
 from loewner._kernels.simd.memory import reader, record_kind
-from loewner._kernels.simd.vectors import absolute, load_single, lowest_bit, maximum, movemask
+from loewner._kernels.simd.vectors import absolute, load_single, maximum, movemask
 from loewner._kernels.tolerances import SINGLE_ROUNDOFF
 from loewner._kernels.trees.triangle_tree import CORNERS, DIAGONALS, ROWS, WIDE, WIDE_BITS
 
@@ -36,6 +37,15 @@ class Tree(NamedTuple):
     blocks: Any
     parts: Any
     diagonals: Any
+
+
+class Box(NamedTuple):
+    """Middle and half widths along a tree's axes, and both in single precision, with slack for rounding."""
+
+    middle: Any
+    half: Any
+    single: Any
+    wide: Any
 
 
 class Relation(NamedTuple):
@@ -81,6 +91,13 @@ def surface_of(P):
 
 
 @inline
+def singles(v):
+    """A vector in single precision."""
+    f = np.float32
+    return f(v[0]), f(v[1]), f(v[2])
+
+
+@inline
 def relation(A, B, shift, size, near):
     """How a placed surface lies to another one: what is `near` counts as meeting; `size` is a sum of lengths."""
     R, S = rotation_of(A), rotation_of(B)
@@ -95,7 +112,7 @@ def relation(A, B, shift, size, near):
             f(abs(m[0])), f(abs(m[1])), f(abs(m[2])), f(abs(m[3])), f(abs(m[4])), f(abs(m[5])), f(abs(m[6])),
             f(abs(m[7])), f(abs(m[8])),
         ),
-        (f(s[0]), f(s[1]), f(s[2])),
+        singles(s),
         f(slack),
     )  # fmt: skip
 
@@ -170,48 +187,22 @@ def opens_first(a, b, slot_a, slot_b):
 
 
 @inline
-def push_meeting(relation, a, b, slot_a, slot_b, stack, height):
-    """Open one of two boxes and put what is in it, if it is not proven apart from the other, on a stack."""
-    if opens_first(a, b, slot_a, slot_b):
-        node = a.children[slot_a]
-        middle, half = box_at(b.boxes, slot_b)
-        middles, halves = boxes_of(a.boxes, node)
-        bits = meeting(relation, between(relation, middles, middle), halves, half)
-        while bits != 0:
-            stack[height], stack[height + 1] = node * WIDE + lowest_bit(bits), slot_b
-            height += 2
-            bits &= bits - 1
-    else:
-        node = b.children[slot_b]
-        middle, half = box_at(a.boxes, slot_a)
-        middles, halves = boxes_of(b.boxes, node)
-        bits = meeting(relation, between(relation, middle, middles), half, halves)
-        while bits != 0:
-            stack[height], stack[height + 1] = slot_a, node * WIDE + lowest_bit(bits)
-            height += 2
-            bits &= bits - 1
-    return height
+def in_box(boxes, node, query):
+    """Bits of the boxes of a node that meet a box, and come within `far` of planes m x = limit from below.
 
-
-@inline
-def near_box(boxes, node, middle, half):
-    """Bits of the boxes of a node that meet one along the same axes, in single precision."""
+    The query is the `Box`, an array of planes, which are rows of four, how many of them count, and `far`.
+    """
+    box, planes, count, far = query
     middles, halves = boxes_of(boxes, node)
-    return movemask(
-        (absolute(middles[0] - middle[0]) <= halves[0] + half[0])
-        & (absolute(middles[1] - middle[1]) <= halves[1] + half[1])
-        & (absolute(middles[2] - middle[2]) <= halves[2] + half[2])
+    bits = movemask(
+        (absolute(middles[0] - box.single[0]) <= halves[0] + box.wide[0])
+        & (absolute(middles[1] - box.single[1]) <= halves[1] + box.wide[1])
+        & (absolute(middles[2] - box.single[2]) <= halves[2] + box.wide[2])
     )
-
-
-@inline
-def within_planes(boxes, node, planes, count, reach, bits):
-    """Those of some boxes of a node that come within `reach` of `count` planes m x = limit from below, rows of four."""
-    middles, halves = boxes_of(boxes, node)
     for k in range(count):
         if bits == 0:
             break
-        bits &= ~movemask(_farthest(middles, halves, planes, k) <= np.float32(planes[4 * k + 3] - reach))
+        bits &= ~movemask(_farthest(middles, halves, planes, k) <= np.float32(planes[4 * k + 3] - far))
     return bits
 
 
@@ -324,3 +315,53 @@ def reach_at(tree, slot, way):
     middle, half = tree.boxes[at], tree.boxes[at + 3 * WIDE]
     edge, corner = tree.diagonals[more + way.edge], tree.diagonals[more + way.corner]
     return (middle * way.lean + half * way.share) + (edge * way.edge_share + corner * way.corner_share)
+
+
+@njit()
+def box_in_frame(A, B, shift, far, size):
+    """`Box` around a convex piece B, widened by `far`, in the axes of A's frame."""
+    R = rotation_of(A)
+    slack = _slack(R, far, size)
+    m0, h0 = _extent(B, shift, (R[0], R[3], R[6]), slack)
+    m1, h1 = _extent(B, shift, (R[1], R[4], R[7]), slack)
+    m2, h2 = _extent(B, shift, (R[2], R[5], R[8]), slack)
+    m, h = (m0, m1, m2), (h0, h1, h2)
+    return Box(m, h, singles(m), singles(h))
+
+
+@njit()
+def oval_in_frame(A, B, shift, far, size):
+    """`Box` around the outer ellipsoid of a convex piece B, widened by `far`, in the axes of A's frame."""
+    R, S = rotation_of(A), rotation_of(B)
+    slack = _slack(R, far, size)
+    t, p, q = B.table, B.piece, OUTER_SHAPE
+    c = plus(apply(S, (t[p, OUTER_CENTER], t[p, OUTER_CENTER + 1], t[p, OUTER_CENTER + 2])), shift)
+    Q = t[p, q], t[p, q + 1], t[p, q + 2], t[p, q + 3], t[p, q + 4], t[p, q + 5]
+    h0 = _half_width(Q, apply_transposed(S, (R[0], R[3], R[6]))) + slack
+    h1 = _half_width(Q, apply_transposed(S, (R[1], R[4], R[7]))) + slack
+    h2 = _half_width(Q, apply_transposed(S, (R[2], R[5], R[8]))) + slack
+    m, h = apply_transposed(R, c), (h0, h1, h2)
+    return Box(m, h, singles(m), singles(h))
+
+
+@inline
+def _slack(R, far, size):
+    """Widening of a box along the axes of R: the distance, the bend of poses, and rounding."""
+    bend = off_orthonormal(R) + 1e-15
+    return far * (1.0 + bend) + (4.0 * bend + ROUNDINGS) * size
+
+
+@inline
+def _half_width(Q, n):
+    """How far an ellipsoid with shape matrix Q goes along n from its center; rounded outward."""
+    width, _ = outward_width(Q, n, dot(n, n))
+    return width
+
+
+@inline
+def _extent(B, shift, n, slack):
+    """Where the middle of a piece is along a direction, and how far it goes from there."""
+    low = dot(n, plus(placed_support(B, negated(n)), shift)) - slack
+    high = dot(n, plus(placed_support(B, n), shift)) + slack
+    middle = 0.5 * (low + high)
+    return middle, high - middle

@@ -9,9 +9,8 @@ from loewner._kernels.narrow import certificate
 from loewner._kernels.narrow.certificate import BLOCK
 from loewner._kernels.narrow.gjk_robust import lengths
 from loewner._kernels.narrow.pair_list import arena, fill, put
-from loewner._kernels.narrow.surface_boxes import is_solid
-from loewner._kernels.narrow.surfaces import OUTSIDE, parts_within
-from loewner._kernels.narrow.surfaces import SIZE as WALK
+from loewner._kernels.narrow.surface_points import OUTSIDE, within_either
+from loewner._kernels.narrow.surface_walk import SIZE as WALK
 from loewner._kernels.pieces.pack import placed, shift_between
 from loewner._kernels.simd.memory import held
 
@@ -78,14 +77,8 @@ def parts_tier(a, i, Ta, ka, b, j, Tb, kb, margin):
 @njit()
 def _none_within(A, B):
     """Whether it is proven that of two pieces whose surfaces do not meet none lies within the other."""
-    memory = np.empty(WALK // 8)
-    address, shift = memory.ctypes.data, shift_between(A, B)
-    size, back = lengths(A, B, shift), (-shift[0], -shift[1], -shift[2])
-    found = OUTSIDE
-    if is_solid(A):
-        found = max(found, parts_within(A, B, shift, size, address))
-    if is_solid(B):
-        found = max(found, parts_within(B, A, back, size, address))
+    memory, shift = np.empty(WALK // 8), shift_between(A, B)
+    found = within_either(A, B, shift, lengths(A, B, shift), memory.ctypes.data)
     held(memory)
     return found == OUTSIDE
 

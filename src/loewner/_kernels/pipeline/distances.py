@@ -21,8 +21,8 @@ from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, DEPTH_ACCURACY,
 from loewner._kernels.narrow.gjk_fast import ENTRIES, begin, measure
 from loewner._kernels.narrow.gjk_robust import run, swollen_radii, write_simplex
 from loewner._kernels.narrow.surface_boxes import is_surface
-from loewner._kernels.narrow.surface_distance import SIZE as SURFACE_SIZE
 from loewner._kernels.narrow.surface_distance import surface_distance
+from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
 from loewner._kernels.pieces.pack import pieces_of, placed
 from loewner._kernels.pieces.shapes import prefetch_points, radius
 from loewner._kernels.pipeline.bounds import MEMORY as QUEUE_MEMORY

@@ -12,9 +12,9 @@ from loewner._kernels.columns import KIND
 from loewner._kernels.narrow.epa_robust import CONTACT_ACCURACY, NO_VOLUME, penetration, workspace
 from loewner._kernels.narrow.gjk_robust import TOUCH_ROUNDINGS, rounding_error, run, swollen_radii
 from loewner._kernels.narrow.surface_boxes import is_surface, surface_of
-from loewner._kernels.narrow.surface_distance import PIECE, triangle_piece
-from loewner._kernels.narrow.surfaces import SIZE as SURFACE_SIZE
-from loewner._kernels.narrow.surfaces import surface_pair
+from loewner._kernels.narrow.surface_meets import surface_pair
+from loewner._kernels.narrow.surface_walk import SIZE as SURFACE_SIZE
+from loewner._kernels.narrow.surface_walk import TRIANGLE, triangle_piece
 from loewner._kernels.pieces.pack import pieces_of, placed, shift_between
 from loewner._kernels.pieces.shapes import core_support, radius
 from loewner._kernels.pipeline.verdicts import rows_of
@@ -23,6 +23,8 @@ from loewner._kernels.trees import piece_tree
 from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, leaf_of, size_of
 
 CHUNK = 64  # piece pairs taken from the trees at a time
+
+TRIANGLE_SIZE = TRIANGLE.size()  # bytes
 
 ROOM = 4096  # triangles of a surface that one convex piece may touch, or nearly, before that is too many
 
@@ -74,7 +76,7 @@ def _with_surface(A, B, margin, work):
         return INEXACT
     if not is_surface(A):
         A, B = B, A
-    own = np.empty(PIECE // 8)
+    own = np.empty(TRIANGLE_SIZE // 8)
     for n in range(min(count, ROOM)):
         verdict = _piece_pair(triangle_piece(A, listed[n, 0], radius(A), own.ctypes.data), B, margin, work)
         held(own)

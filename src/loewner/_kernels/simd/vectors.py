@@ -18,6 +18,7 @@ from numba.core import cgutils, errors, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
+from loewner._kernels._jit import inline
 from loewner._kernels.columns import CACHE_LINE
 
 LANES, SINGLE_LANES = 8, 16
@@ -706,3 +707,9 @@ def lowest_bit(typingctx, x):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
 
     return signature(types.int64, types.int64), generate
+
+
+@inline
+def next_lane(bits):
+    """The lowest bit set of an integer other than 0, and the other bits: one round of a loop over lanes."""
+    return lowest_bit(bits), bits & (bits - 1)

@@ -21,7 +21,7 @@ from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import OUTER_CENTER, OUTER_SHAPE, REACH, WIDE
 from loewner._kernels.ellipsoids.contact import outward_width, position_error
 from loewner._kernels.pieces.pack import pieces_of
-from loewner._kernels.simd.vectors import lowest_bit
+from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 
 ROWS = 6 * WIDE  # numbers in a group
@@ -336,10 +336,9 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
         mask = meeting(boxes, level_start[level] + group, lx, ly, lz, ux, uy, uz) & (-2 << node % WIDE)
         above = 0
         while mask != 0:
-            stack[above] = group * WIDE + lowest_bit(mask)
-            depth[above] = level
+            lane, mask = next_lane(mask)
+            stack[above], depth[above] = group * WIDE + lane, level
             above += 1
-            mask &= mask - 1
         while above > 0:
             above -= 1
             found = stack[above]
@@ -347,10 +346,9 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
             if below > 0:
                 mask = meeting(boxes, level_start[below] + found, lx, ly, lz, ux, uy, uz)
                 while mask != 0:
-                    stack[above] = found * WIDE + lowest_bit(mask)
-                    depth[above] = below
+                    lane, mask = next_lane(mask)
+                    stack[above], depth[above] = found * WIDE + lane, below
                     above += 1
-                    mask &= mask - 1
                 continue
             numbers[count] = found
             source = (level_start[1] + found // WIDE) * ROWS + found % WIDE
@@ -371,11 +369,10 @@ def _later_leaves(leaf, margin, boxes, level_start, stack, depth, near, numbers)
 def _note(body, leaf, mask, order, rows_a, rows_b, count):
     """Write down a body's pairs with the bodies of a leaf group that a mask names."""
     while mask != 0:
-        other = order[leaf * WIDE + lowest_bit(mask)]
-        rows_a[count] = min(body, other)
-        rows_b[count] = max(body, other)
+        lane, mask = next_lane(mask)
+        other = order[leaf * WIDE + lane]
+        rows_a[count], rows_b[count] = min(body, other), max(body, other)
         count += 1
-        mask &= mask - 1
     return count
 
 
@@ -417,8 +414,8 @@ def meeting_boxes(first, last, margin, boxes, level_start, order, rows_a, rows_b
             for group in range((behind + WIDE - 1) // WIDE):
                 met = meeting(near, group, lx, ly, lz, ux, uy, uz)
                 while met != 0:
-                    other = numbers[group * WIDE + lowest_bit(met)]
-                    met &= met - 1
+                    lane, met = next_lane(met)
+                    other = numbers[group * WIDE + lane]
                     mask = meeting(boxes, other, lx, ly, lz, ux, uy, uz)
                     count = _note(body, other, mask, order, rows_a, rows_b, count)
     return last, count

@@ -15,7 +15,7 @@ import numpy as np
 from loewner._kernels._jit import inline, njit
 from loewner._kernels.columns import FEW, OUTER_CENTER, OUTER_SHAPE, REACH, WIDE
 from loewner._kernels.ellipsoids.contact import outward_width, position_error
-from loewner._kernels.simd.vectors import lowest_bit
+from loewner._kernels.simd.vectors import next_lane
 from loewner._kernels.tolerances import UNIT_ROUNDOFF
 from loewner._kernels.trees.boxes import LEVELS, ROWS, box_tree, curve_order, lowered, raised, within
 
@@ -229,9 +229,9 @@ def _open(groups, children, group, numbers, box, slack, reach, steps, stack, hei
         reach * reach,
     )  # fmt: skip
     while mask != 0:
-        steps[stack + steps[height]] = children[group * WIDE + lowest_bit(mask)]
+        lane, mask = next_lane(mask)
+        steps[stack + steps[height]] = children[group * WIDE + lane]
         steps[height] += 1
-        mask &= mask - 1
 
 
 @inline

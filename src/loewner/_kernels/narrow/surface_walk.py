@@ -1,0 +1,365 @@
+"""The walk through trees of triangles, from leaf to leaf, and the parts that all questions about surfaces share.
+
+A walk keeps the boxes that it has still to open on a stack. Each function below goes on to the next leaf and returns
+it with the height of the stack, so a question is a loop over leaves: `surface_meets`, `surface_distance`,
+`surface_depth`, `surface_points` and `mesh_points`. All of them use the same memory, which is declared here.
+"""
+
+import numpy as np
+
+from loewner._kernels._jit import apart, inline
+from loewner._kernels.columns import COLUMNS, KIND, LAYOUT, POINTS_TO, POLYTOPE, REACH, ROUNDING
+from loewner._kernels.linalg3 import apply_transposed, dot, image, minus, negated, plus, scaled
+from loewner._kernels.narrow import gjk_fast
+from loewner._kernels.narrow import surface_boxes as boxes
+from loewner._kernels.pieces.shapes import placed_support, reach, rotation_of
+from loewner._kernels.records import Placed
+from loewner._kernels.simd.memory import Arena, floats, integers
+from loewner._kernels.simd.vectors import load, maximum, minimum, movemask, next_lane, store
+from loewner._kernels.tolerances import UNIT_ROUNDOFF
+from loewner._kernels.trees.triangle_tree import BLOCK, LEAF, LEVELS, WIDE, size_of
+
+# Error of a coordinate of a placed corner, in roundoffs of the lengths that it is made of.
+CORNER_ERROR = 16.0 * UNIT_ROUNDOFF  # derived 5, certified.md B36
+# derived 16, certified.md B42
+
+# Poses may stretch lengths by 1e-6, and bounds are squared and rounded: this share of a squared lower bound is valid.
+BELIEVED = 1.0 - 1e-5  # derived 4e-6, certified.md B41
+
+# How much the squared distance of middles counts beside a lower bound, for the order of the search.
+MIDDLES = 0.1
+
+STACK = 2 * LEVELS * WIDE  # entries, for two trees
+PLANES, PLANE = 4, 4  # planes that are kept, each a normal and an offset
+ORIGIN = (0.0, 0.0, 0.0)
+
+TRIANGLE = Arena(layout=integers(1, LAYOUT), table=floats(1, COLUMNS), points=floats(3 * LEAF))
+_layout_of, _table_of, _points_of = TRIANGLE.accessors("layout table points")
+
+MEMORY = Arena(
+    stack=integers(STACK, 2),  # boxes of both trees; one tree uses the first column
+    placed=floats(2 * BLOCK),  # the corners of two leaves
+    vertices=floats(gjk_fast.ENTRIES), result=floats(9),  # of a search
+    planes=floats(PLANES * PLANE),
+    bounds=floats(STACK, 2),  # of each entry, a squared lower bound on distances and the order of the search
+    lanes=floats(2 * WIDE),
+    first=TRIANGLE, second=TRIANGLE,
+)  # fmt: skip
+stack_of, placed_of, vertices_of, result_of, planes_of, bounds_of, lanes_of = MEMORY.accessors(
+    "stack placed vertices result planes bounds lanes"
+)
+first_of, second_of = MEMORY.addresses("first second")
+SIZE = MEMORY.size()  # bytes
+
+
+# -- walks ----------------------------------------------------------------------------------------
+
+
+@inline
+def begun(memory):
+    """Put the root, or both roots, on the stack; returns its height."""
+    stack, bounds = stack_of(memory), bounds_of(memory)
+    stack[0, 0], stack[0, 1], bounds[0, 0] = 0, 0, 0.0
+    return 1
+
+
+def walking(near):
+    """The walk through one tree, into the boxes that a function like `surface_boxes.in_box` chooses."""
+
+    @inline
+    def next_leaf(tree, memory, height, query):
+        """The next leaf, a negative entry of `children`, and the height of the stack; 0 at the end."""
+        stack = stack_of(memory)
+        while height > 0:
+            height -= 1
+            child = tree.children[stack[height, 0]]
+            if child < 0:
+                return child, height
+            bits = near(tree.boxes, child, query)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0] = child * WIDE + lane
+                height += 1
+        return 0, 0
+
+    return next_leaf
+
+
+_next_in_box = walking(boxes.in_box)
+
+
+@inline
+def next_in_box(tree, box, kept, far, memory, height):
+    """The next leaf that meets a box and comes within `far` of the first `kept` planes from below."""
+    return _next_in_box(tree, memory, height, (box, planes_of(memory), kept, far))
+
+
+@inline
+def next_nearest(tree, middle, half, kept, best, memory, height):
+    """The next leaf whose squared distance from a box, and from the far side of planes, may be at most `best`."""
+    stack, bounds, planes = stack_of(memory), bounds_of(memory), planes_of(memory)
+    while height > 0:
+        height -= 1
+        if bounds[height, 0] * BELIEVED > best:
+            continue
+        child = tree.children[stack[height, 0]]
+        if child < 0:
+            return child, height
+        middles, halves = boxes.boxes_of(tree.boxes, child)
+        t = minus(middles, middle)
+        gaps = boxes.plane_gaps(middles, halves, planes, kept, boxes.squared_gap(t, halves, half))
+        height = push_near(memory, height, gaps, t, halves, best, child, 0, True)
+    return 0, 0
+
+
+@inline
+def next_meeting(about, a, b, memory, height):
+    """The next leaves of two trees whose boxes are not proven apart, and the height; 0, 0, 0 at the end."""
+    stack = stack_of(memory)
+    while height > 0:
+        height -= 1
+        slot_a, slot_b = stack[height, 0], stack[height, 1]
+        child_a, child_b = a.children[slot_a], b.children[slot_b]
+        if child_a < 0 and child_b < 0:
+            return child_a, child_b, height
+        if boxes.opens_first(a, b, slot_a, slot_b):
+            middle, half = boxes.box_at(b.boxes, slot_b)
+            middles, halves = boxes.boxes_of(a.boxes, child_a)
+            bits = boxes.meeting(about, boxes.between(about, middles, middle), halves, half)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = child_a * WIDE + lane, slot_b
+                height += 1
+        else:
+            middle, half = boxes.box_at(a.boxes, slot_a)
+            middles, halves = boxes.boxes_of(b.boxes, child_b)
+            bits = boxes.meeting(about, boxes.between(about, middle, middles), half, halves)
+            while bits != 0:
+                lane, bits = next_lane(bits)
+                stack[height, 0], stack[height, 1] = slot_a, child_b * WIDE + lane
+                height += 1
+    return 0, 0, 0
+
+
+@inline
+def push_near(memory, height, gaps, t, halves, best, child, other, first):
+    """Put the boxes of a node that may be near enough on the stack, the most promising on top.
+
+    Bounds of large boxes are 0 for many at a time; the distance of their middles, t, still orders them.
+    """
+    bits = movemask((gaps <= rounded_up(best)) & (halves[0] >= np.float32(0.0)))
+    if bits == 0:
+        return height
+    stack, bounds, lanes = stack_of(memory), bounds_of(memory), lanes_of(memory)
+    store(lanes, 0, gaps)
+    store(lanes, WIDE, gaps + np.float32(MIDDLES) * dot(t, t))
+    base = height
+    while bits != 0:
+        lane, bits = next_lane(bits)
+        bound, order = lanes[lane], lanes[WIDE + lane]
+        at = height
+        while at > base and bounds[at - 1, 1] < order:
+            stack[at, 0], stack[at, 1] = stack[at - 1, 0], stack[at - 1, 1]
+            bounds[at, 0], bounds[at, 1] = bounds[at - 1, 0], bounds[at - 1, 1]
+            at -= 1
+        slot = child * WIDE + lane
+        stack[at, 0], stack[at, 1] = (slot, other) if first else (other, slot)
+        bounds[at, 0], bounds[at, 1] = bound, order
+        height += 1
+    return height
+
+
+@inline
+def rounded_up(best):
+    """A bound in single precision, for squared lower bounds, that a valid one can only exceed above `best`."""
+    return np.float32(best * (1.0 + 2e-5) + 1e-37)
+
+
+# -- triangles ------------------------------------------------------------------------------------
+
+
+@inline
+def least(x, y, z):
+    return minimum(minimum(x, y), z)
+
+
+@inline
+def most(x, y, z):
+    return maximum(maximum(x, y), z)
+
+
+@inline
+def low(corners, axis):
+    """Lower ends of the boxes of triangles along an axis."""
+    return least(corners[0][axis], corners[1][axis], corners[2][axis])
+
+
+@inline
+def high(corners, axis):
+    """Upper ends of the boxes of triangles along an axis."""
+    return most(corners[0][axis], corners[1][axis], corners[2][axis])
+
+
+@inline
+def lanes_in(child, mask):
+    """Bits of a mask for the triangles that a leaf has."""
+    return movemask(mask) & ((1 << size_of(child)) - 1)
+
+
+@inline
+def corners_of(blocks, leaf):
+    """Corners of the eight triangles of a leaf in the axes of the surface's frame."""
+    at = leaf * BLOCK
+    return (
+        (load(blocks, at), load(blocks, at + LEAF), load(blocks, at + 2 * LEAF)),
+        (load(blocks, at + 3 * LEAF), load(blocks, at + 4 * LEAF), load(blocks, at + 5 * LEAF)),
+        (load(blocks, at + 6 * LEAF), load(blocks, at + 7 * LEAF), load(blocks, at + 8 * LEAF)),
+    )
+
+
+@inline
+def placed_corners(P, blocks, leaf, shift):
+    """Corners of the eight triangles of a leaf in the world's axes."""
+    R = rotation_of(P)
+    p, q, r = corners_of(blocks, leaf)
+    return image(R, shift, p), image(R, shift, q), image(R, shift, r)
+
+
+@inline
+def store_corners(placed, at, corners):
+    for k in range(3):
+        store(placed, at + 3 * k * LEAF, corners[k][0])
+        store(placed, at + (3 * k + 1) * LEAF, corners[k][1])
+        store(placed, at + (3 * k + 2) * LEAF, corners[k][2])
+
+
+@inline
+def corners_at(placed, at, lane):
+    """Corners of one of the triangles that were stored."""
+    i = at + lane
+    return (
+        (placed[i], placed[i + LEAF], placed[i + 2 * LEAF]),
+        (placed[i + 3 * LEAF], placed[i + 4 * LEAF], placed[i + 5 * LEAF]),
+        (placed[i + 6 * LEAF], placed[i + 7 * LEAF], placed[i + 8 * LEAF]),
+    )
+
+
+@inline
+def box_gaps(a, b):
+    """Squared distances of the box of a triangle from the boxes of eight."""
+    return _gap(a, b, 0) + _gap(a, b, 1) + _gap(a, b, 2)
+
+
+@inline
+def _gap(a, b, axis):
+    below, above = low(b, axis) - high(a, axis), low(a, axis) - high(b, axis)
+    gap = maximum(maximum(below, above), 0.0)
+    return gap * gap
+
+
+@inline
+def gap_to_box(blocks, leaf, box):
+    """Squared distance of the boxes of eight triangles from a box along the same axes."""
+    corners = corners_of(blocks, leaf)
+    x, y, z = _gap_along(corners, box, 0), _gap_along(corners, box, 1), _gap_along(corners, box, 2)
+    return x * x + y * y + z * z
+
+
+@inline
+def _gap_along(corners, box, axis):
+    middle, half = box.middle[axis], box.half[axis]
+    above, below = low(corners, axis) - middle - half, -half - (high(corners, axis) - middle)
+    return maximum(maximum(above, below), 0.0)
+
+
+@inline
+def triangle_piece(P, triangle, rounding, memory):
+    """A triangle of a surface, by its block and lane, as a piece of its own, in memory of `TRIANGLE`.
+
+    `rounding` is its radius: the surface's own one, or 0 for the core alone.
+    """
+    layout, table, points = _layout_of(memory), _table_of(memory), _points_of(memory)
+    for c in range(LAYOUT):
+        layout[0, c] = 0
+    for c in range(COLUMNS):
+        table[0, c] = 0.0
+    layout[0, KIND], layout[0, POINTS_TO] = POLYTOPE, LEAF
+    table[0, REACH], table[0, ROUNDING] = reach(P), rounding
+    blocks, at = boxes.surface_of(P).blocks, triangle // LEAF * BLOCK + triangle % LEAF
+    for axis in range(3):
+        for lane in range(LEAF):
+            points[axis * LEAF + lane] = blocks[at + (3 * min(lane, 2) + axis) * LEAF]
+    return Placed(table, layout, points, 0, P.poses, P.row)
+
+
+# -- searches of triangles, which end with a plane ------------------------------------------------
+
+
+# The two searches are long, so their callers here share one copy.
+@apart
+def decided(A, B, shift, W, ends, n, error):
+    """`gjk_fast.decide`."""
+    return gjk_fast.decide(A, B, shift, W, ends, n, error)
+
+
+@apart
+def measured(A, B, shift, W, ends, n, error, near, far, result):
+    """`gjk_fast.measure_along`."""
+    return gjk_fast.measure_along(A, B, shift, W, ends, n, error, near, far, result)
+
+
+@inline
+def write_triangle(W, at, corners):
+    """Write a triangle as a block of eight points, see `simd.support`."""
+    for axis in range(3):
+        W[at + axis * LEAF], W[at + axis * LEAF + 1] = corners[0][axis], corners[1][axis]
+        for lane in range(2, LEAF):
+            W[at + axis * LEAF + lane] = corners[2][axis]
+
+
+@inline
+def nonzero(n):
+    """A direction to begin with: n, or any other one if n is zero."""
+    return n if dot(n, n) > 0.0 else (1.0, 0.0, 0.0)
+
+
+@inline
+def unit(n):
+    """The unit vector along n, or any other one if n has no direction."""
+    squared = dot(n, n)
+    if not 0.0 < squared < np.inf:
+        return 0.0, 0.0, 1.0
+    return scaled(1.0 / np.sqrt(squared), n)
+
+
+@inline
+def keep_plane(B, shift, R, n, size, planes, k):
+    """Keep as plane k, in the axes R of a surface's frame, a lower bound on the places of B along n."""
+    length = np.sqrt(dot(n, n))
+    if not 0.0 < length < np.inf:  # a plane that nothing lies beyond
+        planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = ORIGIN
+        planes[PLANE * k + 3] = -np.inf
+        return
+    n = n[0] / length, n[1] / length, n[2] / length
+    m = apply_transposed(R, n)
+    lowest = dot(n, plus(placed_support(B, negated(n)), shift))
+    planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2] = m
+    planes[PLANE * k + 3] = lowest - boxes.ROUNDINGS * size
+
+
+@inline
+def not_beyond(blocks, leaf, planes, k, far):
+    """Bits of the triangles of a leaf that come within `far` of plane k from below, or are not numbers."""
+    m = planes[PLANE * k], planes[PLANE * k + 1], planes[PLANE * k + 2]
+    p, q, r = corners_of(blocks, leaf)
+    limit = planes[PLANE * k + 3] - far
+    return ~movemask((dot(p, m) <= limit) & (dot(q, m) <= limit) & (dot(r, m) <= limit))
+
+
+@inline
+def not_beyond_any(blocks, leaf, planes, kept, far, bits):
+    """The triangles among some of a leaf that come within `far` of the first `kept` planes from below."""
+    for k in range(kept):
+        if bits != 0:
+            bits &= not_beyond(blocks, leaf, planes, k, far)
+    return bits
