@@ -69,14 +69,6 @@ def _write_turned(own, shift, sign, result):
             result[3 + c], result[6 + c] = own[6 + c] - shift[c], own[3 + c] - shift[c]
 
 
-@inline
-def _polytope_depth(S, T, n, found, rounding, faces, edges, own):
-    """Depth of two polytopes if it is proven to be more than `found`, else 0."""
-    status, _, deep = epa_fast.overlap_depth(S, T, n, faces, edges, own)
-    settled = status == DEPTH_FOUND and deep > found
-    return epa_fast.proven_depth(rounding, faces, edges, own) if settled else 0.0
-
-
 @njit()
 def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
     """Depth of the deepest pair of triangles, if it is more than `found`."""
@@ -110,7 +102,9 @@ def _deepest_triangles(A, B, shift, found, faces, edges, memory, own, result):
                 S = walk.triangle_piece(A, leaf_a * LEAF + lane, 0.0, walk.first_of(memory))
                 T = walk.triangle_piece(B, leaf_b * LEAF + lane_b, 0.0, walk.second_of(memory))
                 n = minus(other[0], corners[0])
-                deep = _polytope_depth(S, T, n, found, rounding, faces, edges, own)
+                status, _, deep = epa_fast.overlap_depth(S, T, n, faces, edges, own)
+                settled = status == DEPTH_FOUND and deep > found
+                deep = epa_fast.proven_depth(rounding, faces, edges, own) if settled else 0.0
                 if deep > found:
                     found = deep
                     _write_turned(own, shift, 1.0, result)
@@ -159,7 +153,9 @@ def _deepest_to_piece(A, B, shift, found, sign, faces, edges, memory, own, resul
                 # A triangle is flat beside a point or a segment in its plane: then this proves nothing.
                 deep = epa_robust.proven_depth(rounding, work) if deep > found else 0.0
             else:
-                deep = _polytope_depth(S, B, n, found, rounding, faces, edges, own)
+                status, _, deep = epa_fast.overlap_depth(S, B, n, faces, edges, own)
+                settled = status == DEPTH_FOUND and deep > found
+                deep = epa_fast.proven_depth(rounding, faces, edges, own) if settled else 0.0
             if deep > found:
                 found = deep
                 _write_turned(own, shift, sign, result)
