@@ -390,8 +390,7 @@ def _core(factor: Floats, radius: float, rows: Ints) -> tuple[Floats, float]:
 
 
 def _check_curved(arrays: dict[str, Any]) -> None:
-    """Check that curved pieces match their kind, and that their ellipsoids are the closed forms or on their safe
-    side."""
+    """Check that curved pieces match their kind, with ellipsoids that are the closed forms or on their safe side."""
     kind = arrays["layout"][:, columns.KIND]
     rows = np.flatnonzero(kind > columns.POLYTOPE)
     if len(rows) == 0:

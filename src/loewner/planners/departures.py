@@ -16,14 +16,14 @@ from loewner.robots.proofs import prove_by_rules
 from loewner.robots.verdicts import contacts
 from loewner.scenes import Contact
 
-# Metres beyond the margin to move apart by; the first that is proven is taken. Joints do not move along lines, and
-# short motions are straighter.
+# Distances beyond the margin by which to move apart [m]; the first that is proven is used. Joints do not move bodies
+# along lines, and short motions are straighter.
 RISES = (0.02, 0.01, 0.005, 0.002)
 
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """Start and goals of a path, and free configurations near the ones in contact.
+    """Start and goals of a path, and free configurations near those in contact.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Departures:
     start, goals : ndarray, shapes (dof,) and (goals, dof)
         As given by the user.
     free_start, free_goals : ndarray, of the same shapes
-        The same configurations where no contact has to end or begin.
+        Free configurations near them; the configurations themselves if no contact has to end or begin.
     """
 
     space: Space
@@ -42,7 +42,7 @@ class Departures:
 
     @classmethod
     def of(cls, space: Space, ready: CheckedPairs, start: Floats, goals: Floats) -> Departures:
-        """Find them, in one consistent state of the scene.
+        """Find the free configurations in one consistent state of the scene.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Departures:
 
 
 def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> tuple[Floats, str]:
-    """A free configuration near one in contact, with a proven motion between; or itself, and what is at fault."""
+    """A free configuration near one in contact, with a proven motion between; or the given one, and the fault."""
     checker = space.checker
     ruled = {
         frozenset(ready.names[k] for k in pair) for pair in ready.pairs[ready.leaving if at_start else ready.reaching]
@@ -103,9 +103,9 @@ def _apart(space: Space, ready: CheckedPairs, q: Floats, *, at_start: bool) -> t
 
 
 def _way(space: Space, ready: CheckedPairs, q: Floats, touching: tuple[Contact, ...]) -> Floats:
-    """The change of configuration, for each metre, that moves what touches apart along the normals without turning it.
+    """The change of configuration per metre that moves touching bodies apart along the normals without turning them.
 
-    As nearly as the joints can, in the sense of least squares.
+    The joints achieve this as nearly as possible, in the sense of least squares.
     """
     robot = space.checker.robot
     poses = robot.forward_kinematics(q)

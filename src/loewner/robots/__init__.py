@@ -1,7 +1,8 @@
-"""Robots: descriptions in files to links with bodies, where these are, and what they collide with.
+"""Robots: reading descriptions into links with bodies, placing the links, and checking them for collisions.
 
-`robot` holds links on joints (read by `urdf`, `srdf` and `link_bodies`). `checker` is what users call; `checked_pairs`
-prepares, and `verdicts`, `proofs` and `distances` answer. `sampling` finds pairs that need no check.
+`robot` holds links and joints (read by `urdf`, `srdf` and `link_bodies`). Users call `checker`; it prepares data with
+`checked_pairs` and computes answers with `verdicts`, `proofs` and `distances`. `sampling` finds pairs that need no
+check.
 """
 
 from loewner.robots.checker import CollisionChecker

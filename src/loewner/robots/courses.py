@@ -12,13 +12,13 @@ from loewner.robots.robot import Robot
 
 def straight(robot: Robot, a: Floats, b: Floats) -> Floats:
     """The straight motions between configurations a and b, shape (N, dof) each, as `Robot.between` takes them."""
-    courses = np.empty((len(a), 2, robot.dof))  # for one motion, `np.stack` takes four times as long
+    courses = np.empty((len(a), 2, robot.dof))  # `np.stack` takes four times as long for one motion
     courses[:, 0], courses[:, 1] = a, robot._on_the_way(a, b)
     return courses
 
 
 def configurations(robot: Robot, courses: Floats, fractions: Floats) -> Floats:
-    """One configuration of each course, shape (N, dof), at fractions of shape (N,)."""
+    """One configuration on each course, shape (N, dof), at fractions of shape (N,)."""
     degree = courses.shape[1] - 1
     if degree == 1:
         return robot.between(courses[:, 0], courses[:, 1], fractions)

@@ -26,9 +26,9 @@ class StateDistance(Generic[Exact, Vector]):
     Attributes
     ----------
     lower, upper : float or ndarray
-        Certified bounds from the ellipsoids: the least over all checked pairs.
+        Certified bounds from the ellipsoids: the minimum over all checked pairs.
     distance : float or ndarray, or None
-        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest.
+        With ``exact=True``: the distance of the nearest pair, or minus the depth of the deepest pair.
     names : tuple of str, or ndarray of str, shape (..., 2), or None
         Names of this pair.
     witness_a, witness_b, normal : ndarray, shape (..., 3), or None
@@ -152,7 +152,7 @@ def _nearest(ready: CheckedPairs, Q: Floats, exact: bool) -> list[Any]:
 
 
 def near_pairs(ready: CheckedPairs, Q: Floats, within: float) -> Ints:
-    """Configurations and pairs that balls and boxes leave within a distance, in that order."""
+    """Configurations and pairs that may be within a distance according to balls and boxes, in that order."""
     listed = np.empty((max(64, 4 * len(Q)), 2), dtype=np.int64)
     memory = workspace(ready.memory_of_nearest)
     while True:
@@ -209,7 +209,7 @@ def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) 
     ConvergenceError
         If squares of positions overflow.
     """
-    if not ready.starts_matter:  # a solid counts as a whole, not by its surface
+    if not ready.starts_matter:  # a solid counts as a whole, not only its surface
         ready = ready.in_parts
     _expect_pairs(ready, "clearance")
     n, dof = Q.shape
@@ -230,7 +230,7 @@ def clearances(ready: CheckedPairs, Q: Floats, softness: float, gradient: bool) 
 
 
 def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
-    """The nearest pair at a configuration where the fast searches did not find it, by pairs one at a time."""
+    """The nearest pair at a configuration where the fast searches failed, from all pairs one at a time."""
     T = ready.poses(q[None])[0]
     a, b = ready.pairs.T
     bounds = queries.distance(ready.bodies[a], T[a], ready.bodies[b], T[b])
@@ -242,5 +242,5 @@ def _nearest_with_care(ready: CheckedPairs, q: Floats) -> tuple[Any, ...]:
         one = queries.distance(ready.body(i), T[i], ready.body(j), T[j], exact=True)
         if one.distance < best:
             best, nearest, found = one.distance, int(p), one
-    assert found is not None  # the first bound is below all upper ones
+    assert found is not None  # the first lower bound is below all upper bounds
     return best, ready.pairs[nearest], found.witness_a, found.witness_b, found.normal

@@ -1,4 +1,4 @@
-"""Verdicts of configurations and of sampled motions. AMBIGUOUS is a value; only the checker raises an exception."""
+"""Verdicts of configurations and of sampled motions; AMBIGUOUS is returned, and only the checker raises for it."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ class Settled:
     Attributes
     ----------
     free_by_bounds, free_by_ellipsoids, free_by_planes, free_by_search : int
-        Free, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids; planes between
-        the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact search.
+        Free configurations, by the costliest test that any pair needed: bounding spheres and boxes; outer ellipsoids;
+        planes between the pieces themselves, perpendicular to the contact normal of the ellipsoids; or the exact
+        search.
     colliding_by_ellipsoids, colliding_by_search : int
-        Colliding, found by inner ellipsoids or by the exact search.
+        Colliding configurations, found by inner ellipsoids or by the exact search.
 
     Examples
     --------
@@ -107,7 +108,7 @@ def classified(ready: CheckedPairs, mode: int, Q: Floats) -> Verdicts:
         )
 
     def share(first: int, last: int) -> None:
-        # Counts of its own: threads that write side by side slow each other down.
+        # Each call has its own counts: threads that write to the same memory slow each other down.
         hits = np.zeros_like(ready.hits)
         run(first, last, hits)
         np.add(ready.hits, hits, out=ready.hits)
@@ -173,7 +174,7 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
     free = np.ones(len(a), dtype=bool)
     for edge, at in edges.rounds(parts, free):
         out = classified(ready, codes.EXACT, ready.robot.between(a[edge], b[edge], at)).verdicts
-        for verdict in (Verdict.AMBIGUOUS, Verdict.COLLIDING):  # what collides counts more
+        for verdict in (Verdict.AMBIGUOUS, Verdict.COLLIDING):  # a collision takes precedence
             found = np.flatnonzero(out == verdict)
             verdicts[edge[found]], fractions[edge[found]] = verdict, at[found]
         free[:] = verdicts == Verdict.FREE
@@ -181,7 +182,7 @@ def sampled(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> tuple[NDA
 
 
 def pair_verdicts(ready: CheckedPairs, T: Floats) -> NDArray[np.int8]:
-    """Verdict of every pair where the bodies are at T; AMBIGUOUS if none was found, or T is bent by overflow."""
+    """Verdict of every pair for bodies at the poses T; AMBIGUOUS if none was found, or overflow made T not rigid."""
     pack, verdicts = ready.bodies._packed.handle, np.full(len(ready.pairs), codes.AMBIGUOUS, dtype=np.int8)
     for margin, at, plan, rows in ready.by_margin:
         found = np.empty(len(at), dtype=np.int8)
@@ -235,7 +236,7 @@ def contacts(ready: CheckedPairs, q: Floats) -> tuple[tuple[Contact, ...], str]:
 
 
 def lengths(ready: CheckedPairs, a: Floats, b: Floats, step: float) -> Floats:
-    """Lengths of motions; where the last bit decides the number of steps, computed as if each motion were alone."""
+    """Lengths of motions, computed one motion at a time where the last bit decides the number of steps."""
     found = np.asarray(ready.robot._distances(a, b))
     if ready.robot.runs_straight:
         with np.errstate(over="ignore"):
@@ -254,7 +255,7 @@ def _worst(verdicts: NDArray[np.int8]) -> int:
 
 
 def _ambiguous(verdicts: NDArray[np.int8]) -> Ints:
-    """Where verdicts are AMBIGUOUS; quick where none is."""
+    """Indices of AMBIGUOUS verdicts, with a fast path for none."""
     if not (verdicts[0] == codes.AMBIGUOUS if len(verdicts) == 1 else (verdicts == codes.AMBIGUOUS).any()):
         return _NOWHERE
     return np.flatnonzero(verdicts == codes.AMBIGUOUS)
