@@ -189,8 +189,7 @@ def _functions() -> tuple[Any, Any]:
         return Q, gradients
 
     class Times(Function):  # type: ignore[misc]
-        """A factor times the gradients; differentiating again raises, since they depend on Q, and does not return
-        zeros."""
+        """A factor times the gradients; these depend on Q, so differentiating again raises instead of giving zeros."""
 
         generate_vmap_rule = True
 

@@ -1,4 +1,4 @@
-"""``loewner audit``: collisions of a trajectory of any program, with times and depths."""
+"""``loewner audit``: collisions of a trajectory from any program, with times and depths."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from loewner.robots import courses, curves
 # Times at which the nearest pair is measured, in addition to the times of verdicts.
 MEASURED = 401
 
-# Characters of the picture along time.
+# Width of the picture along time, in characters.
 COLUMNS = 60
 MARKS = {Verdict.FREE: ".", Verdict.AMBIGUOUS: "?", Verdict.COLLIDING: "#"}
 
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _derivatives(points: planners.ControllerPoints) -> int:
-    """How many derivatives the points have: velocities, or accelerations too."""
+    """Number of derivatives that the points have: 1 with velocities, 2 with accelerations too."""
     return sum(one is not None for one in (points.velocities, points.accelerations))
 
 
@@ -92,7 +92,7 @@ def _executed(points: planners.ControllerPoints, controller: str | None) -> plan
 
 
 def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: Floats) -> planners.ControllerPoints:
-    """The points with columns for the joints that they do not name, which stay where they are."""
+    """The points with additional columns for the joints that they do not name, which do not move."""
     missing = [k for k, name in enumerate(robot.configuration_names) if points.names and name not in points.names]
     if points.names is None or not missing:
         return points
@@ -109,7 +109,7 @@ def _complete(points: planners.ControllerPoints, robot: loewner.Robot, others: F
 def _answer(
     checker: loewner.CollisionChecker, points: planners.ControllerPoints, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """The verdicts of a trajectory and of its pieces, and their distances, as they are printed."""
+    """The verdicts of a trajectory and of its pieces, and their distances, for printing."""
     curve = curves.curve_of(checker.robot, points, str(options.trajectory))
     found = checker.certify_trajectory(points, joint_error=options.joint_error)
     times, fractions = found.times, found.segments.fraction

@@ -32,7 +32,7 @@ COLUMNS = ("a", "b", "verdict", "distance, m", "lower, m", "upper, m")
 
 
 class _Found(NamedTuple):
-    """What is known of the pairs that are told of; the distance of one that could not be settled is NaN."""
+    """Results for the pairs to report; the distance of an unsettled pair is NaN."""
 
     pairs: Ints
     colliding: Bools
@@ -73,7 +73,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _measured(bodies: loewner.Bodies, within: float) -> _Found:
-    """Bounds of all pairs, and exact distances of those that may be near."""
+    """Bounds for all pairs, and exact distances of the pairs that may be near."""
     pairs = np.stack(np.triu_indices(len(bodies), 1), axis=1)
     bounds = loewner.distance(bodies, None, bodies, None, pairs=pairs)
     near = np.flatnonzero(bounds.lower <= within)
@@ -81,7 +81,7 @@ def _measured(bodies: loewner.Bodies, within: float) -> _Found:
     try:
         colliding = loewner.collide(bodies, None, bodies, None, pairs=pairs)
     except ConvergenceError as error:
-        colliding = error.partial  # which says True of those
+        colliding = error.partial  # which is True for unsettled pairs
     try:
         distance = loewner.distance(bodies, None, bodies, None, pairs=pairs, exact=True).distance
     except ConvergenceError as error:

@@ -28,7 +28,7 @@ def _run(options: argparse.Namespace) -> int:
             folder = compile_kernels(
                 options.only, progress=lambda done, total: bar.update(task, completed=done, total=total)
             )
-    else:  # a log, where no bar shows
+    else:  # a log if no bar is shown
         _log(f"compiling {', '.join(options.only)}; takes a few minutes")
         folder = compile_kernels(options.only, progress=lambda done, total: _log(f"{done} of {total} parts compiled"))
     print(f"compiled into {folder}")
@@ -36,5 +36,5 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _log(text: str) -> None:
-    """Say it at once on standard error, so that standard output stays the answer."""
+    """Print a text immediately on standard error, so that standard output contains only the answer."""
     print(f"loewner: {text}", file=sys.stderr, flush=True)

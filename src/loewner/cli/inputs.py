@@ -18,7 +18,7 @@ from loewner.cli.output import progress_bar
 from loewner.errors import FileError, InputError, PoseError
 from loewner.fits import DEFAULT_TOLERANCE
 
-# Bytes of a file with a pose: a matrix in text has a few hundred.
+# Largest file with a pose in bytes: a matrix in text takes a few hundred.
 MOST_POSE_BYTES = 2**20
 
 
@@ -29,10 +29,10 @@ def command(commands: Any, name: str, what: str, examples: str) -> argparse.Argu
     return added
 
 
-# What a mesh becomes: its triangles as they are, convex pieces, or its convex hull.
+# Models of a mesh: its triangles, convex pieces, or its convex hull.
 MODELS = ("surface", "pieces", "hull")
 
-# Options of pieces and of surfaces, by the names that the library has for them.
+# Options of pieces and of surfaces, by their names in the library.
 OF_PIECES = ("tolerance", "threshold", "max_pieces", "seed")
 OF_SURFACES = ("radius", "solid")
 
@@ -79,7 +79,7 @@ def body(path: Path, options: argparse.Namespace) -> loewner.Body:
     """A saved body, or the body of a mesh."""
     if path.suffix.lower() != ".npz":
         return from_mesh(path, options)
-    model(options)  # which refuses options that do not go together
+    model(options)  # which refuses incompatible options
     for name in ("model", "radius", "solid", "tolerance"):
         if getattr(options, name, None) is not None:
             raise InputError(f"--{name}: expected a mesh to make a body of, found a saved body, {path.name}")

@@ -1,4 +1,4 @@
-"""``loewner paper``: the paper's experiment, its tables."""
+"""``loewner paper``: the tables of the paper's experiment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from loewner.cli import inputs
 from loewner.cli.output import new_table, print_table, progress_bar
 
-TEXT_COLUMNS = 80  # no table is wider, so the text around them is not either
+TEXT_COLUMNS = 80  # no table is wider, so neither is the text around the tables
 
 EXAMPLES = """examples:
   loewner paper                                      the paper's 1,000 pairs

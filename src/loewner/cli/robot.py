@@ -19,11 +19,11 @@ from loewner.cli import configurations, inputs
 from loewner.cli.output import COLLIDING, FREE, model_text, new_table, print_table, progress_bar
 from loewner.errors import InputError
 
-# Configurations between two steps of the progress bar, and pairs that a table lists at most.
+# Configurations per step of the progress bar, and the largest number of pairs that a table lists.
 AT_ONCE = 50_000
 LISTED = 20
 
-# What is timed for less says nothing about a rate: the first large batch takes about 10 ms more to start [s].
+# Rates are not computed from shorter times [s]: the first large batch takes about 10 ms more to start.
 LEAST_TIMED = 0.1
 
 EXAMPLES = """examples:
@@ -119,7 +119,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats:
-    """The configurations asked for, shape (N, dof)."""
+    """The requested configurations, shape (N, dof)."""
     if options.state is not None:
         return robot.configuration(options.state)[None]
     if options.configs is not None:
@@ -132,11 +132,11 @@ def _configurations(robot: loewner.Robot, options: argparse.Namespace) -> Floats
 
 
 def _checked_configurations(checker: loewner.CollisionChecker, Q: Floats) -> dict[str, Any]:
-    """All that is told about configurations."""
+    """The full report on configurations."""
     robot = checker.robot
     if len(Q) == 0:
         raise InputError("--configs: expected one configuration or more, found none")
-    checker.tiers(Q[:1])  # compiles, if this machine has not before
+    checker.tiers(Q[:1])  # compiles if this machine has not done so before
     tiers: Counter[str] = Counter()
     hits = np.zeros(len(checker.checked_pairs), dtype=np.int64)
     colliding, seconds = [], 0.0

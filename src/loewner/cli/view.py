@@ -54,7 +54,7 @@ def _run(options: argparse.Namespace) -> int:
     import webbrowser
 
     answer = sys.stdout
-    with redirect_stdout(sys.stderr):  # where viser's greetings belong
+    with redirect_stdout(sys.stderr):  # for viser's messages
         page = _view_robot(options) if options.urdf is not None else _view_pair(options)
         if options.screenshot is not None:
             from loewner import viewer
@@ -108,7 +108,7 @@ def _view_robot(options: argparse.Namespace) -> Any:
 
 
 def _refuse(options: argparse.Namespace, names: Sequence[str], where: str) -> None:
-    """Refuse what would be passed over in silence."""
+    """Refuse options that would silently be ignored."""
     for name in names:
         if getattr(options, name) != options.default(name):
             raise InputError(f"view: expected --{name.replace('_', '-')} {where}")

@@ -34,14 +34,14 @@ class Result:
     Attributes
     ----------
     id : int
-        1 to 4 as in the paper; 0 for the library's own estimate.
+        1 to 4 as in the paper; 0 for the library's estimate.
     name : str
     answers : Answers
     all, ambiguous : Confusion
-        Over all pairs, and over the pairs ambiguous to this detector.
+        Counts over all pairs, and over the pairs that are ambiguous to this detector.
     microseconds, ambiguous_microseconds : float
-        Time of one check, one thread, over all pairs and over the ambiguous ones; NaN if not timed
-        or if there are none.
+        Time of one check on one thread, over all pairs and over the ambiguous ones; NaN if not timed or if there are
+        none.
 
     Examples
     --------
@@ -76,9 +76,9 @@ class Experiment:
     detectors : tuple of Result
         Detectors 1 to 4.
     estimate : Result
-        F_in F_out <= 1, ambiguous by the two exact overlap checks.
+        Results of the rule F_in F_out <= 1; pairs are ambiguous by the two exact overlap checks.
     fittings : tuple of Fitting
-        Reliability of each kind of fit on these polyhedra, at most the first 2000.
+        Reliability of each kind of fit on these polyhedra, up to the first 2000.
 
     Examples
     --------
@@ -175,7 +175,7 @@ def run(
     _validate.callback(progress, "progress")
     counts = None if json is None else _validate.path(json, "json")
     data = sample(pairs, seed, dataset)
-    # What could keep the results from being written is found out before the work, not after it.
+    # Obstacles to writing the results are found before the work, not after it.
     if counts is not None and not folder_exists(counts.parent):
         raise FileError(f"{counts}: expected a name in an existing folder, found no folder {counts.parent}")
     if counts is not None and folder_exists(counts):
@@ -190,7 +190,7 @@ def run(
     def fitted(done: int, total: int) -> None:
         tell("hulls and fits", done, total)
 
-    # All hulls in one go; then the first of each pair and the second.
+    # All hulls at once; then the first and the second of each pair.
     bodies = Bodies.from_points(np.concatenate([data.points_1, data.points_2]), progress=fitted)
     bodies_1, bodies_2 = bodies[:n], bodies[n:]
     model = Pairs.from_bodies(bodies_1, bodies_2)
@@ -248,7 +248,7 @@ def _counted(number: int, name: str, answers: Answers, truth: Bools, *microsecon
 
 
 def folder_exists(path: Path) -> bool:
-    """False also for names that no file system accepts, such as names that are too long."""
+    """Whether a folder exists; False also for names that no file system accepts, such as names that are too long."""
     try:
         return path.is_dir()
     except OSError:

@@ -22,7 +22,7 @@ def visual_meshes(robot: Robot) -> tuple[dict[str, Mesh], list[str]]:
     meshes : dict
         Link name to vertices (v, 3) [m] and triangles (t, 3) in the frame of the link.
     faults : list of str
-        Why some are missing: a picture without them is still worth showing.
+        Reasons for missing meshes: a picture without them is still worth showing.
     """
     if robot._format != "URDF":
         return {}, [f"{robot.urdf}: of an MJCF file, what looks only is not read"]
