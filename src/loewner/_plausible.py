@@ -1,6 +1,7 @@
-"""What is allowed and still mostly a slip: degrees for radians, millimetres for metres. Told once, in a warning.
+"""Warn once about values that are allowed but usually a mistake: degrees for radians, millimetres for metres.
 
-Thresholds are such that a warning is almost surely right: who means it reads one line, and nothing else changes.
+Thresholds are such that a warning is almost certainly right; if a value is intended, one line of text is the only
+effect.
 """
 
 from __future__ import annotations
@@ -17,30 +18,30 @@ import numpy as np
 
 from loewner._validate import Floats
 
-# How far outside its limits the value of a joint may be: an angle may have been wrapped by a turn [rad]; a length is
-# compared with the way between the limits, and a metre on top.
+# Allowed excess of a joint value over its limits: an angle may have been wrapped by a turn [rad]; a length is compared
+# with the range of the limits, plus a metre.
 ANGLE_OUTSIDE = 2 * math.pi
 LENGTH_OUTSIDE, SPANS_OUTSIDE = 1.0, 10.0
 
-# Where a joint turns without limit, the angle that is more likely one in degrees: some eight turns [rad].
+# For a joint that turns without limits, an angle beyond this is more likely in degrees: about eight turns [rad].
 LARGEST_TURN = 50.0
 
-# A rotation in a file is written in one turn; half of two leaves a margin for any convention [rad].
+# A rotation in a file is written within one turn; two turns leave a margin for any convention [rad].
 LARGEST_RPY = 4 * math.pi
 
-# Limits beyond these are written by programs for none [rad or m]: 1e16, or the largest number that there is.
+# Larger limits are programs' way to write none [rad or m]: 1e16, or the largest float.
 FARTHEST_LIMIT = 1e6
 
-# Values of joints beyond these are refused [rad or m]: times the largest factor of a description, and added up along
-# the longest chain, they are still numbers, so that no pose is NaN.
+# Larger values of joints are refused [rad or m]: times the largest factor of a description, and summed along the
+# longest chain, this is still finite, so no pose is NaN.
 LARGEST_VALUE = 1e200
 
-# Bodies and places that ask for another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
+# Sizes and distances that suggest another unit [m]: a hall in millimetres, a screw scaled twice by a thousandth.
 LARGEST_RADIUS, SMALLEST_RADIUS, LARGEST_DISTANCE = 1000.0, 1e-5, 2000.0
 
 
 class _Listener(threading.local):
-    """Where the calling thread wants its warnings; Python's own way to catch them is one for all threads."""
+    """The calling thread's list for warnings; Python's own way to catch them affects all threads."""
 
     texts: list[str] | None = None
 
@@ -50,7 +51,7 @@ _listener = _Listener()
 
 @contextmanager
 def told_to(texts: list[str]) -> Iterator[None]:
-    """List what this thread is warned of here, instead of warning, until the block ends."""
+    """Collect this thread's warnings in a list, instead of issuing them, until the block ends."""
     before = _listener.texts
     _listener.texts = texts
     try:
@@ -60,7 +61,7 @@ def told_to(texts: list[str]) -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Warn whoever called the library, not the part of it that noticed."""
+    """Issue a warning at the line that called the library, not at the line within the library."""
     if _listener.texts is not None:
         _listener.texts.append(text)
         return
@@ -71,7 +72,7 @@ def warn(text: str) -> None:
 
 
 def doubt_about_size(radius: float, distance: float) -> str:
-    """Why a body of this radius [m], so far from the origin [m], may be in another unit; empty if nothing says so."""
+    """Why a body of this radius [m] at this distance from the origin [m] may be in another unit; empty if plausible."""
     if radius > LARGEST_RADIUS:
         return f"lengths in metres, found a body {2 * radius:.3g} m across; is it in millimetres?"
     if 0 < radius < SMALLEST_RADIUS:
@@ -82,35 +83,35 @@ def doubt_about_size(radius: float, distance: float) -> str:
 
 
 def doubt_about_rpy(rpy: Sequence[float]) -> str:
-    """Why roll, pitch and yaw may be in degrees; empty if nothing says so."""
+    """Why roll, pitch and yaw may be in degrees; empty if plausible."""
     most = max(abs(angle) for angle in rpy)
     return f"roll, pitch and yaw in radians, found {most:g}; is it in degrees?" if most > LARGEST_RPY else ""
 
 
 class Watch:
-    """Looks at configurations for values that no computation can take, and for those far outside the limits.
+    """Checks configurations for values that are too large to compute with, or far outside the limits.
 
     Parameters
     ----------
     robot : str
-        Its name, for the warning.
+        Name of the robot, for the warning.
     names : sequence of str
-        Of the entries of a configuration.
+        Names of the entries of a configuration.
     lower, upper : ndarray, shape (dof,)
         Limits; infinite where there are none.
     turns : sequence of bool
         Which entries are angles.
     free : sequence of bool
-        Which entries belong to joints without limits in any unit: planar and floating ones.
+        Which entries belong to joints without limits in any unit: planar and floating joints.
 
     Attributes
     ----------
     range : ndarray, shape (2, dof)
-        Least and largest values that nothing is said about; the array stays, and its entries may move outwards.
+        Smallest and largest values that cause no warning; the array object stays the same, and its range may only grow.
 
     Notes
     -----
-    It warns once and then looks for numbers that cannot be taken only. Copies of a robot share it.
+    It warns once, and afterwards only checks for values that are too large. Copies of a robot share it.
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class Watch:
         span = np.where(from_below & from_above, upper.clip(max=FARTHEST_LIMIT) - lower.clip(min=-FARTHEST_LIMIT), 0.0)
         room = np.where(turns, ANGLE_OUTSIDE, LENGTH_OUTSIDE + SPANS_OUTSIDE * span)
         widest = np.where(turns, LARGEST_TURN, LARGEST_VALUE)
-        # Where there is one limit only, it may lie beyond what a joint without any would be asked about.
+        # A single limit may lie outside the range allowed for a joint without limits.
         least = np.where(from_below, lower - room, np.where(from_above, upper, 0.0).clip(max=0.0) - widest)
         most = np.where(from_above, upper + room, np.where(from_below, lower, 0.0).clip(min=0.0) + widest)
         self._look_for(np.where(free, -LARGEST_VALUE, least), np.where(free, LARGEST_VALUE, most))
@@ -139,21 +140,21 @@ class Watch:
         self._least, self._most = self.range.tolist()
 
     def passes_one(self, values: list[float]) -> bool:
-        """Whether nothing is to be said about one configuration."""
+        """Whether one configuration is within the range."""
         return all(map(le, self._least, values)) and all(map(le, values, self._most))  # neither holds for NaN
 
     def passes(self, Q: Floats) -> bool:
-        """Whether nothing is to be said about many configurations, shape (..., dof)."""
+        """Whether all configurations, shape (..., dof), are within the range."""
         least, most = self.range
         return bool((least <= Q).all() and (most >= Q).all())
 
     def refused(self, Q: Floats) -> tuple[int, ...] | None:
-        """Where the first entry is that no computation can take."""
+        """Index of the first entry that is too large to compute with."""
         wrong = ~(np.abs(Q) <= LARGEST_VALUE)
         return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
     def tell(self, Q: Floats, name: str) -> None:
-        """Warn about the configurations that did not pass, and never again."""
+        """Warn about the configurations that did not pass, once and for all."""
         least, most = self.range
         *row, k = (int(i) for i in np.argwhere((least > Q) | (most < Q))[0])
         value, (lower, upper) = Q[(*row, k)], self._limits

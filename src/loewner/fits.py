@@ -43,9 +43,9 @@ MANY_FOR_KERNEL = 1e10
 # Below this the certificate itself is rounding noise.
 SMALLEST_TOLERANCE = 1e-12
 
-# For the outer ellipsoid `_large_fits` is faster from the first dimension on; from the second one on if the points
-# times the fourth power of the dimension reach the third number. For the inner ellipsoid it is faster if the
-# half-spaces times the third power of the dimension reach the last number. Measured: docs/design/fits.md.
+# `_large_fits` is faster for the outer ellipsoid from HIGH_DIMENSION on, and from MIDDLE_DIMENSION on if the points
+# times the fourth power of the dimension reach MANY_POINTS. For the inner ellipsoid it is faster if the half-spaces
+# times the third power of the dimension reach MANY_HALFSPACES. Measured: docs/design/fits.md.
 HIGH_DIMENSION, MIDDLE_DIMENSION, MANY_POINTS, MANY_HALFSPACES = 15, 5, 1.5e8, 4e5
 
 

@@ -80,8 +80,8 @@ def print_table(table: Table | PlainTable) -> None:
     from rich.console import Console
 
     console = Console()
-    # A pipe has no width, so a table is not cut to 80 columns there. Nor are names and messages a markup language: they
-    # say `pip install "loewner[meshes]"`.
+    # A pipe has no width, so a table is not cut to 80 columns there. Names and messages are not markup: they may
+    # contain `pip install "loewner[meshes]"`.
     Console(width=None if console.is_terminal else 200, markup=False, emoji=False).print(table)
 
 

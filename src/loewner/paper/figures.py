@@ -85,8 +85,7 @@ class Line:
 
 
 def line_of_pair(inner: tuple[Ellipsoids, Ellipsoids], outer: tuple[Ellipsoids, Ellipsoids], method: str) -> Line:
-    """Near points of two inner ellipsoids, and points where their line leaves outer 1 (beta) and enters outer 2
-    (alpha)."""
+    """Near points of inner ellipsoids, and points where their line leaves outer 1 (beta) and enters outer 2 (alpha)."""
     near = near_points(*inner, method=method, angle=PAPER_ANGLE)
     L = float(near.distance)
     away = near.point_2 - near.point_1 if L > 0 else inner[1].center - inner[0].center

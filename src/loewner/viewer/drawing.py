@@ -260,7 +260,7 @@ class NearPoints:
 
 
 def _paint(node: Any, colour: Rgb) -> None:
-    """Give a node its colour: triangles have one, points and copies one for all."""
+    """Set the colour of a node, which is a property of triangles, points or copies."""
     for name in ("color", "colors", "batched_colors"):
         if hasattr(node, name):
             setattr(node, name, colour if name == "color" else np.array(colour, dtype=np.uint8))
