@@ -2,8 +2,8 @@
 
 A file is read in steps, and each step trusts only what earlier steps have checked: a regular file; an archive with the
 expected members; for each member the few bytes that give type and shape, which must agree with one another, with the
-sizes that the archive states, and with a limit; then the numbers and their checksum. The caller checks what the numbers
-mean.
+sizes that the archive states, and with a limit; then the numbers and their checksum. The caller checks the meaning of
+the numbers.
 """
 
 from __future__ import annotations

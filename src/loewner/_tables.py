@@ -27,7 +27,7 @@ def row(text: str, *, commas: bool | None = None) -> list[float]:
     Raises
     ------
     ValueError
-        If a number is missing or malformed; the message gives what was expected and found.
+        If a number is missing or malformed; the message gives the expected and the found content.
 
     Examples
     --------

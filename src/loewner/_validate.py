@@ -89,7 +89,7 @@ def integer_array(x: ArrayLike, name: str) -> Ints:
 
 
 def plain_array(x: ArrayLike, name: str) -> NDArray[Any]:
-    """An array of the entries of `x`, whatever their type; masked entries, which mean missing numbers, are refused."""
+    """An array of the entries of `x`, of any type; masked entries, which mean missing numbers, are refused."""
     if isinstance(x, (np.ma.MaskedArray, list, tuple)):
         for part in x if isinstance(x, (list, tuple)) else (x,):
             if isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part):
@@ -131,7 +131,7 @@ def finite_array(x: ArrayLike, name: str, shape: tuple[int | None | str, ...]) -
     ----------
     x : array_like
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     shape : tuple
         Expected shape; ``None`` or a letter matches any length, a leading ``"..."`` any batch shape.
 
@@ -165,7 +165,7 @@ def real(x: Any, name: str, *, least: str = "") -> float:
         An int or a float, of Python or NumPy; an array without axes; or an object that converts itself to a float, such
         as a Fraction, a Decimal or a tensor. Booleans and numbers in text are refused.
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     least : str
         Continuation of the message about the expected number; the caller checks this condition.
 
@@ -352,7 +352,7 @@ def path(x: Any, name: str, *, wanted: str = "the path of a file") -> Path:
     ----------
     x : str or os.PathLike of str
     name : str
-        What the caller calls it, for the message.
+        The caller's name for it, for the message.
     wanted : str
         Description of the expected file, for the message.
 

@@ -111,7 +111,7 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
     cells : ndarray, shape (k, 3, 3)
         Corners of the remaining cells.
     owner : ndarray of int, shape (k,)
-        The piece out of which each cell sticks least.
+        Index of the piece to which each cell is closest.
     samples : int
         Number of points tested.
     """
@@ -130,7 +130,8 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
 
 
 def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
-    """For each cell the piece out of which it sticks least, and a lower bound on how far (<= 0: it lies inside)."""
+    """For each cell the closest piece, and a lower bound on how far it sticks out of this piece (<= 0: it is
+    inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):
         box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)

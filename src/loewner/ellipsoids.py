@@ -153,7 +153,7 @@ class Ellipsoids:
         batch = _validate.broadcast({"center": c.shape[:-1], "semi_axes and rotation": F.shape[:-2]})
         return cls(np.broadcast_to(c, (*batch, c.shape[-1])), np.broadcast_to(F, (*batch, *F.shape[-2:])))
 
-    # -- what it is ---------------------------------------------------------------------------
+    # -- properties ---------------------------------------------------------------------------
 
     @property
     def dim(self) -> int:
@@ -225,7 +225,7 @@ class Ellipsoids:
         with np.errstate(over="ignore"):
             return np.exp(self.log_volume)
 
-    # -- what it answers ----------------------------------------------------------------------
+    # -- queries ------------------------------------------------------------------------------
 
     def support(self, direction: ArrayLike) -> Floats:
         """Point of each ellipsoid farthest along a direction.
@@ -299,7 +299,7 @@ class Ellipsoids:
         half = np.ldexp(np.sqrt((F**2).sum(axis=-1)), exponent[..., 0])
         return self.center - half, self.center + half
 
-    # -- how it moves -------------------------------------------------------------------------
+    # -- motions ------------------------------------------------------------------------------
 
     def transformed(self, T: ArrayLike | None) -> Ellipsoids:
         """Move by rigid motions of 3-space.

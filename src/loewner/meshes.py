@@ -533,7 +533,7 @@ def _coacd_by_parts(
 
 
 def _at_most(most: int | None, pieces: list[Polytope]) -> list[Polytope]:
-    """Join pieces, those with the smallest common box first, until their number is within a limit.
+    """Join pieces, beginning with the smallest common box, until their number is within a limit.
 
     CoACD keeps unconnected parts apart regardless of the limit.
     """

@@ -437,7 +437,7 @@ def save(figure: Any, path: str | os.PathLike[str]) -> Path:
     with replacing(target) as temporary, rc_context({"svg.hashsalt": "loewner"}):
         try:
             figure.savefig(temporary, dpi=120, bbox_inches="tight", metadata=metadata)
-        except ValueError as error:  # a suffix that matplotlib does not know
+        except ValueError as error:  # a suffix that matplotlib does not support
             raise FileError(f"{target}: could not be written ({error})") from None
     return target
 

@@ -263,7 +263,7 @@ class _Search:
     targets: Callable[[int], Floats]
 
     def go(self, cells: Floats, owner: Ints, limit: Floats, look: Callable[..., tuple[Floats, Ints, Floats]]) -> None:
-        """Examine cells, those with the greatest bounds first, and then the parts of the unsettled ones.
+        """Examine cells, beginning with the greatest bounds, and then the parts of the unsettled ones.
 
         `limit` is the known bound of each cell. `look` takes cells, owners, limits and the work so far, and returns the
         parts of unsettled cells, the index of each part's cell, and the bounds of all cells.

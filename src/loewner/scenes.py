@@ -615,7 +615,7 @@ class Scene:
 
         See Also
         --------
-        leave : The same rule with start and end of the motion exchanged.
+        leave : The mirror image, at the start of a motion.
 
         Examples
         --------

@@ -200,7 +200,7 @@ def _cells(normals: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 def starts(lengths: Ints) -> Ints:
-    """The start of each range if ranges of these lengths are laid end to end, and the end of the last one."""
+    """Starts of adjacent ranges with the given lengths, and the end of the last one."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
 
 

@@ -65,7 +65,7 @@ class _Pool:
 
     def __init__(self, entry: str, threads: int) -> None:
         home = str(Path(loewner.__file__).parent.parent)
-        # An interrupt reaches all processes of a terminal; the parent decides what it means for its children.
+        # An interrupt reaches all processes of a terminal; the parent decides how its children react.
         self._command = [
             sys.executable, "-P", "-c",
             "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; "

@@ -1,8 +1,8 @@
 """The paper's four detectors, compiled, and their confusion with the truth.
 
 Use detector 3 (level surfaces) for the paper's estimate: it also works well on other shapes. Detector 4 (center lines)
-does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half of those of thin rods
-and over two thirds of those of thin plates. Detector 1 is the earlier method and serves only as the baseline.
+does not generalise: near contact it misses a quarter of the collisions of tetrahedra, nearly half for thin rods and
+over two thirds for thin plates. Detector 1 is the earlier method and serves only as the baseline.
 """
 
 from __future__ import annotations

@@ -249,7 +249,7 @@ ARROWS = (
 
 
 def arrow_path(start: str, end: str) -> Floats:
-    """Corners of an arrow from the border of one box to that of another, shape (2 or 3, 2).
+    """Corners of an arrow from the border of one box to the border of another, shape (2 or 3, 2).
 
     It runs straight down, or sideways, or sideways and then down if an answer skips the questions below.
     """

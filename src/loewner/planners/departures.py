@@ -23,7 +23,7 @@ RISES = (0.02, 0.01, 0.005, 0.002)
 
 @dataclass(frozen=True, eq=False)
 class Departures:
-    """Start and goals of a path, and free configurations near those in contact.
+    """Start and goals of a path, and free configurations near the ones in contact.
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ def show_robot(
 
 @dataclass
 class _Shown:
-    """One body on the page: what is drawn, and how it is placed."""
+    """One body on the page: its drawing, and its placement."""
 
     body: Body
     drawing: Drawing
