@@ -130,8 +130,7 @@ def _outside(triangles: Floats, hulls: list[Polytope], growth: float, cell_size:
 
 
 def _coverage(points: Floats, cells: Ints, hulls: list[Polytope]) -> tuple[Floats, Ints]:
-    """For each cell the closest piece, and a lower bound on how far it sticks out of this piece (<= 0: it is
-    inside)."""
+    """For each cell the closest piece, and a lower bound on how far it sticks out of it (<= 0: it is inside)."""
     worst, owner = np.full(len(cells), np.inf), np.zeros(len(cells), dtype=np.int64)
     for j, hull in enumerate(hulls):
         box = np.maximum(hull.vertices.min(axis=0) - points, points - hull.vertices.max(axis=0)).max(axis=1)
