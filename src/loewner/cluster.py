@@ -110,7 +110,7 @@ def fit(
     Parameters
     ----------
     paths : iterable of path
-        Mesh files. The workers read them, and write the bodies, under the same names, so several machines need shared
+        Mesh files. The workers read them and write the bodies under the same paths, so several machines need shared
         folders. A path that is given twice counts once.
     client : distributed.Client or str
         Client of the cluster, or the address of its scheduler.

@@ -1,4 +1,4 @@
-"""Every error that `loewner` raises on purpose, each a child of `LoewnerError`.
+"""Every error that `loewner` raises on purpose, each a subclass of `LoewnerError`.
 
 Each also derives from the matching built-in exception, so that ``except ValueError`` works without this module.
 """

@@ -45,9 +45,9 @@ def inscribed_ellipsoids(vertices: ArrayLike, triangles: ArrayLike, count: int) 
 
     Notes
     -----
-    Points are inside if the surface winds around them, in either direction. No triangle meets an ellipsoid as stored,
-    in spite of rounding, and one point of the ellipsoid is inside, so all of it is. The size of the ellipsoids is not
-    proven to be optimal; in a convex solid the first is close to the largest one.
+    Points are inside if the surface winds around them, in either direction. In spite of rounding, no triangle meets a
+    stored ellipsoid, and one of its points is inside, so all of it is inside. The size of the ellipsoids is not proven
+    to be optimal; in a convex solid the first is close to the largest one.
 
     References
     ----------

@@ -211,8 +211,8 @@ def convex_pieces(
     seed : int
         Seed of CoACD's search.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a step
-        is a hundredth of the surface.
+        Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the mesh,
+        a step is a hundredth of its surface.
 
     Returns
     -------

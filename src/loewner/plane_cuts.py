@@ -88,7 +88,7 @@ def pieces_within(
     Parameters
     ----------
     parts : list of ndarray, each of shape (t, 3, 3)
-        Corners of triangles: closed parts with their cavities, or the one surface that is not closed.
+        Corners of triangles, either of closed parts with their cavities or of a single surface that is not closed.
     solid : Solid
         The whole mesh.
     tolerance : float

@@ -207,7 +207,7 @@ def flat_error(name: str, points: Floats) -> GeometryError:
 
 
 def check_halfspaces(A: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
-    """Half-spaces with rows of length about 1 (scaled by powers of two, so exactly), empty rows dropped."""
+    """Half-spaces without empty rows, scaled exactly, by powers of two, to rows of length about 1."""
     rows = _validate.finite_array(A, "A", ("m", "n"))
     bounds = _validate.finite_array(b, "b", (len(rows),))
     if rows.shape[1] < 1 or len(rows) < 1:

@@ -60,7 +60,7 @@ class Solid:
 
     Notes
     -----
-    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its middle, scaled by a power of two
+    `rounding` bounds the errors of distances. Kernels receive the mesh relative to its center, scaled by a power of two
     to a size near 1, so that rounding is relative to its size and single precision suffices for its boxes.
     """
 

@@ -75,7 +75,7 @@ VerdictOrVerdicts = Verdict | Verdicts
 
 @dataclass(frozen=True, eq=False)
 class Distance(Generic[Number, Exact, Vector]):
-    """Distances in metres, each of the batch's shape; negative is a penetration depth.
+    """Distances in metres, each of the batch's shape; negative values are penetration depths.
 
     All values refer to the nearest two pieces or, if the bodies overlap, to the deepest two. For bodies of several
     pieces a negative distance is therefore the depth of that pair alone: the bodies are at least that deep in each

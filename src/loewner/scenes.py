@@ -70,7 +70,7 @@ class Contact:
 
     @classmethod
     def from_distances(cls, names: Iterable[Pair], found: Distance) -> tuple[Contact, ...]:
-        """One contact per pair of names, from as many exact distances.
+        """Make one contact per pair of names, from exact distances.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class Contact:
         Raises
         ------
         InputError
-            If the numbers of pairs of names and of exact distances differ.
+            If the number of names differs from the number of exact distances.
         """
         if not isinstance(found, Distance) or found.normal is None or found.normal.ndim != 2:
             raise InputError(f"found: expected exact distances of a row of pairs, found {_validate.short(found)}")
@@ -231,7 +231,7 @@ class Scene:
 
     @property
     def structure_version(self) -> int:
-        """A number that grows with every change except `move`, which leaves all other prepared data valid."""
+        """A number that grows with every change except `move`, after which all other prepared data stays valid."""
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
@@ -433,7 +433,7 @@ class Scene:
         leave: Iterable[str] = (),
         reach: Iterable[str] = (),
     ) -> None:
-        """Attach a body to a link, with which it moves from now on, such as a grasped object.
+        """Attach a body, such as a grasped object, to a link, with which it moves from now on.
 
         Parameters
         ----------
@@ -587,7 +587,7 @@ class Scene:
 
         Notes
         -----
-        The rule applies to motions, see `CollisionChecker.certify_edges`. A motion that starts with the two in contact
+        The rule applies to motions (see `CollisionChecker.certify_edges`). A motion that starts with the two in contact
         is FREE if it is proven that, on a first stretch, no two of their pieces penetrate each other deeper than at the
         start or, while they are within their margin, come nearer, and that the two keep their margin on the rest. It
         takes precedence over `allow`. At a single configuration, contact is a collision, as for all pairs.

@@ -271,8 +271,8 @@ class Body(_Bodies):
         seed : int
             Seed of CoACD's search.
         progress : callable, optional
-            Called as ``progress(done, total)`` after each step, with a share that never decreases; where planes cut, a
-            step is a hundredth of the surface. The fits come last, as one step.
+            Called as ``progress(done, total)`` after each step, with a share that never decreases; if planes cut the
+            mesh, a step is a hundredth of its surface. All fits together are the last step.
 
         Raises
         ------
@@ -1143,7 +1143,7 @@ def _expect_body(body: Any, name: str) -> Body:
 
 
 def _rows_of_three(x: ArrayLike, name: str) -> Floats:
-    """At least one point."""
+    """Check rows of three numbers, at least one."""
     rows = _validate.finite_array(x, name, ("n", 3))
     if len(rows) == 0:
         raise GeometryError(f"{name}: expected at least one point, found none")

@@ -4,8 +4,8 @@ A file is untrusted data: an attacker can compute its checksum too. A property i
 could let a kernel read past an array, loop forever, or return a wrong FREE. Every law that `save` keeps is tested, with
 tolerances for the rounding of the test itself (`DOUBT`, `ROUNDINGS`): a file written by any version of loewner passes.
 
-Whether an ellipsoid is the largest or the smallest, and thus the last digits of `gaps`, cannot be tested without
-fitting again. They describe how tight the bounds are; no verdict depends on them.
+One property cannot be tested without fitting again: that the ellipsoids are the largest and the smallest, which
+determines the last digits of `gaps`. It affects how tight the bounds are, and no verdict depends on it.
 """
 
 from __future__ import annotations

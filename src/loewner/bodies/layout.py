@@ -101,7 +101,8 @@ class KernelArrays:
         Described in `loewner._kernels.pieces.shapes`. They are writable: Numba has another type for read-only arrays,
         and would compile everything twice.
     table : ndarray of int64
-        Addresses and lengths of the arrays; the handle is the address of this table, so it must live as long.
+        Addresses and lengths of the arrays; the handle is the address of this table, which must live as long as the
+        handle is used.
     handle : int
         See `loewner._kernels.pieces.pack`.
     """

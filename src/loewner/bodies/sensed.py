@@ -62,7 +62,7 @@ def box_pieces(lower: Floats, upper: Floats) -> PieceArrays:
     Raises
     ------
     GeometryError
-        If rounding leaves no digits for a box this thin so far from the origin.
+        If a box is so thin, and so far from the origin, that rounding leaves it no digits.
     """
     n = len(lower)
     _memory.expect_left(n * BOX_BYTES, f"{n} boxes")

@@ -1,7 +1,7 @@
 """Appendix B of the paper: the smallest ellipsoid around points by the largest one in a polytope one dimension higher.
 
-It serves as a check on `loewner.mvce`, which is faster: this solves in dimension n + 1, with two half-spaces for each
-point.
+It serves as a check on `loewner.mvce`, which is faster: the lifted problem has dimension n + 1 and two half-spaces for
+each point.
 """
 
 from __future__ import annotations

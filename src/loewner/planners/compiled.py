@@ -50,7 +50,7 @@ class Trees(NamedTuple):
         return cls(nodes, parents, np.empty((2, capacity)))
 
     def rooted(self, start: Floats, goals: Floats) -> Trees:
-        """The trees with roots: a start, shape (joints,), and goals, shape (goals, joints)."""
+        """Add roots to the trees: a start, shape (joints,), and goals, shape (goals, joints)."""
         count = len(goals)
         self.nodes[0, :, 0], self.nodes[1, :, :count] = start, goals.T
         self.parents[0, 0], self.parents[1, :count] = -1, -1

@@ -543,7 +543,7 @@ def roadmap(
     neighbours: int | None = None,
     seed: int = 0,
 ) -> Roadmap:
-    """Make a roadmap: configurations, and the motions between neighbours that are proven free, for many queries.
+    """Make a roadmap of configurations and of motions between neighbours that are proven free, for many queries.
 
     Parameters
     ----------

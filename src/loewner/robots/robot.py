@@ -103,7 +103,7 @@ class Robot:
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. If a text was read, a name in the working directory at that time.
+        The file that was read: a URDF or an MJCF. For a text, a made-up name in the working directory at that time.
     package_dirs : tuple of Path
         Additional folders that are searched for its meshes.
 
@@ -165,8 +165,8 @@ class Robot:
         path : path, optional
             URDF file, xacro expanded.
         text : str, optional
-            The contents of such a file, instead of a path: ROS's ``/robot_description``. Relative paths of meshes in it
-            are resolved from the working directory.
+            The contents of such a file instead of a path, such as ROS's ``/robot_description``. Relative paths of
+            meshes in it are resolved from the working directory.
         srdf : path, optional
             Groups, states and disabled pairs.
         package_dirs : path or iterable of paths
@@ -447,7 +447,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
 
         Warns
         -----
@@ -535,7 +535,7 @@ class Robot:
         Raises
         ------
         InputError
-            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion is not of norm 1.
+            If the width is not dof, an entry is not finite (or beyond ±1e200), or a quaternion does not have norm 1.
 
         Warns
         -----
@@ -754,7 +754,7 @@ class Robot:
 
     @kept
     def runs_straight(self) -> bool:
-        """Whether all motions between configurations are straight: no joint has an orientation of its own."""
+        """Whether all motions between configurations are straight, since no joint has a quaternion."""
         return not self._quaternions
 
     def between(self, Q0: ArrayLike, Q1: ArrayLike, t: ArrayLike) -> Floats:

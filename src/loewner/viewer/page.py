@@ -49,7 +49,7 @@ class Viewer:
     server : viser.ViserServer
         The server, for drawing more on the same page.
     lock : threading.RLock
-        Hold this lock while another thread changes the scene that the page shows.
+        Other threads must hold this lock while they change the scene that the page shows.
     answered : int
         Number of updates of the page.
     seconds : float

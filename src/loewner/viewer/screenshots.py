@@ -1,4 +1,4 @@
-"""Take pictures of a page with a browser without a window."""
+"""Take pictures of a page with a headless browser."""
 
 from __future__ import annotations
 
