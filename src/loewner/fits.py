@@ -62,9 +62,9 @@ class Fit:
     iterations : int
         Number of steps of the interior point and, in high dimension, of the preceding ascent.
     weights : ndarray, shape (m,), or None
-        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller, >= 0
-        with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape matrix
-        divided by the dimension.
+        With ``mvce(points, weights=True)``: the weight of each point in the proof that no ellipsoid is smaller; weights
+        are >= 0 with sum 1. The points' weighted mean and covariance nearly equal the ellipsoid's center and its shape
+        matrix divided by the dimension.
 
     Examples
     --------
@@ -125,8 +125,8 @@ def mvce(
     -----
     The dual is solved by an interior-point method, with an active set when there are many points. In high dimension, or
     with very many points, coordinate ascent comes first, and points that cannot touch the ellipsoid are dropped. This
-    needs memory for a few numbers per point for an eighth of the points, and up to 0.8 GB for the interior point. The
-    paper's reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
+    needs memory for a few numbers for every eighth point, and up to 0.8 GB for the interior point. The paper's
+    reduction to an inscribed ellipsoid is `paper.mvce_by_lifted_mvie`, after ``from loewner import paper``.
 
     The weights form a D-optimal design, with the points as experiments, for a linear model with a constant term: they
     maximise the determinant of the information matrix (Titterington), to within twice the gap in its logarithm. With

@@ -223,7 +223,7 @@ def convex_pieces(
     Raises
     ------
     FileError, GeometryError, MissingExtraError
-        As `load`; GeometryError also for a flat mesh.
+        As for `load`; GeometryError also for a flat mesh.
 
     Warns
     -----

@@ -179,7 +179,7 @@ def configuration(checker: CollisionChecker, q: ArrayLike, *, ax: Any = None) ->
     Raises
     ------
     InputError
-        If `checker` is not a checker, or as for `CollisionChecker.collide`.
+        If `checker` is not a checker, and as for `CollisionChecker.collide`.
     MissingExtraError
         If matplotlib is not installed.
 

@@ -284,7 +284,7 @@ def interior_point(A: Floats, b: Floats) -> Floats:
 
 
 def center_error(code: int, A: Floats, direction: Floats) -> GeometryError:
-    """Make the error that the polytope is unbounded, with the direction in which it is."""
+    """Make the error for an unbounded polytope, which names a direction in which it is unbounded."""
     if code != codes.UNBOUNDED:
         return GeometryError("A, b: no center found; the half-spaces are too close to flat or unbounded for float64")
     if not direction.any():  # the normals do not span the space: any vector that is orthogonal to all of them
@@ -467,7 +467,7 @@ def hulls(point_sets: Sequence[Any], progress: Progress | None = None, *, names:
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points`; the message begins with the name of the set.
+        As for `Polytope.from_points`; the message begins with the name of the set.
     """
 
     def run(first: int, last: int) -> list[tuple[Floats, Floats, Floats, Ints]]:
@@ -505,7 +505,7 @@ def box_hull(half: Floats, name: str) -> Hulls:
     Raises
     ------
     InputError, GeometryError
-        As `Polytope.from_points` of the corners.
+        As for `Polytope.from_points` with the corners.
     """
     check_size(float(half.max()), name)
     corners = _CORNERS * half

@@ -369,7 +369,8 @@ def classify(
         within it.
     pairs : array_like of int, shape (..., 2), optional
         Rows of a and of b to compare, instead of broadcasting: row i of a is body i at pose i (a single body or pose
-        serves all rows). Nothing is copied. For all of n with all of m: ``np.indices((n, m)).T``, result (m, n).
+        serves all rows). Nothing is copied. To compare all of n with all of m, pass ``np.indices((n, m)).T``; the
+        result has shape (m, n).
 
     Returns
     -------

@@ -134,9 +134,9 @@ class Scene:
 
     Notes
     -----
-    A scene is iterated over by name, in the order in which the bodies were added. Its own queries (`pairs`, `collide`,
-    `distance`) are about the static bodies in the world; the pose of a body that is attached to a link depends on a
-    robot's configuration.
+    Iterating over a scene yields names, in the order in which the bodies were added. Its own queries (`pairs`,
+    `collide`, `distance`) are about the static bodies in the world; the pose of a body that is attached to a link
+    depends on a robot's configuration.
 
     Any thread may change a scene while others query it: each change is atomic, and each query uses one consistent
     state. A body that is probably not in metres causes a warning when it is added, once per scene.
@@ -213,7 +213,7 @@ class Scene:
 
     @property
     def static_poses(self) -> Floats:
-        """Poses in the world of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
+        """World poses of the bodies of `static_names`, shape (n, 4, 4), as a new array."""
         with _CHANGING:
             return np.array([self._poses[name] for name in self.static_names]).reshape(-1, 4, 4)
 
@@ -235,7 +235,7 @@ class Scene:
         return self._structure_version
 
     def pose(self, name: str) -> Floats:
-        """Pose in the world of a body, shape (4, 4), as a new array.
+        """Pose of a body in the world, shape (4, 4), as a new array.
 
         Parameters
         ----------
@@ -752,8 +752,8 @@ class Scene:
         """The margin of two bodies or links, in metres: the largest one that applies to them.
 
         The scene's margin applies to every pair with a body of the scene, and the links' margin (``against="links"``)
-        to two links; then the margin of each body or link applies, and the margin of the pair. Only a margin set with
-        ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
+        to two links. In addition, the margin of each body or link and the margin of the pair apply. Only a margin set
+        with ``lower=True`` overrides more general ones: a body's or link's margin overrides the scene's and the links'
         margin, and the pair's margin overrides all others.
 
         Parameters
@@ -810,7 +810,7 @@ class Scene:
         return Contact.from_distances(((names[i], names[j]) for i, j in zip(first, second, strict=True)), found)
 
     def collide(self) -> bool:
-        """Whether any pair of bodies in the world collides that is not allowed to; like `pairs`, without the details.
+        """Whether any pair of bodies in the world collides that may not; `pairs` gives the details.
 
         Returns
         -------

@@ -326,7 +326,7 @@ class Body(_Bodies):
         solid: bool | None = None,
         scale: ArrayLike = 1.0,
     ) -> Body:
-        """Body made of the triangles of a mesh themselves, immediately and exactly.
+        """Make a body of the triangles of a mesh themselves, immediately and exactly.
 
         Every triangle is a convex piece, a flat core with a radius; holes, duplicates, flipped, degenerate and
         self-intersecting triangles are fine. docs/surfaces.md explains when to use this and when to use `from_mesh`.

@@ -98,7 +98,7 @@ class Table:
 
 
 def homogeneity(counts: Sequence[int], others: Sequence[int]) -> float:
-    """p-value of Pearson's chi-square that two rows of counts share one distribution; NaN if one is empty."""
+    """Pearson's chi-square p-value for two rows of counts to share one distribution; NaN if a row is empty."""
     table = np.array([counts, others], dtype=float)
     table = table[:, table.sum(axis=0) > 0]
     rows, columns = table.sum(axis=1), table.sum(axis=0)
@@ -132,7 +132,7 @@ def tables(experiment: Experiment) -> tuple[Table, ...]:
 
 
 def classes(experiment: Experiment) -> tuple[tuple[int, ...], float]:
-    """Count the four exact classes of the pairs, and compute the p-value against the counts implied by Table 3.
+    """Count the four exact classes of the pairs, and compute their p-value against the counts implied by Table 3.
 
     Returns
     -------

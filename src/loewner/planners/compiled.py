@@ -94,7 +94,7 @@ def connect(
     Raises
     ------
     PlanningError
-        If no path was found within the iterations, or in time.
+        If no path was found within the iterations or in time.
     """
     joints, many, root = len(space.columns), len(goals), start[space.columns]
     numbers, limits = np.empty((2, joints), dtype=np.int64), np.empty((4, joints))

@@ -1,4 +1,4 @@
-"""Points of a trajectory as controllers receive them, and the curve that they execute between the points."""
+"""Points of a trajectory for controllers, and the curve that controllers execute between the points."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ VELOCITY, ACCELERATION, BLEND = " velocity", " acceleration", "blend"
 
 
 class ControllerPoints:
-    """Points with times that a joint trajectory controller interpolates, as ros2_control's does.
+    """Points with times that a joint trajectory controller interpolates, such as ros2_control's.
 
     It interpolates positions alone by straight lines, positions and velocities by cubic polynomials, and positions,
     velocities and accelerations by quintic polynomials.

@@ -47,7 +47,7 @@ class Departures:
         Raises
         ------
         PlanningError
-            If a contact at the start, or at the only goal, may end by the rules, but no motion was found that ends it.
+            If the rules allow a contact at the start or the only goal to end, but no motion that ends it was found.
         """
         free_start, free_goals = start, goals
         if ready.leaving.any():

@@ -1,4 +1,4 @@
-"""OMPL's planners, with every state and every motion judged by a `CollisionChecker`.
+"""Plan with OMPL, with every state and motion judged by a `CollisionChecker`.
 
 OMPL is imported only when a function here is called: ``pip install "loewner[planners]"``.
 """

@@ -40,8 +40,8 @@ def plan(
         Bodies attached in its scene move along.
     start : array_like, shape (dof,)
     goal : array_like, shape (dof,) or (goals, dof)
-        One goal or several; reaching any of them is enough. Goals that cannot be reached for an obvious reason (outside
-        the limits, colliding) are ignored, as long as one remains.
+        One goal or several; reaching any of them is enough. Goals that are obviously unreachable (outside the limits,
+        or colliding) are ignored, as long as one remains.
     joints : str or iterable of str, optional
         A group, or names of joints: these move, and all others keep the values of `start`. Default: all.
     planner : str or callable, optional
@@ -132,7 +132,7 @@ def shorten(
     max_iterations: int = compiled.CUTS,
     seed: int = 0,
 ) -> Floats:
-    """Shorten a path: remove and cut corners wherever the straight motion is free.
+    """Shorten a path by removing and cutting corners wherever the straight motion is free.
 
     Parameters
     ----------

@@ -208,7 +208,7 @@ class _Neighbours:
 
 @guarded
 class Roadmap:
-    """Configurations and motions between them that are proven free, for many queries; `roadmap` makes one.
+    """Configurations, and motions between them that are proven free, for many queries; made by `roadmap`.
 
     Notes
     -----
@@ -286,8 +286,8 @@ class Roadmap:
         ----------
         start : array_like, shape (dof,)
         goal : array_like, shape (dof,) or (goals, dof)
-            One goal or several; with several, the path leads to the goal that is nearest over the roadmap. Goals that
-            are outside the limits or collide are ignored, as long as one remains.
+            One goal or several; with several goals, the path leads to the one nearest along the roadmap. Goals that are
+            outside the limits or collide are ignored, as long as one remains.
         simplify : bool
             Shorten the path, as `shorten` does.
 
@@ -305,8 +305,8 @@ class Roadmap:
             if no motion between the start or a goal and nearby nodes is free; or if no component of the roadmap
             connects the start to a goal.
         InputError
-            If an argument has the wrong shape or value, or start or goal differ from the nodes in a joint that is not
-            the roadmap's.
+            If an argument has the wrong shape or value, or start or goal differs from the nodes in a joint that does
+            not move.
         UnknownNameError
             If the scene now names a link that the robot does not have.
 
@@ -560,8 +560,8 @@ def roadmap(
         `Robot.configuration`, which are all 0. A joint that turns without limits is drawn within half a turn of its
         value here.
     neighbours : int, optional
-        Number of nearest neighbours to which each node is connected if possible. Default: for n nodes and d joints e
-        (1 + 1/d) ln n, as in PRM*: with a growing number of samples, the paths converge to the shortest ones.
+        Number of nearest neighbours to which each node is connected if possible. Default: e (1 + 1/d) ln n for n nodes
+        and d joints, as in PRM*, so that the paths converge to the shortest ones as the number of samples grows.
     seed : int
         Equal seeds give equal roadmaps, and equal paths.
 

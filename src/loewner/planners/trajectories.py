@@ -87,7 +87,7 @@ class Trajectory:
     knots, rates : ndarray, shape (n, dof)
         Positions [rad or m] and velocities [rad/s or m/s] at these times; the robot starts and ends at rest.
     blended : ndarray of bool, shape (n - 1,)
-        The intervals in which the robot cuts a corner; everywhere else it is on the path.
+        Whether the robot cuts a corner in each interval; in all others it is on the path.
 
     Examples
     --------
@@ -184,7 +184,7 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times; at a jump, the value after it.
+        """Accelerations at times, with the value after a jump at its time.
 
         Parameters
         ----------
@@ -248,7 +248,7 @@ class Trajectory:
         ----------
         path : path
             A ``.csv`` file has the columns ``time``, the joints' names, ``NAME velocity`` for each, and ``blend``,
-            which is 1 where the robot cuts a corner until the next row. `load` reads ``.csv`` and ``.json`` files. A
+            which is 1 if the robot cuts a corner until the next row. `load` reads ``.csv`` and ``.json`` files. A
             ``.yaml`` file contains a ``trajectory_msgs/JointTrajectory`` of ROS, with times rounded to nanoseconds. It
             has no accelerations, since a controller that interpolates only positions and velocities follows the
             trajectory.
@@ -443,7 +443,7 @@ def trajectory(
     checker: CollisionChecker | None = None,
     blend: float = 0.4,
 ) -> Trajectory:
-    """Assign times to a path, as fast as limits of velocity and acceleration allow.
+    """Assign times to a path, as fast as velocity and acceleration limits allow.
 
     Without a checker the robot follows the path exactly and stops at every corner. With a checker, corners are cut by
     parabolas (blends) that are proven free of collisions at every time; where none can be proven, the robot stops.

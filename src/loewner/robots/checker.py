@@ -49,7 +49,7 @@ class CollisionChecker:
     Raises
     ------
     InputError
-        If the robot has no collision geometry: it would always be free.
+        If the robot has no collision geometry, since it would always be free.
     UnknownNameError
         If a link in `allowed` does not belong to the robot.
 
@@ -152,9 +152,9 @@ class CollisionChecker:
         Raises
         ------
         InputError
-            If the width is not dof, or an entry is not finite; or if there are more than 2^24 pairs to check.
+            If the width is not dof, an entry is not finite, or there are more than 2^24 pairs to check.
         UnknownNameError
-            If the scene attaches to, allows or sets a margin for a link that the robot does not have.
+            If an attachment, an allowed pair or a margin of the scene names a link that the robot does not have.
         ConvergenceError
             If a configuration could not be settled. It never counts as free instead.
 

@@ -57,8 +57,8 @@ class CertifiedTrajectory:
     Attributes
     ----------
     verdict : Verdict
-        FREE: every pair is farther apart than its margin at every time, proven. COLLIDING: at ``time``, which may be
-        rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
+        FREE: it is proven that every pair is farther apart than its margin at every time. COLLIDING: at ``time``, which
+        may be rounded, the robot collides. AMBIGUOUS: at ``time`` a pair comes within its margin and the tolerance, or
         arithmetic could not settle it; treat it as not free.
     time : float
         Seconds; NaN where FREE. The robot may collide earlier as well.

@@ -31,9 +31,9 @@ class CertifiedMotions:
     Attributes
     ----------
     verdict : Verdict, or ndarray of int8
-        FREE: every pair is farther apart than its margin at every real fraction from 0 to 1, proven. COLLIDING: the
-        configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and the tolerance,
-        or arithmetic could not settle it; treat it as not free.
+        FREE: it is proven that every pair is farther apart than its margin at every real fraction from 0 to 1.
+        COLLIDING: the configuration at `fraction` collides. AMBIGUOUS: at `fraction` a pair comes within its margin and
+        the tolerance, or arithmetic could not settle it; treat it as not free.
     fraction : float or ndarray
         Fraction of the motion, as `Robot.between` takes it; NaN where FREE. Where COLLIDING, the configuration there
         collides, but is not necessarily the first to do so.

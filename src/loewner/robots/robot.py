@@ -103,7 +103,7 @@ class Robot:
     tree : Tree
         The arrays that kernels take; described in ``loewner/_kernels/robots/kinematics.py``.
     urdf : Path
-        The file that was read: a URDF or an MJCF. For a text, a made-up name in the working directory at that time.
+        The file that was read: a URDF or an MJCF. For a text, a placeholder name in the current working directory.
     package_dirs : tuple of Path
         Additional folders that are searched for its meshes.
 
@@ -173,9 +173,9 @@ class Robot:
             Folders of packages (or packages) for ``package://`` and ``model://``. The folders that ROS names in the
             environment, and the folders above the URDF, are also searched.
         meshes : {"hull", "pieces", "surface"}
-            Representation of each collision mesh: its convex hull, which contains it; convex pieces, into which a mesh
-            that is not convex is split (`Body.from_mesh`), once: see `cache`; or its triangles (`Body.from_surface`),
-            including the enclosed space if the mesh is closed.
+            Representation of each collision mesh: its convex hull, which contains it; convex pieces (`Body.from_mesh`),
+            into which a non-convex mesh is split once (see `cache`); or its triangles (`Body.from_surface`), including
+            the enclosed space if the mesh is closed.
         decompose : bool
             True means the same as ``meshes="pieces"``.
         tol : float
@@ -452,7 +452,7 @@ class Robot:
         Warns
         -----
         UserWarning
-            As `checked`.
+            As for `checked`.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Find pairs of links that need no check by sampling."""
+"""Find, by sampling, pairs of links that need no check."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def pairs_by_sampling(
         Configurations at which the robot is known to be free, for instance its current one: pairs that collide there
         only do so because bodies are larger than the real links.
     always : float
-        Fraction of the samples, above 0 and at most 1, from which on two links count as always colliding.
+        Fraction of the samples, above 0 and at most 1, at which two links must collide to count as always colliding.
 
     Returns
     -------

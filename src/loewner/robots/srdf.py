@@ -112,7 +112,7 @@ def read_srdf(path: str | os.PathLike[str], robot: Description) -> Semantics:
     Raises
     ------
     FileError, InputError
-        As `read_urdf`.
+        As for `read_urdf`.
     UnknownNameError
         If hardly any of the links and joints that it names belong to this robot.
 

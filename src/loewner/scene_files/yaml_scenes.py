@@ -75,7 +75,7 @@ def load_scene(path: str | PathLike[str]) -> Scene:
     MissingExtraError
         If PyYAML is not installed, or MuJoCo for a model, or a package that a mesh needs.
     InputError, GeometryError
-        If a colliding geom of a model cannot be read: as `Robot.from_mjcf`.
+        As for `Robot.from_mjcf`, if a colliding geom of a model cannot be read.
 
     Warns
     -----

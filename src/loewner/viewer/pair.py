@@ -53,7 +53,7 @@ def show_pair(
     port : int
         0 means any free port.
     block : bool
-        Return only when the page is closed or the keyboard interrupts.
+        Return only when the page is closed, or on a keyboard interrupt.
 
     Returns
     -------

@@ -80,7 +80,7 @@ def show_robot(
         The first configuration; default: all joints at 0, or the start of the path.
     path : array_like, shape (n, dof), or planners.Trajectory, optional
         Configurations of this robot, n >= 2. The page gets a time slider, a button to play the path, and a bar that
-        shows where along it the robot collides. A path without times is played at 1 rad/s or m/s, measured by
+        shows where the robot collides along the path. A path without times is played at 1 rad/s or m/s, measured by
         `Robot.distances`.
     trajectory : planners.Trajectory, optional
         A trajectory instead of a path; give either this or `path`.
