@@ -305,7 +305,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the name is taken or not a text, `body` is not a body, or the margin is negative or not finite.
+            If the name is taken or not a string, `body` is not a body, or the margin is negative or not finite.
         PoseError
             If the pose is not a rigid motion.
 
@@ -683,7 +683,7 @@ class Scene:
         Raises
         ------
         InputError
-            If the margin is negative or not finite, a name is not a text, or `against` is given with a pair.
+            If the margin is negative or not finite, a name is not a string, or `against` is given with a pair.
 
         Examples
         --------

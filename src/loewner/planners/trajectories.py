@@ -561,7 +561,7 @@ class Straights(NamedTuple):
         )
 
     def at(self, k: Any, share: Floats) -> Floats:
-        """Configurations on motions, by the fraction of the motion."""
+        """Configurations at fractions of motions."""
         a, b = self.rows[k], self.rows[k + 1]
         return np.asarray(np.where(share[:, None] == 1, b, a + share[:, None] * (b - a)))
 
