@@ -1,8 +1,8 @@
 """The paper's four detectors, each over n pairs on one thread.
 
-Arrays, one row per pair, all in one frame: centers (n, 3) and factors (n, 3, 3) of the inner and outer
-ellipsoids of both bodies. Answers are uint8: `collides`, and `ambiguous` in the detector's own sense,
-which is where its estimate (and not an overlap check) decided.
+Arrays have one row per pair, all in one frame: centers (n, 3) and factors (n, 3, 3) of the inner and outer ellipsoids
+of both bodies. Answers are uint8: `collides`, and `ambiguous` for pairs that the detector's estimate (and not an
+overlap check) decided.
 """
 
 import math
@@ -15,7 +15,7 @@ from loewner._kernels.paper.estimates import f_from_near_points, offset
 
 @inline
 def _face_distance(normals, offsets, start, stop, origin, p, e):
-    """Where the ray origin + p + t e leaves a polytope {x : normals x <= offsets}."""
+    """Parameter t at which the ray origin + p + t e leaves a polytope {x : normals x <= offsets}."""
     t = math.inf
     for i in range(start, stop):
         n = (normals[i, 0], normals[i, 1], normals[i, 2])
@@ -29,7 +29,7 @@ def _face_distance(normals, offsets, start, stop, origin, p, e):
 def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, collides, ambiguous):
     """The earlier method (the paper, section 2), as read in docs/design/paper.md.
 
-    The inner ellipsoids are its own heuristic ones. Faces: normals (f, 3), offsets (f,), and the first face
+    The inner ellipsoids are its own heuristic ones. Faces are given by normals (f, 3), offsets (f,), and the first face
     of each body (n + 1,).
     """
     for k in range(len(c1i)):
@@ -48,8 +48,8 @@ def detector_1(c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, n1, b1, s1, n2, b2, s2, c
         origin = (c1i[k, 0], c1i[k, 1], c1i[k, 2])
         face_1 = _face_distance(n1, b1, s1[k], s1[k + 1], origin, v1, e)
         face_2 = L - _face_distance(n2, b2, s2[k], s2[k + 1], origin, v2, back)
-        # The printed test for "the enclosing ellipsoids overlap". It is false also when the polyhedra
-        # overlap along the line, which is a certain collision: the flaw the paper corrects.
+        # The printed test for "the enclosing ellipsoids overlap". It is also false when the polyhedra overlap along the
+        # line, which is a certain collision: this is the flaw that the paper corrects.
         if (outer_1 - outer_2) * (face_1 - face_2) > 0.0:
             collides[k], ambiguous[k] = 0, 0
             continue
