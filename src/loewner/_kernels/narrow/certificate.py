@@ -58,7 +58,7 @@ BLOCK = 128  # piece pairs that are settled together
 NEWTON_STEPS = 12
 
 # Errors in units of the roundoff, for both precisions; the derived values are for single precision, where they are
-# larger. Of the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
+# larger. For the shape matrices, times trace |n|²: of squared widths, and of P n in levels.
 SHAPE_ERROR = SHAPE_ROUNDINGS / UNIT_ROUNDOFF  # derived 31, certified.md B4
 # derived 28, certified.md B5
 

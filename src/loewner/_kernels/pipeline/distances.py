@@ -1,6 +1,6 @@
 """Distances of ranges of pairs: certified bounds, an estimate, and on request the exact value.
 
-All distances are signed: negative is the penetration depth. The distance of two bodies is the least over their piece
+All distances are signed, with penetration depths negative. The distance of two bodies is the minimum over their piece
 pairs.
 """
 
@@ -64,28 +64,28 @@ from loewner._kernels.trees import piece_tree
 
 SEED_ROUNDS = 3  # from one center to the nearest of the other body and back
 
-KEPT = 4  # rows of the scratch array from SHIFT on, and from BELOW on, that are kept of a lane that is left
+KEPT = 4  # rows of the scratch array from SHIFT on, and from BELOW on, that are kept for an unsettled lane
 
 POSE_ENTRIES = 16  # of a pose
 
-AHEAD = 2  # lanes between asking for a piece's vertices and their use
+AHEAD = 2  # lanes between the prefetch of a piece's vertices and their use
 
 # A distance is settled when its bounds are this close, relative to the lengths involved.
 SETTLED = 1e-9
 
-# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then right to rounding,
-# but the 1,500 points of the expanding polytope prove it to 4e-4 only. Such a depth is returned: it is that of
-# a plane and two witnesses, never less than the true one.
+# Curved pieces other than ellipsoids and balls may tie in every direction: the depth found is then correct to rounding,
+# but the 1,500 points of the expanding polytope only prove it to 4e-4. Such a depth is returned: it belongs to a plane
+# and two witnesses, and is never less than the true one.
 SETTLED_CURVED = 1e-3
 
-# What the witnesses of a depth may miss it by, of the same lengths.
+# Allowed difference between a depth and its witnesses, relative to the same lengths.
 WITNESSES = 1e-5
 
 SETTLED_DISTANCE, NOT_SETTLED = 0, 1
 
 
 class Bounds(NamedTuple):
-    """Bounds on the distance of each pair of bodies, and the estimate of it: arrays of shape (n,)."""
+    """Bounds on the distance of each pair of bodies, and its estimate: arrays of shape (n,)."""
 
     lower: Any
     upper: Any
@@ -105,7 +105,7 @@ class Exact(NamedTuple):
     status : ndarray of int8, shape (n,)
         SETTLED_DISTANCE or NOT_SETTLED.
     pieces : ndarray of int64, shape (n, 2), or empty
-        Rows of the two pieces that attain it, where that is asked.
+        Rows of the two pieces that attain it, on request.
     """
 
     distance: Any
@@ -117,7 +117,7 @@ class Exact(NamedTuple):
 
 
 class Searches(NamedTuple):
-    """What the fast searches write to: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
+    """Memory of the fast searches: ENTRIES of `gjk_fast`, both arrays of `epa_fast`, and a result.
 
     The result is a normal and two witnesses, nine numbers. `surfaces` is the address of memory for `surface_distance`.
     """
@@ -142,14 +142,14 @@ scratch_of, queue_of, searches_of = MEMORY.accessors("scratch queue searches")
 
 
 class Left(NamedTuple):
-    """Piece pairs that the fast searches left, for `measure_left`.
+    """Piece pairs that the fast searches did not settle, for `measure_left`.
 
     Attributes
     ----------
     pieces : ndarray of int64, shape (m, LATE)
         The rows of the queue from PAIR to INSIDE.
     values : ndarray, shape (m, 2 * KEPT)
-        What is kept of the scratch array.
+        The kept entries of the scratch array.
     """
 
     pieces: Any
@@ -158,7 +158,7 @@ class Left(NamedTuple):
 
 @njit()
 def _distance_with_care(A, B, shift, n, error, inside, work, result):
-    """Signed distance and gap where the fast search did not find them; the witnesses are those of the cores."""
+    """Signed distance and gap if the fast search did not find them; the witnesses belong to the cores."""
     G = np.empty((4, 9))
     weights = np.empty(4)
     d = np.empty(3)
@@ -168,20 +168,20 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
     if not inside:
         status, lower, upper, k = run(A, B, shift, n, 0.0, False, G, weights, np.empty(3), d)
     ra, rb = radius(A), radius(B)
-    # Apart: proven, for a search that stalls may have found points apart of cores that overlap.
+    # "Apart" must be proven, since a stalled search may have found separate points of overlapping cores.
     if k < 4 and upper + ra + rb > 4.0 * error and lower + ra + rb > 0.0 and status != UNSETTLED:
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
-    # The depth sought is the upper bound: the support plane of the normal that comes with it. Only a graze needs more,
-    # to be told from a gap; deep in a curved piece so much is not to be had, and asking for it spoils the witnesses.
+    # The depth sought is the upper bound, from the support plane of its normal. Only a graze needs more accuracy, to be
+    # distinguished from a gap; deep in a curved piece this is not achievable, and requesting it degrades the witnesses.
     shallow, deep = penetration(A, B, shift, DEPTH_ACCURACY, work, result)
     graze = k < 4 and deep != NO_VOLUME and deep <= SETTLED / POSITION_ROUNDINGS * error
     if graze:
         shallow, deep = penetration(A, B, shift, CONTACT_ACCURACY, work, result)
     if deep != NO_VOLUME:
         if graze:
-            # An expanding polytope that does not hold the origin need not hold the origin's foot in
-            # its nearest face either; GJK's points may be the better ones.
+            # An expanding polytope that does not contain the origin need not contain its foot in the nearest face
+            # either; GJK's points may be better.
             before = result.copy()
             missed = _miss(result, -deep)
             write_simplex(G, k, weights, d, result)
@@ -192,11 +192,11 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
                     result[c] = before[c]
         return -deep - ra - rb, deep - shallow
     if upper + ra + rb > 4.0 * error:
-        # Cores that are apart after all: what GJK has, with the gap it has.
+        # The cores are apart after all: use GJK's result, with its gap.
         write_simplex(G, k, weights, d, result)
         return upper, upper - lower
     if k == 4:
-        # Impossible but for rounding: a flat simplex that passed for one with the origin inside.
+        # Only possible by rounding: a flat simplex that seemed to contain the origin.
         return -np.inf, np.inf
     nx, ny, nz = result[0], result[1], result[2]
     write_simplex(G, k, weights, d, result)
@@ -206,7 +206,7 @@ def _distance_with_care(A, B, shift, n, error, inside, work, result):
 
 @njit()
 def _miss(result, distance):
-    """How far the two points are from lying `distance` apart along the normal."""
+    """Deviation of the two points from being `distance` apart along the normal."""
     squared = 0.0
     for c in range(3):
         squared += (result[6 + c] - result[3 + c] - distance * result[c]) ** 2
@@ -233,7 +233,7 @@ def _put_eight(S, row, lane, v):
 
 @inline_by_value
 def _placed_eight(S, rotation, pieces, queue, side, lane):
-    """Factors of eight ellipsoids in the world's axes, and their centers less their bodies' translations."""
+    """Factors of eight ellipsoids in the world's axes, and their centers minus their bodies' translations."""
     table, at = pieces.table, side * LANES + lane
     R = _eight(S, rotation, lane) + _eight(S, rotation + 3, lane) + _eight(S, rotation + 6, lane)
     first = gather_transpose(table, COLUMNS, queue, at, FRAME_CENTER)
@@ -243,7 +243,7 @@ def _placed_eight(S, rotation, pieces, queue, side, lane):
 
 @njit()
 def _measure_round(count, queue, a, b, S, distance):
-    """Measure the queued pairs of ellipsoids, eight at a time; those that take more care have an infinite gap."""
+    """Measure the queued pairs of ellipsoids, eight at a time; pairs that need more care get an infinite gap."""
     for lane in range(count, (count + EIGHT - 1) // EIGHT * EIGHT):  # whole vectors, as in `write_bounds`
         queue[PIECE_A, lane], queue[PIECE_B, lane] = queue[PIECE_A, count - 1], queue[PIECE_B, count - 1]
     for first in range(0, count, EIGHT):
@@ -273,7 +273,7 @@ def _measure_round(count, queue, a, b, S, distance):
 
 @njit()
 def measure_near(count, queue, operands, S, searches, exact):
-    """Exact distances by the fast searches; the lanes that they leave go to the front of the queue's last two rows."""
+    """Exact distances by the fast searches; unsettled lanes go to the front of the queue's last two rows."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     Ta, Tb = borrowed(operands.poses_a), borrowed(operands.poses_b)
     queue, S, distance, result = borrowed(queue), borrowed(S), borrowed(exact.distance), borrowed(searches.result)
@@ -300,15 +300,15 @@ def measure_near(count, queue, operands, S, searches, exact):
             ra, rb = radius(A), radius(B)
             k, above = queue[PAIR, lane], S[ABOVE * LANES + lane]
             limit = above if above < distance[k] else distance[k]
-            # A little more than the ellipsoids promise, for what their bounds round; they stretch with poses, and radii
-            # do not.
+            # Slightly more than the ellipsoids' bounds, for the bounds' rounding; they stretch with poses, and radii do
+            # not.
             limit = max(limit, 0.0) * (1.0 + SETTLED) + SETTLED * size + swollen_radii(A, B)
             value, gap = surface_distance(A, B, n, limit, faces, edges, searches.surfaces, result)
             if value == np.inf and not distance[k] <= above:
-                exact.status[k] = NOT_SETTLED  # the ellipsoids said that something is nearer
+                exact.status[k] = NOT_SETTLED  # the ellipsoids prove that something is nearer
                 continue
             value = value - ra - rb
-            if value < 0.0:  # a depth is a lower bound, whatever rounding did
+            if value < 0.0:  # a depth is a lower bound in spite of rounding
                 value = min(value + position_error(size, UNIT_ROUNDOFF), 0.0)
             _record(lane, queue, Ta, S, value, gap, SETTLED, ra, rb, result, exact)
             continue
@@ -317,7 +317,7 @@ def measure_near(count, queue, operands, S, searches, exact):
             _record(lane, queue, Ta, S, value, gap, SETTLED, 0.0, 0.0, result, exact)
             continue
         plain = not (_is_curved(A) or _is_curved(B))
-        if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they overlap, by the look of it
+        if plain and S[F_OUTER * LANES + lane] * S[F_INNER * LANES + lane] < 1.0:  # they seem to overlap
             searched, shallow, deep = overlap_depth(A, B, n, faces, edges, result)
             if searched == DEPTH_FOUND:
                 _record(lane, queue, Ta, S, -deep, deep - shallow, SETTLED, 0.0, 0.0, result, exact)
@@ -326,7 +326,7 @@ def measure_near(count, queue, operands, S, searches, exact):
         ends = begin(A, B, shift, vertices)
         status, below, above = measure(A, B, shift, vertices, ends, n, error, -np.inf, np.inf, result)
         ra, rb = radius(A), radius(B)
-        # Cores that inner ellipsoids prove to overlap are not apart: what a search found between them was rounding.
+        # Cores whose inner ellipsoids prove an overlap are not apart: a gap found by a search was rounding.
         if status == NEAREST and above - ra - rb <= S[ABOVE * LANES + lane] + SETTLED * size:
             _record(lane, queue, Ta, S, above - ra - rb, above - below, SETTLED, ra, rb, result, exact)
         else:
@@ -337,7 +337,7 @@ def measure_near(count, queue, operands, S, searches, exact):
 
 @njit()
 def measure_late(late, queue, operands, S, exact):
-    """Exact distances of the lanes that the fast search left; only they need the large work space."""
+    """Exact distances of the lanes that the fast search did not settle; only they need the large workspace."""
     a, b, Ta, Tb = pieces_of(operands.a), pieces_of(operands.b), operands.poses_a, operands.poses_b
     faces, edges = epa_fast.workspace()
     result, work = np.empty(9), workspace(True)
@@ -359,18 +359,18 @@ def measure_late(late, queue, operands, S, exact):
         tolerance = SETTLED_CURVED if curved and value < 0.0 else SETTLED
         ra, rb = radius(A), radius(B)
         if value < 0.0 and not _miss(result, value + ra + rb) <= WITNESSES * S[SIZE * LANES + lane]:
-            tolerance = -1.0  # a depth whose witnesses do not bear it out
+            tolerance = -1.0  # a depth that its witnesses do not confirm
         _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact)
 
 
 @inline
 def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact):
-    """Merge the exact distance of two pieces, and how far the bounds on it are apart, into the result of their pair.
+    """Merge the exact distance of two pieces, and the gap between its bounds, into the result of their pair.
 
     `result` holds the normal and the witnesses, relative to a's translation and without the rounding radii ra and rb.
     """
     k, ka = queue[PAIR, lane], queue[POSE_A, lane]
-    # The ellipsoids' own bound may be the better one. A value far below it is none, whatever its own bounds say.
+    # The ellipsoids' own bound may be better. A value far below it is invalid, regardless of its own bounds.
     gap = min(gap, abs(value - S[BELOW * LANES + lane]))
     if not gap <= tolerance * S[SIZE * LANES + lane]:
         exact.status[k] = NOT_SETTLED
@@ -386,7 +386,7 @@ def _record(lane, queue, Ta, S, value, gap, tolerance, ra, rb, result, exact):
 
 @njit()
 def _leave(late, queue, S, kept, left):
-    """Note the lanes that the fast search left for `measure_left`, from row `kept` of the lists on; where they end."""
+    """Note the unsettled lanes for `measure_left`, from row `kept` of the lists on; return the end."""
     for m in range(late):
         lane = queue[LATE, m]
         for row in range(PAIR, INSIDE):
@@ -401,11 +401,11 @@ def _leave(late, queue, S, kept, left):
 
 @njit()
 def _room(kept, left):
-    """Lists of what is left with room for a queue more."""
+    """Lists of unsettled pairs with room for another queue."""
     if kept + LANES <= len(left.pieces):
         return left
     more = Left(np.empty((2 * kept + LANES, LATE), np.int64), np.empty((2 * kept + LANES, 2 * KEPT)))
-    # By loops, here and elsewhere: should the shapes of two arrays differ, Numba would raise an error of Python's.
+    # Written as loops, here and elsewhere: otherwise Numba would include code that raises an error if shapes differ.
     for n in range(kept):
         for c in range(LATE):
             more.pieces[n, c] = left.pieces[n, c]
@@ -416,7 +416,7 @@ def _room(kept, left):
 
 @njit()
 def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact):
-    """Measure the queued piece pairs and merge them into the results of their pairs; what is left by now."""
+    """Measure the queued piece pairs and merge them into the results of their pairs; return the unsettled ones."""
     write_bounds(count, queue, operands, S)
     lower, upper, estimate = bounds.lower, bounds.upper, bounds.estimate
     for lane in range(count):
@@ -436,12 +436,12 @@ def _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, ex
 
 @njit()
 def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept, left, bounds, exact):
-    """Measure a pair of bodies of which one has many pieces: only the piece pairs that may be the nearest."""
+    """Measure a pair of bodies with many pieces: only the piece pairs that may be the nearest."""
     a, b = pieces_of(operands.a), pieces_of(operands.b)
     steps = np.empty(piece_tree.STEPS, np.int64)
     numbers = np.empty(piece_tree.NUMBERS)
     piece_tree.begin(a, ia, operands.poses_a, ka, b, ib, operands.poses_b, kb, steps, numbers)
-    # A first bound on the distance spares the walk most pairs.
+    # A first bound on the distance saves the walk most pairs.
     i, j = piece_tree.nearest_centers(a, ia, b, ib, numbers, SEED_ROUNDS)
     enqueue(queue, 0, k, i, j, ka, kb)
     found = 1
@@ -456,7 +456,7 @@ def _measure_many(wanted, k, ia, ka, ib, kb, queue, operands, S, searches, kept,
 
 @inline
 def _ask(pieces, piece, poses, row):
-    """Ask for a piece and its pose: listed pairs find theirs anywhere in memory, and the queue fills up meanwhile."""
+    """Prefetch a piece and its pose, which may be anywhere in memory, and arrive while the queue fills."""
     for at in range(0, COLUMNS, LINE):
         ask_line(pieces.table, piece * COLUMNS + at)
     ask_line(pieces.table, piece * COLUMNS + COLUMNS - 1)
@@ -466,7 +466,7 @@ def _ask(pieces, piece, poses, row):
 
 @njit()
 def memory_of_distances():
-    """Tell Python how many bytes the memory of `distance_range` has to have."""
+    """Number of bytes of memory for `distance_range`."""
     return _BYTES
 
 
@@ -475,13 +475,13 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                    witness_a, witness_b, normal, status):  # fmt: skip
     """Distances of pairs start .. stop.
 
-    Operands as in `verdicts`; the arrays of `Exact`, the last five, are written only if `wanted`. `memory` is the
-    address of `MEMORY` to write to; one thread uses them at a time.
+    Operands are as in `verdicts`; the arrays of `Exact`, the last five, are only written if `wanted`. `memory` is the
+    address of `MEMORY` scratch bytes, which one thread uses at a time.
 
     Returns
     -------
     pieces, values : ndarray
-        Those of a `Left`, for `measure_left`: the pairs in it are not finished without.
+        The arrays of a `Left`, for `measure_left`, which has to finish its pairs.
     """
     bounds = Bounds(lower, upper, estimate)
     exact = Exact(distance, witness_a, witness_b, normal, status, integers_at(memory, (0, 2)))
@@ -489,7 +489,7 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
     a, b = pieces_of(pack_a), pieces_of(pack_b)
     shape, body_a, pose_a, body_b, pose_b = plan[0], plan[1], plan[2], plan[3], plan[4]
     S, queue, searches = scratch_of(memory), queue_of(memory), searches_of(memory)
-    # No room to begin with: an array made here, even an empty one, would be an allocation for every query.
+    # No room at first: even an empty array made here would be an allocation for every query.
     left = Left(integers_at(memory, (0, LATE)), floats_at(memory, (0, 2 * KEPT)))
     count, kept = 0, 0
     for k in range(start, stop):
@@ -518,12 +518,12 @@ def distance_range(wanted, start, stop, plan, rows, pack_a, Ta, pack_b, Tb, memo
                     kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
                     count = 0
     kept, left = _measure(wanted, count, queue, operands, S, searches, kept, left, bounds, exact)
-    return left.pieces[:kept], left.values[:kept]  # no record: Python would make it by a slow call
+    return left.pieces[:kept], left.values[:kept]  # not a record, which Python would make by a slow call
 
 
 @njit()
 def measure_left(pieces, values, pack_a, Ta, pack_b, Tb, distance, witness_a, witness_b, normal, status):
-    """Exact distances of the piece pairs in a `Left`; compiled only when there is one."""
+    """Exact distances of the piece pairs in a `Left`; only compiled when there is one."""
     operands = Operands(pack_a, Ta, pack_b, Tb)
     exact = Exact(distance, witness_a, witness_b, normal, status, np.empty((0, 2), np.int64))
     S = np.empty(ROWS * LANES)
