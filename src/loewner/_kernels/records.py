@@ -79,10 +79,10 @@ class Problem(NamedTuple):
     margins : ndarray, shape (pairs,)
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.
-    standing : ndarray of float32, shape (standing bodies, BOUNDS)
+    standing : ndarray of float32, shape (static bodies, BOUNDS)
     standing_rows : ndarray of float32, shape (their pieces, HOT)
         Ellipsoids in world coordinates.
-    standing_poses : ndarray, shape (standing bodies, 16)
+    standing_poses : ndarray, shape (static bodies, 16)
     """
 
     tree: Any
@@ -108,9 +108,9 @@ class MotionTables(NamedTuple):
     reach : ndarray, shape (bodies, L)
         Largest distance of a body from the axis of a turning joint, for any angles of the joints between them, with
         sliding joints at 0; in the frame on the other side of the joint.
-    standing_rows : ndarray, shape (pieces of standing bodies, HOT)
+    standing_rows : ndarray, shape (pieces of static bodies, HOT)
         Ellipsoids in world coordinates, in double precision.
-    sizes : ndarray, shape (standing bodies,)
+    sizes : ndarray, shape (static bodies,)
         Sums of the lengths from which positions of their points are computed.
     order : ndarray of int64, shape (pairs,)
         In which pairs are taken.

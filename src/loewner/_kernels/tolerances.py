@@ -3,14 +3,14 @@
 UNIT_ROUNDOFF = 2.0**-53
 SINGLE_ROUNDOFF = 2.0**-24
 
-# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated
-# and applied to a vector, in units of trace(Q) |n|². Of squared widths, and of P n in levels.
+# Bound on the relative rounding error of a shape matrix that was formed from its factor, rotated and applied to a
+# vector, in units of trace(Q) |n|²; for squared widths, and for P n in levels.
 SHAPE_ROUNDINGS = 128.0 * UNIT_ROUNDOFF  # derived 27, certified.md B1
 # derived 24, certified.md B2
 
 # Likewise for positions (translation, rotated center, dot product), in units of the lengths that were added: for gaps
-# between ellipsoids, of support planes of vertices, of boxes of trees, and of support planes of vertices at two poses;
-# of curved pieces, and of those at two poses; of depths of surfaces.
+# between ellipsoids, support planes of vertices, boxes of trees, support planes of vertices at two poses, curved
+# pieces, curved pieces at two poses, and depths of surfaces.
 POSITION_ROUNDINGS = 64.0 * UNIT_ROUNDOFF  # derived 17, certified.md B3
 # derived 33, certified.md B14
 # derived 11, certified.md B19

@@ -155,9 +155,9 @@ def orthogonal_columns(m0, m1, m2):
 def touch(F1, G2, r):
     """Point of E1 that the growing level surfaces of E2 touch first, and the level there.
 
-    The paper's appendix A takes it from an eigenvector of a 6x6 matrix. The same point minimises
-    |M u + d| over |u| <= 1 with M = F2⁻¹F1 and d = -F2⁻¹r: one 3x3 symmetric eigenproblem (of MᵀM,
-    by one-sided Jacobi, which never forms the product) and one scalar secular equation.
+    The paper's appendix A takes it from an eigenvector of a 6x6 matrix. It also minimises |M u + d| over |u| <= 1 with
+    M = F2⁻¹F1 and d = -F2⁻¹r: one 3x3 symmetric eigenproblem (of MᵀM, by one-sided Jacobi, which never forms the
+    product) and one scalar secular equation.
 
     Parameters
     ----------

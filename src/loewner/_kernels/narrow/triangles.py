@@ -88,7 +88,7 @@ def meet(a, b, on_a, side_a, error, long_a, long_b, apart):
     on_a : tuple of 3 vectors
         Result of `sides` for a's plane and the corners of b.
     side_a : vector
-        Bounds on the errors of these.
+        Bounds on the errors of `on_a`.
     error : float
         Bound on the error of a corner's coordinate.
     long_a : float

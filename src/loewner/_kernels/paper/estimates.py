@@ -57,7 +57,7 @@ def estimates_of_pairs(method, c1i, F1i, c1o, F1o, c2i, F2i, c2o, F2o, f):
     Parameters
     ----------
     method : int
-        Of `near_points`; Lin-Han to `PAPER_ANGLE`.
+        Method of `near_points`; Lin-Han to `PAPER_ANGLE`.
     c1i, c1o, c2i, c2o : ndarray, shape (n, 3)
         Centers of the inner and outer ellipsoids of both pieces, all of a pair in one frame, in metres.
     F1i, F1o, F2i, F2o : ndarray, shape (n, 3, 3)

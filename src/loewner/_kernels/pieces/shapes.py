@@ -24,10 +24,10 @@ A packed set of pieces is a tuple of twelve arrays:
     If there are surfaces: ellipsoids around their parts and inside solids, in rows as in ``hot``, and the starts of
     each piece's outer and inner ones, and their end. Otherwise nothing.
 
-Every piece is a core plus a ball: a polytope (its vertices), a surface (triangles; what its points say is true of a box
-around it, and proves no contact), or the image c + F·C of a unit shape
-C (ball, cylinder, cone, segment, point), and a rounding radius (zero but for a capsule and a sphere,
-whose cores are a segment and a point, and for surfaces that are given one).
+Every piece is the sum of a core and a ball. The core is a polytope (its vertices), a surface (triangles; its points are
+the corners of a box around it, and prove no contact), or the image c + F·C of a unit shape C (ball, cylinder, cone,
+segment, point). The ball's rounding radius is zero except for capsules and spheres, whose cores are a segment and a
+point, and for surfaces with a radius.
 """
 
 import numpy as np

@@ -145,7 +145,7 @@ def exact_parts(pack, piece):
         One point of each connected part of a surface, or of a convex piece's core.
     """
     pieces = pieces_of(pack)
-    poses = np.zeros((1, 4, 4))  # of which nothing hangs
+    poses = np.zeros((1, 4, 4))  # no result depends on the pose
     P = placed(pieces, piece, poses, 0)
     if not is_surface(P):
         point = np.empty((1, 3))

@@ -63,7 +63,7 @@ FAULTY = -1
 # Flags for `_flush`.
 DISTINCT = 4  # no pair of bodies is listed twice, since each body is one piece
 CONSECUTIVE = 8  # the listed pairs are consecutive
-PREFETCHING = 16  # the list `ahead` contains what a later block needs
+PREFETCHING = 16  # the list `ahead` contains the entries of a later block
 BEST = 32  # the pairs need the s at the maximum of the contact function, which the first guesses missed
 
 AHEAD = 6  # piece pairs between the prefetch of their vertices and their use

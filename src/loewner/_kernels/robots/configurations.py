@@ -235,7 +235,7 @@ def _settle_waiting(query, held):
 
 @njit()
 def _certify(query, keep, count, held):
-    """Certify listed piece pairs, append the open ones to the waiting pairs, and return the number of these."""
+    """Certify listed piece pairs, append the open ones to the waiting pairs, and return the number of waiting pairs."""
     work, pieces = query.work, pieces_of(query.pack)
     placement = _placement_of(query)
     poses, rows = placement.poses, placement.ellipsoids

@@ -128,7 +128,7 @@ def _pose_row(body, s, moving):
 
 @njit()
 def _bound(count, queue, operands, work, least, lower, upper):
-    """Bounds of queued piece pairs, merged into those of their configurations.
+    """Bounds of queued piece pairs, merged into the bounds of their configurations.
 
     If balls and boxes give better bounds than ellipsoids, these are used: a pair that would be left out in another
     order of pairs, because it is farther than `upper`, then does not lower the result here either.

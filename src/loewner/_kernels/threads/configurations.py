@@ -320,7 +320,7 @@ def cull_pair(thread, S, log_S, total, moving, pairs, margins, bounds, standing,
         Rounded up.
     bounds : float32
         Bounds of the moving bodies in the tile.
-    standing : float32, shape (standing bodies, BOUNDS)
+    standing : float32, shape (static bodies, BOUNDS)
     state : int32, shape (S,)
         A configuration is left to the CPU if the list is too short for its pairs.
     survivors : int32, shape (capacity,)
