@@ -31,11 +31,11 @@ EXAMPLES = """examples:
   loewner audit panda.urdf moves.yaml --scene shelf.yaml --controller linear --joint-error 1e-3
 
 trajectory: a .json or .yaml file with a trajectory_msgs/JointTrajectory, by itself or within another message; or a .csv
-  file with the columns time, the joints' names and, if known, "NAME velocity" and "NAME acceleration" of each joint.
+  file with the columns time, the joints' names and optionally "NAME velocity" and "NAME acceleration" for each joint.
 
-controller: between two points a joint trajectory controller follows a straight line if it has positions only, a cubic
-  polynomial if it has velocities as well, and a quintic one if it has accelerations too. This curve is proven free, or
-  not, at every real time.
+controller: between two points a joint trajectory controller follows a straight line if there are only positions, a
+  cubic polynomial if there are velocities as well, and a quintic one if there are accelerations too. The proof covers
+  this curve at every real time.
 
 exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision was found, but it is ambiguous
 """
@@ -43,16 +43,20 @@ exit status: 0 proven free at every time, 1 collides, 2 error, 3 no collision wa
 
 def add(commands: Any) -> None:
     """Add the command."""
-    audit = inputs.command(commands, "audit", "what a trajectory hits, as a controller executes it", EXAMPLES)
+    audit = inputs.command(commands, "audit", "collisions of a trajectory as a controller executes it", EXAMPLES)
     inputs.add_robot_options(audit)
     audit.add_argument("trajectory", type=Path, metavar="FILE", help="points with times (.csv, .json, .yaml)")
     audit.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
-    audit.add_argument("--controller", choices=CONTROLLERS, help="what runs between points (by what the file holds)")
     audit.add_argument(
-        "--others", metavar="Q", help="where joints are that the file does not name: a state, a file, or numbers (0)"
+        "--controller",
+        choices=CONTROLLERS,
+        help="interpolation between points (default: from the contents of the file)",
     )
     audit.add_argument(
-        "--joint-error", type=float, default=0.0, metavar="E", help="how far every value may be off [rad or m] (0)"
+        "--others", metavar="Q", help="values of joints that the file does not name: a state, a file, or numbers (0)"
+    )
+    audit.add_argument(
+        "--joint-error", type=float, default=0.0, metavar="E", help="largest deviation of every value [rad or m] (0)"
     )
     audit.add_argument("--json", action="store_true", help="print JSON")
     audit.set_defaults(run=_run)

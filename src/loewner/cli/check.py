@@ -30,13 +30,13 @@ exit status: 0 free, 1 colliding (touching is colliding), 2 error, 3 ambiguous (
 
 def add(commands: Any) -> None:
     """Add the command."""
-    check = inputs.command(commands, "check", "do two bodies touch, how far apart?", EXAMPLES)
+    check = inputs.command(commands, "check", "whether two bodies touch, and their distance", EXAMPLES)
     check.add_argument("a", metavar="A", type=Path, help="a saved body (.npz) or a mesh")
     check.add_argument("b", metavar="B", type=Path)
-    check.add_argument("--pose-a", metavar="POSE", help="where A is (the origin)")
-    check.add_argument("--pose-b", metavar="POSE", help="where B is (the origin)")
+    check.add_argument("--pose-a", metavar="POSE", help="pose of A (the origin)")
+    check.add_argument("--pose-b", metavar="POSE", help="pose of B (the origin)")
     check.add_argument("--method", choices=("certified", "estimate", "exact"), default="exact", help="default: exact")
-    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="metres to keep (0)")
+    check.add_argument("--margin", type=float, default=0.0, metavar="M", help="distance to keep [m] (0)")
     check.add_argument("--json", action="store_true", help="print JSON")
     inputs.add_mesh_options(check, "surface")
     check.set_defaults(run=_run)

@@ -14,7 +14,7 @@ from loewner.compilation import PARTS, compile_kernels
 def add(commands: Any) -> None:
     """Add the command."""
     compiling = commands.add_parser("compile", help="compile all kernels now, on all cores, instead of at first use")
-    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="some of it (default: all)")
+    compiling.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts to compile (default: all)")
     compiling.set_defaults(run=_run)
 
 

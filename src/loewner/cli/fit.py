@@ -34,10 +34,10 @@ EXAMPLES = """examples:
   loewner fit cup.stl -o bodies --model surface         the triangles as they are, exact, in milliseconds
   loewner fit parts/*.stl -o bodies --scheduler tcp://host:8786    on the workers of a Dask cluster
 
-A mesh that cannot be fitted is reported, and the others are fitted all the same.
-Those that failed are listed in the end.
+A mesh that cannot be fitted is reported, and the others are still fitted.
+Failed meshes are listed at the end.
 
-exit status: 0 all are fitted, 2 one or more failed, or another error
+exit status: 0 all meshes are fitted, 2 one or more failed, or another error
 """
 
 # Options that determine the body of a mesh.
@@ -53,11 +53,13 @@ def add(commands: Any) -> None:
     fit.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder for the .npz files")
     inputs.add_mesh_options(fit, "pieces")
     fit.add_argument("--tol", type=float, help="certified log-volume gap of the fits of pieces and hulls (1e-4)")
-    fit.add_argument("-j", "--jobs", type=int, metavar="N", help="meshes at a time, each in a process of its own (1)")
+    fit.add_argument(
+        "-j", "--jobs", type=int, metavar="N", help="number of meshes at a time, each in a separate process (1)"
+    )
     fit.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="of a Dask cluster whose workers do it; what they did before with the same options is not done again",
+        help="Dask cluster whose workers fit the meshes; meshes already fitted with these options are skipped",
     )
     fit.set_defaults(run=_run)
 

@@ -20,7 +20,7 @@ EXAMPLES = """examples:
 
 def add(commands: Any) -> None:
     """Add the command."""
-    paper = inputs.command(commands, "paper", "the paper's experiment, its tables", EXAMPLES)
+    paper = inputs.command(commands, "paper", "the tables of the paper's experiment", EXAMPLES)
     paper.add_argument("--pairs", type=int, default=1000, help="1000")
     paper.add_argument("--seed", type=int, default=0, help="0")
     paper.add_argument("--dataset", default="radius", help="radius (the paper's) or volume")

@@ -35,8 +35,8 @@ INFO_EXAMPLES = """examples:
   loewner robot info ~/robots/panda.urdf --srdf panda.srdf --package-dir ~/robots --package-dir ~/meshes
 """
 MARGIN_HELP = (
-    "metres that each pair with a body of the scene keeps at least, whatever margins the scene gives; those that are "
-    "larger stay; links keep none among each other unless the scene gives one"
+    "least distance [m] for each pair with a body of the scene; larger margins of the scene are kept; pairs of links "
+    "have no margin unless the scene gives one"
 )
 CHECK_EXAMPLES = """examples:
   loewner robot check panda.urdf --srdf panda.srdf --state ready
@@ -52,12 +52,12 @@ exit status: 0 all free, 1 one or more colliding, 2 error
 
 def add(commands: Any) -> None:
     """Add the commands."""
-    robot = inputs.command(commands, "robot", "a robot: what it is, is it free?", EXAMPLES)
+    robot = inputs.command(commands, "robot", "a robot: its description, and whether it is free", EXAMPLES)
     inner = robot.add_subparsers(required=True, metavar="COMMAND")
     info = inputs.command(inner, "info", "links, joints and pairs of a robot", INFO_EXAMPLES)
     inputs.add_robot_options(info)
     info.set_defaults(run=_info)
-    check = inputs.command(inner, "check", "which configurations are in collision?", CHECK_EXAMPLES)
+    check = inputs.command(inner, "check", "which configurations are in collision", CHECK_EXAMPLES)
     inputs.add_robot_options(check)
     check.add_argument("--scene", type=Path, metavar="FILE", help="obstacles and attached bodies (.yaml)")
     which = check.add_mutually_exclusive_group(required=True)
