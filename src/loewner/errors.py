@@ -185,7 +185,7 @@ class UnknownNameError(LoewnerError, KeyError):
 
 
 class BodyIndexError(LoewnerError, IndexError):
-    """There is no body of this number.
+    """There is no body with this number.
 
     Examples
     --------

@@ -184,7 +184,7 @@ class Trajectory:
         return found
 
     def accelerations(self, t: ArrayLike) -> Floats:
-        """Accelerations at times, with the value after a jump at its time.
+        """Accelerations at times; at the time of a jump, the value after it.
 
         Parameters
         ----------

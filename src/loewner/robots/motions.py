@@ -98,7 +98,7 @@ class Found(NamedTuple):
             )
 
     def of_shape(self, shape: tuple[int, ...], ready: CheckedPairs) -> CertifiedMotions:
-        """The results in the form for users: for a single motion, with shape (), scalars instead of arrays."""
+        """The results for users: arrays of this shape, or scalars for a single motion, whose shape is ()."""
         if not shape:
             pair = int(self.pairs[0])
             names = ("", "") if pair < 0 else tuple(ready.names[k] for k in ready.pairs[pair].tolist())

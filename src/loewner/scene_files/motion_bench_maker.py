@@ -166,7 +166,7 @@ class JsonNode(Node):
         """Unknown."""
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, of an expected kind: mapping pairs, sequence entries, or a plain value."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a plain value."""
         raw = self.raw
         found = "mapping" if isinstance(raw, dict) else "sequence" if isinstance(raw, list) else "scalar"
         if found != kind:

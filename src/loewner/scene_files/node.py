@@ -47,7 +47,7 @@ class Node(ABC):
 
     @abstractmethod
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, of an expected kind: mapping pairs, sequence entries, or a scalar's value."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's value."""
 
     @abstractmethod
     def described(self) -> str:

@@ -293,7 +293,7 @@ class YamlNode(Node):
         return int(self.raw.start_mark.line) + 1
 
     def expect(self, kind: str, wanted: str) -> Any:
-        """Content of the place, of an expected kind: mapping pairs, sequence entries, or a scalar's text."""
+        """Content of the place, after checking its kind: mapping pairs, sequence entries, or a scalar's text."""
         if self.raw.tag not in YAML_TAGS:
             raise self.error(f"expected {wanted}, found the tag {self.raw.tag}")
         if self.raw.id != kind:
